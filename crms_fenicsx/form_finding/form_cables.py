@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import vertex_dofs
+from crms_fenicsx.meshes.edge_table import line_of
 from crms_fenicsx.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
@@ -159,21 +160,11 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
 
 def chained(pairs: Integers, name: str) -> Integers:
     """The vertices of a line of edges from end to end, (k + 1,), from their pairs, (k, 2)."""
-    next_to: dict[int, list[int]] = {}
-    for a, b in ((int(a), int(b)) for a, b in pairs):
-        next_to.setdefault(a, []).append(b)
-        next_to.setdefault(b, []).append(a)
-    ends = sorted(vertex for vertex, others in next_to.items() if len(others) == 1)
-    line = ends[:1]
-    while line and len(line) < len(next_to):
-        onward = [vertex for vertex in next_to[line[-1]] if vertex not in line[-2:]]
-        if len(onward) != 1:
-            break
-        line += onward
-    if len(ends) != 2 or len(line) != len(next_to):
+    line, ends = line_of((int(a), int(b)) for a, b in pairs)
+    if ends != 2 or len(line) != len(pairs) + 1:
         raise InputError(
             f"find_form: the {len(pairs)} edges of group {name!r} are not one line from end to end "
-            f"(they have {len(ends)} ends); give each cable an edge group of its own."
+            f"(they have {ends} ends); give each cable an edge group of its own."
         )
     return np.array(line, dtype=np.int64)
 

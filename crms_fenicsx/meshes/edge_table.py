@@ -7,6 +7,7 @@ down on the wall that hangs below it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,23 @@ def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     """Give each vertex pair, shape (k, 2), an integer that does not depend on its order."""
     pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
     return (pairs[:, 0] << 32) | pairs[:, 1]
+
+
+def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
+    """The vertices along different edges, given by pairs, and the number of ends: from the least
+    end on, or around from the least vertex and back to it; up to the first branch. The edges are
+    one line where there is one vertex more."""
+    beside: dict[int, list[int]] = {}
+    for a, b in pairs:
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
+    ends = sorted(vertex for vertex, others in beside.items() if len(others) == 1)
+    line = ends[:1] or sorted(beside)[:1]
+    while line and (onward := [one for one in beside[line[-1]] if one not in line[-2:]]):
+        line.append(onward[0])
+        if len(beside[line[-1]]) != 2 or line[-1] == line[0]:
+            break
+    return line, len(ends)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.dofs.layout import edge_ends
+from crms_fenicsx.meshes.edge_table import line_of
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, norm
-from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
 from crms_fenicsx.nets.whole_surface import WholeSurface
@@ -179,32 +179,16 @@ def _chain(surface: WholeSurface, name: str) -> Array:
             f"geodesics_between: the mesh has no group of edges {name!r}; it has "
             f"{', '.join(sorted(groups))}."
         )
-    after = _neighbours(membrane, name)
-    ends = sorted(vertex for vertex, others in after.items() if len(others) == 1)
-    chain = ends[:1]
-    while chain:
-        further = [v for v in after[chain[-1]] if v not in chain[-2:]]
-        if not further:
-            break
-        chain.append(further[0])
-    if len(ends) != 2 or len(chain) != len(after):
-        what = "closed" if not ends else f"no single line: it has {len(ends)} ends"
+    ids = membrane.vertex_ids[edge_ends(membrane.V)[groups[name]]]
+    pairs = {(int(a), int(b)) for part in membrane.comm.allgather(np.sort(ids)) for a, b in part}
+    chain, ends = line_of(sorted(pairs))
+    if ends != 2 or len(chain) != len(pairs) + 1:
+        what = "closed" if not ends else f"no single line: it has {ends} ends"
         raise InputError(
             f"geodesics_between: the group of edges {name!r} is {what}; name groups that are one "
             "line each."
         )
     return surface.points[np.searchsorted(surface.strip.vertices, chain)]
-
-
-def _neighbours(membrane: Membrane, name: str) -> dict[int, list[int]]:
-    """Vertices, by id, that edges of a group join to each of its vertices. Collective."""
-    ids = membrane.vertex_ids[edge_ends(membrane.V)[membrane.mesh.edges[name]]]
-    pairs = {(int(a), int(b)) for part in membrane.comm.allgather(np.sort(ids)) for a, b in part}
-    after: dict[int, list[int]] = {}
-    for a, b in sorted(pairs):
-        after.setdefault(a, []).append(b)
-        after.setdefault(b, []).append(a)
-    return after
 
 
 def _divided(points: Array, n: int) -> Array:

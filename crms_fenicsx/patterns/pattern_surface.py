@@ -10,7 +10,7 @@ from typing import cast
 import numba
 import numpy as np
 
-from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.meshes.edge_table import EdgeTable, line_of
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, gathered
 from crms_fenicsx.meshes.surface import CheckedSurface
 from crms_fenicsx.meshes.triangles import closest, lists
@@ -117,16 +117,8 @@ class PatternSurface:
         if not isinstance(group, str) or group not in known:
             names = ", ".join(map(repr, sorted(known)))
             raise InputError(f"{call}: there is no group of edges {group!r}; there are {names}.")
-        edges, beside = edges_of(known[group]), dict[int, list[int]]()
-        for a, b in edges:
-            beside.setdefault(a, []).append(b)
-            beside.setdefault(b, []).append(a)
-        ends = sorted(v for v, others in beside.items() if len(others) == 1)
-        walk = [ends[0] if ends else min(beside)]
-        while onward := [v for v in beside[walk[-1]] if v not in walk[-2:]]:
-            walk.append(onward[0])
-            if len(beside[walk[-1]]) != 2 or walk[-1] == walk[0]:
-                break
+        edges = edges_of(known[group])
+        walk, _ = line_of(edges)
         if len(walk) - 1 != len(edges):
             raise PathError(
                 f"{call}: the edges of the group {group!r} are no single line: it branches, or has "
