@@ -225,20 +225,23 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
     if cable.parts is None:
         return [(is_off, run, ([], [])) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
-    at: dict[int, SurfacePoint] = {}  # clamps by the number of the path's first point after them
+    # clamps by the number of the path's first point after them; none that can be an end where the
+    # cable follows an edge between two vertices of its path
+    at: dict[int, list[SurfacePoint]] = {}
     for k in cable.parts.nodes:
-        point = cable.nodes[k].point
-        if cable.nodes[k].kind == "crossing" and isinstance(point, CellPoint):
-            at[int(np.searchsorted(on_path, k))] = _place_in_cell(point, cable.positions[k], shape)
+        point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
+        if cable.nodes[k].kind != "crossing":
+            at[after + 1] = [cable.point(k)]
+        elif isinstance(point, CellPoint):
+            at[after] = [_place_in_cell(point, cable.positions[k], shape)]
         else:
-            at[int(np.searchsorted(on_path, k)) + 1] = cable.point(k)
+            at[after] = []
     found: list[tuple[bool, range, Ends]] = []
     for is_off, run in lifted_runs(cable):
         cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
         for a, b in itertools.pairwise(cuts):
-            before = [at[a]] if a in at else []
-            after = [at[b]] if b in at and isinstance(at[b], CellPoint) else []
-            found.append((is_off, range(a, b), (before, after)))
+            ahead: list[SurfacePoint] = [p for p in at.get(b, []) if isinstance(p, CellPoint)]
+            found.append((is_off, range(a, b), (at.get(a, []), ahead)))
     return found
 
 

@@ -258,3 +258,22 @@ def test_bad_clamps_are_refused(comm) -> None:
         with pytest.raises(InputError, match=message):
             call()
         assert scene.clamps == () and scene.net.state.clamps == before.clamps
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_clamped_cables_along_lines_of_the_mesh_are_tightened(comm, order) -> None:
+    """One after the other: the one that hangs on to its line has the clamp on an edge beside a
+    vertex. The square is the same along both, and so are the forces of the parts."""
+    mesh = meshes.rectangle(comm, 14.0, 14.0, 1.4, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=400.0, nu=0.25, thickness=1.0))
+    scene.fix("boundary")
+    paths = ([(0.0, 7.0), (14.0, 7.0)], [(7.0, 0.0), (7.0, 14.0)])
+    cables = [scene.lay_cable(Cable(EA=5e3), path) for path in paths]
+    solver = Solver(scene)
+    solver.advance(pressure=0.3)
+    scene.clamp(*cables)
+    for k in order:
+        step = solver.advance(L0={cables[k]: 0.995 * cables[k].L0})
+        assert step.verification.passed
+    tensions = np.concatenate([cable.tensions for cable in cables])
+    np.testing.assert_allclose(tensions, tensions.mean(), rtol=0.02)
