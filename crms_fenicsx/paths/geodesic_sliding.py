@@ -19,7 +19,7 @@ from crms_fenicsx.contact.span_projection import with_span_projections
 from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
-from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
 from crms_fenicsx.paths.path_change import (
     PathChange,
     is_crossed,
@@ -137,7 +137,7 @@ class GeodesicSliding:
     ) -> int:
         folds = self.change.folds()
         if folded_by is not None:
-            folds = FoldPoints(folded_by, NodesOnEdges())
+            folds = FoldPoints(folded_by)
         surface = CreasedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:

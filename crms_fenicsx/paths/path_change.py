@@ -18,7 +18,7 @@ from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
-from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
 from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
@@ -83,7 +83,6 @@ class PathChange:
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
-        self._nodes_on_edges = NodesOnEdges()
 
     @property
     def n_vertices(self) -> int:
@@ -101,7 +100,7 @@ class PathChange:
 
     def folds(self) -> FoldPoints:
         """The fold points of all cables."""
-        return FoldPoints(self.net.cables, self._nodes_on_edges)
+        return FoldPoints(self.net.cables, self.net.nodes)
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
@@ -111,7 +110,7 @@ class PathChange:
         n, on_path = self.n_vertices, cable.path_nodes()
         # n is the first, n + 1 the last
         ends = {k: cable.nodes[on_path[n - k]].support for k in anchors}
-        return CreasedSurface(surface.shape, surface.bends, anchors, ends)
+        return surface.with_anchors(anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
         """Positions of a cable's anchors off the membrane, by ids that no vertex has. Not of one
