@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, pairwise
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.meshes.triangles import double_areas, lists, norm, vectors
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints, runs
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import Edge
 from crms_fenicsx.surface.trace import near_section
@@ -126,9 +126,9 @@ class CellsAround(dict[tuple[int, ...], list[int]]):
         order = np.argsort(vertices, axis=None, kind="stable")
         ids, first = np.unique(vertices.ravel()[order], return_index=True)
         rows = order // 3 if some is None else some[order // 3]
-        self._rows: list[int] = rows.tolist()
-        ends = np.append(first[1:], len(rows)).tolist()
-        self._at = dict(zip(ids.tolist(), zip(first.tolist(), ends, strict=True), strict=True))
+        self._rows = ints(rows)
+        cuts = pairwise([*ints(first), len(rows)])
+        self._at = dict(zip(ints(ids), cuts, strict=True))
         self._corners = corners
 
     def __missing__(self, vertices: tuple[int, ...]) -> list[int]:
@@ -183,14 +183,12 @@ class Strip:
     @cached_property
     def corners(self) -> list[list[int]]:
         """`cells` as lists of numbers, which loops read faster."""
-        corners: list[list[int]] = self.cells.tolist()
-        return corners
+        return lists(self.cells)
 
     @cached_property
     def owners(self) -> list[int]:
         """`owner` as a list of numbers."""
-        owners: list[int] = self.owner.tolist()
-        return owners
+        return ints(self.owner)
 
     @cached_property
     def vertices(self) -> Integers:
@@ -207,7 +205,7 @@ class Strip:
     @cached_property
     def row_of(self) -> dict[int, int]:
         """Place of each vertex in `vertices`."""
-        return {vertex: row for row, vertex in enumerate(self.vertices.tolist())}
+        return {vertex: row for row, vertex in enumerate(ints(self.vertices))}
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices."""
@@ -339,7 +337,7 @@ class StripShape:
     @cached_property
     def places(self) -> dict[int, tuple[float, float, float]]:
         """Current positions of all vertices, by id, which loops read faster."""
-        rows = zip(self.strip.vertices.tolist(), *self.current.T.tolist(), strict=True)
+        rows = zip(ints(self.strip.vertices), *map(floats, vectors(self.current.T)), strict=True)
         return {vertex: (x, y, z) for vertex, x, y, z in rows}
 
     def at(self, vertex: int) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from itertools import accumulate, pairwise
 from types import MappingProxyType
@@ -17,16 +18,19 @@ import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import CROSSING, NodeTable, fractions_of, positions_of
 from crms_fenicsx.cables.strip import StripShape, own_surface
-from crms_fenicsx.meshes.triangles import norm, vectors
+from crms_fenicsx.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, floats, pointers
+from crms_fenicsx.runtime.arrays import Array, floats, ints, pointers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE
 from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
+
+NONE = np.zeros((0, 3))
+"""The points on an edge without any."""
 
 
 class FoldPoints(Mapping[Edge, Array]):
@@ -42,12 +46,14 @@ class FoldPoints(Mapping[Edge, Array]):
         nodes = self._nodes
         on = (nodes.size == 2) & (nodes.kind != CROSSING) & nodes.taut & ~nodes.lifted
         rows = np.flatnonzero(on)
-        rows = rows[np.lexsort((rows, self._fractions[rows], *nodes.support[rows, 1::-1].T))]
+        first, second = nodes.support[rows, 0], nodes.support[rows, 1]
+        rows = rows[np.lexsort((rows, self._fractions[rows], second, first))]
         edges = nodes.support[rows, :2]
-        first = np.flatnonzero(np.diff(edges, axis=0, prepend=-1).any(axis=1))
-        cuts = pairwise([*first.tolist(), len(rows)])
+        starts = np.flatnonzero(np.diff(edges, axis=0, prepend=-1).any(axis=1))
+        cuts = pairwise([*ints(starts), len(rows)])
         points = [self._positions[rows[a:b]] for a, b in cuts]
-        return dict(zip(map(tuple, edges[first].tolist()), points, strict=True))
+        keys = ((a, b) for a, b in lists(edges[starts]))
+        return dict(zip(keys, points, strict=True))
 
     def __getitem__(self, edge: Edge) -> Array:
         return self._found[edge]
@@ -108,7 +114,7 @@ class CreasedSurface:
         ends: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
-        self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
+        self.anchors = _places(anchors)
         self.ends = ends
         self._at = shape.places
 
@@ -116,8 +122,9 @@ class CreasedSurface:
         self, anchors: Mapping[int, Array], ends: Mapping[int, tuple[int, ...]]
     ) -> CreasedSurface:
         """The surface with other anchors."""
-        surface = CreasedSurface(self.shape, self.bends, anchors, ends)
-        surface._bent = self._bent
+        self._bent  # noqa: B018 - known to both from now on
+        surface = copy(self)
+        surface.anchors, surface.ends = _places(anchors), ends
         return surface
 
     @cached_property
@@ -135,7 +142,7 @@ class CreasedSurface:
         steps = norm(np.diff(line, axis=0, append=line[-1:]))
         steps[first[1:] - 1] = 0.0
         lengths = np.add.reduceat(steps, first[:-1]) if len(edges) else steps
-        return dict(zip(self.bends, lengths.tolist(), strict=True))
+        return dict(zip(self.bends, floats(lengths), strict=True))
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
@@ -146,7 +153,11 @@ class CreasedSurface:
 
     def _line(self, edge: Edge) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        return [self._at[edge[0]], *map(floats, self.bends.get(edge, ())), self._at[edge[1]]]
+        return [
+            self._at[edge[0]],
+            *map(floats, vectors(self.bends.get(edge, NONE))),
+            self._at[edge[1]],
+        ]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
@@ -205,6 +216,10 @@ class CreasedSurface:
         k = bisect(arcs, at) - 1
         step, more = arcs[k + 1] - arcs[k], at - arcs[k]
         return np.array([(b - a) / step * more + a for a, b in zip(*line[k : k + 2], strict=True)])
+
+
+def _places(anchors: Mapping[int, Array]) -> dict[int, tuple[float, float, float]]:
+    return {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
 
 
 def _arcs(line: Sequence[Sequence[float]]) -> list[float]:

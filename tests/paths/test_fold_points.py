@@ -28,7 +28,7 @@ def net(comm) -> Scene:
 def bends(cables) -> dict:
     """Positions of the points on each edge."""
     return {
-        edge: [cables[c].positions[k] for _, c, k in points]
+        edge: np.array([cables[c].positions[k] for _, c, k in points])
         for edge, points in points_by_edge(cables).items()
     }
 
