@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from crms_fenicsx.output.report import net_tables
 from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
+    BarChart,
+    Figure,
+    Figures,
+    KeyFigures,
+    PagePart,
     PageSection,
+    Paragraph,
     Table,
-    bars,
-    figure,
-    figures,
-    key_figures,
     number,
     page,
-    paragraph,
     per_cent,
 )
 from crms_fenicsx.output.report.results_tables import ResultTables
+from crms_fenicsx.output.report.verdict import Limits, verdict_on
 from crms_fenicsx.results.cable_order import Order
 
+FORCES_ON = (
+    "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
+    "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
+    "points that meet at one place are summed up. Lines of held edges bear the membrane's forces "
+    "without these; a vertex of two groups counts with the larger one."
+)
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
@@ -59,11 +69,13 @@ class Report:
     about: Sequence[tuple[str, str]]
     model: Model  # what was computed, with its picture
     results: ResultTables
+    held: FoundationTables
+    limits: Limits
     further: Sequence[PageSection] = ()  # about other things than equilibria
+    plans: Sequence[Figure] = ()  # of the forces on foundations
     left_out: int = 0  # how many pictures there is no room for
     order: Order | None = None  # lengths of the cables to be made
-    # ends of cables and joints that foundations carry, by the names of these
-    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    template: Path | None = None  # of jinja2; None: the package's
 
     @property
     def cases(self) -> Sequence[Case]:
@@ -94,63 +106,39 @@ class Report:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
         about += versions(self.model.ranks)
         text = "Pressure, and what each load at the factor 1 is multiplied by."
-        verdict: str | Table = self._verdict()
+        verdict = verdict_on(self.cases, self.limits, results.size)
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
-        chart = bars("Largest utilisation of the membrane", used, limit=1.0)
+        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
         sections = [
-            PageSection("Summary", [verdict, key_figures(self._cards()), chart]),
+            PageSection("Summary", [verdict, KeyFigures(self._cards()), chart]),
             *self._model(),
-            PageSection("Combinations", [paragraph(text), results.factors(), results.overview()]),
+            PageSection("Combinations", [Paragraph(text), results.factors(), results.overview()]),
             *self._results(),
             *self._forces(),
             *self.further,
-            PageSection("Verification", [verdict, results.verdicts(), results.nearest_to_limits()]),
-            PageSection("Notes", [*map(paragraph, NOTES)]),
+            PageSection("Verification", [results.verdicts(), results.nearest_to_limits()]),
+            PageSection("Notes", [*map(Paragraph, NOTES)]),
         ]
-        return page(self.title, about, sections)
+        return page(self.title, about, sections, self.template)
 
     def tables(self) -> list[Table]:
         """The tables that become CSV files."""
         of = self.results
         found = [of.factors(), of.overview(), of.membrane(), of.envelope(), of.supports()]
+        found += [self.held.lines(), self.held.balance()]
         found.append(of.verification())
         if of.names("cables"):
             found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
         more = [net_tables.clamps(of), of.joints(), of.ponds()]
-        more += [net_tables.foundations(of, self.foundations)]
+        more += [self.held.places(), self.held.forces(), self.held.envelope()]
         if self.order is not None:
             more.append(net_tables.order(self.order, of.units))
         more += [part for one in self.further for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
-
-    def _verdict(self) -> str:
-        known = {case.name: case.verification for case in self.cases}
-        moved = [case.name for case in self.cases if not case.summary.in_equilibrium]
-        failed = [name for name, one in known.items() if one is not None and not one.passed]
-        missing = [name for name, one in known.items() if one is None]
-        doubtful = [name for name, one in known.items() if one is not None and one.doubtful]
-        warned = [f"{case.name}: {one}" for case in self.cases for one in case.summary.warnings]
-        count = f"{len(known)} combinations" if len(known) > 1 else "the state"
-        kind, text = "verdict failed", ""
-        if moved:
-            why = "the scene has been changed since its last load step, or there was none"
-            text = f"Not in equilibrium: {', '.join(moved)}; {why}."
-        elif failed:
-            text = f"Not verified: {', '.join(failed)} failed a check."
-        elif warned:
-            text = f"Equilibrium, but {'; '.join(warned)}"
-        elif missing:
-            kind, text = "verdict doubtful", f"Not verified in this run: {', '.join(missing)}."
-        elif doubtful:
-            kind, places = "verdict doubtful", ", ".join(doubtful)
-            text = f"The equilibrium of {count} is verified; crude in places: {places}."
-        else:
-            kind, text = "verdict", f"Verified: {count} passed all checks of equilibrium."
-        return paragraph(text, kind)
 
     def _cards(self) -> list[tuple[str, str, str]]:
         """Key figures: what, its value, and the case or cable that it is of."""
@@ -183,18 +171,18 @@ class Report:
         card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
         return cards
 
-    def _tensions(self) -> str:
+    def _tensions(self) -> BarChart:
         """Chart of the cables' tensions over all combinations."""
         found = []
         for name in self.results.names("cables"):
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
-        return bars(f"Least to largest tension{where}{self.results.units['force']}", found)
+        return BarChart(f"Least to largest tension{where}{self.results.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
         model = self.model
-        picture = [figure(model.picture, model.caption, "model")] if model.picture else []
+        picture = [Figure(model.picture, model.caption, "model")] if model.picture else []
         tables = {name: one for name, one in model.tables.items() if one.rows}
         if "bars" in tables:
             tables["bars"] = in_families(tables["bars"])
@@ -210,15 +198,15 @@ class Report:
         found, same, several = [], "", len(self.cases) > 1
         if several:
             text = "Least and largest values over all combinations, and which of them governs."
-            body: list[str | Table] = [paragraph(text), self.results.envelope()]
+            body: list[PagePart] = [Paragraph(text), self.results.envelope()]
             found.append(PageSection("Envelope of the membrane", body))
             same = "Colours have the same scale in all combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
-        found.append(PageSection("Membrane by combination", [paragraph(same)] if same else []))
+        found.append(PageSection("Membrane by combination", [Paragraph(same)] if same else []))
         for case in self.cases:
-            shown = [figure(one.png, f"{case.name}: {one.label}") for one in case.pictures]
-            found.append(PageSection(case.name, [figures(shown), self.results.of_case(case)], 3))
+            body = [Figures(case.pictures), self.results.of_case(case)]
+            found.append(PageSection(case.name, body, 3))
         return found
 
     def _forces(self) -> list[PageSection]:
@@ -233,9 +221,11 @@ class Report:
             found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
         if of.names("ponds"):
             found.append(PageSection("Ponds", [of.ponds()]))
-        more = [net_tables.anchors(of), of.joints(), net_tables.foundations(of, self.foundations)]
-        held = [table for table in more if table.rows]
-        found.append(PageSection("Supports and anchors", [of.supports(every=False), *held]))
+        held = self.held
+        tables = [held.envelope(), held.forces(), held.lines(), held.places(), held.balance()]
+        body: list[PagePart] = [Paragraph(FORCES_ON), Figures(self.plans)]
+        body += [table for table in tables if table.rows]
+        found.append(PageSection("Foundations and anchors", body))
         if self.order is not None:
             found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
         return found
