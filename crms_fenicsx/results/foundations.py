@@ -21,7 +21,7 @@ from crms_fenicsx.results.reactions import (
     pressed_facets,
     support_forces,
 )
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.scene import Scene
 
 
@@ -101,10 +101,10 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
         lines.append(
             FoundationLine(name, _reversed(total), length, loaded / (length or 1.0), largest)
         )
-    rim, along = _rim(scene, line)
     return Foundations(
-        tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system), rim, along
-    )
+        tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system),
+        held_rim(scene), _along_rim(scene, line),
+    )  # fmt: skip
 
 
 def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]:
@@ -164,20 +164,27 @@ def _points(ends: Iterable[HeldEnd], near: float) -> list[FoundationPoint]:
     ]  # fmt: skip
 
 
-def _rim(scene: Scene, line: Array) -> tuple[Array, Array]:
-    """Ends of all ranks' held edges, and the membrane's forces on them per length. Collective."""
-    membrane, comm = scene.membrane, scene.comm
-    function = fem.Function(membrane.V)
-    values = function.x.array.reshape(-1, 3)
-    values[: len(line)] = -line
-    function.x.scatter_forward()
+def held_edges(scene: Scene) -> Integers:
+    """Ends of this rank's edges with a name that are held in some direction, (k, 2)."""
+    membrane = scene.membrane
     own = membrane.mesh.mesh.topology.index_map(1).size_local
     named = np.unique(np.concatenate([np.zeros(0, np.int32), *membrane.mesh.edges.values()]))
     ends = edge_ends(membrane.V)[named[named < own]]
-    ends = ends[membrane.held[ends].all(axis=1).any(axis=1)]
-    pieces = comm.allgather((membrane.positions()[ends], values[ends]))
-    rim, along = (np.concatenate([one[k] for one in pieces]) for k in (0, 1))
-    return rim, along
+    return np.asarray(ends[membrane.held[ends].all(axis=1).any(axis=1)])
+
+
+def held_rim(scene: Scene) -> Array:
+    """Ends of all ranks' held edges with a name, (k, 2, 3) (length). Collective."""
+    return np.concatenate(scene.comm.allgather(scene.positions()[held_edges(scene)]))
+
+
+def _along_rim(scene: Scene, line: Array) -> Array:
+    """The membrane's forces on `held_rim` per length, by those on its supports. Collective."""
+    function = fem.Function(scene.V)
+    values = function.x.array.reshape(-1, 3)
+    values[: len(line)] = -line
+    function.x.scatter_forward()
+    return np.concatenate(scene.comm.allgather(values[held_edges(scene)]))
 
 
 def _reversed(force: Sequence[float] | Array) -> Force:

@@ -24,6 +24,8 @@ from crms_fenicsx.verification.report import Verification
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
 """Pixels per inch of pictures: of up to so many of them, and at least."""
+FAINT = 0.25
+"""Part of the common scale below which a picture has a scale of its own."""
 WIDTH = 6.0
 """Of a picture, in inches."""
 
@@ -97,10 +99,22 @@ def with_pictures(
     pictures = []
     for colour in colours:  # one colour bar each, or the shape would be small beside them
         fabric = None if colour == TENSION else colour
-        options |= {"colour": fabric, "tensions": fabric is None}
-        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        options |= {
+            "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
+            "directions": forces,
+        }  # fmt: skip
+        limits, own = _limits(every, colour), _limits([case], colour)
+        faint = (
+            limits is not None
+            and own is not None
+            and max(map(abs, own)) < FAINT * max(map(abs, limits))
+        )
+        png = draw_png(solver, dpi=dpi, limits=own if faint else limits, **options)
         if png:
             label = LINES if fabric is None else label_of(colour)[0]
+            label += "; strokes: larger principal force" if forces else ""
+            label += " (a scale of its own)" if faint else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
 

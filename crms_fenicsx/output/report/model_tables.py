@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
 
@@ -22,7 +22,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.output.report.case import box
-from crms_fenicsx.output.report.page import Cell, Table, number, shown
+from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
 from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
@@ -33,13 +33,15 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class Model:
-    """A scene as tables, the same on all ranks, and a PNG of it; empty without one."""
+    """A scene as tables, the same on all ranks, and pictures of it."""
 
     size: float  # largest extent of the stress-free surface (length)
     ranks: int
     tables: dict[str, Table]  # by what they list
-    picture: bytes = b""  # on the first rank
-    caption: str = ""  # what the picture shows
+    pictures: Sequence[Figure] = ()  # of the model and of its loads, on the first rank
+    loads: Sequence[Figure] = ()
+    pressure: float = 0.0  # (force per area), and
+    factors: Mapping[str, float] = field(default_factory=dict)  # of loads, in the base state
 
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
@@ -84,7 +86,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         name: Table(caption, units.headings(columns), rows)
         for name, (caption, columns, rows) in listed.items()
     }
-    return Model(max(extents), scene.comm.size, tables)
+    return Model(
+        max(extents), scene.comm.size, tables, pressure=scene.pressure, factors=scene.factors
+    )
 
 
 STATE = {

@@ -15,16 +15,15 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.figures.axes3d import check_view
 from crms_fenicsx.output.figures.draw_scene import COLOURS, HasSystem
 from crms_fenicsx.output.report.case import (
-    SHARPEST,
     TENSION,
     Case,
     case_of,
-    draw_png,
     with_pictures,
 )
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.output.report.page import PageSection
+from crms_fenicsx.output.report.pictures import force_figures, load_figures, model_figures
 from crms_fenicsx.output.report.printing import browser, print_page
 from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
@@ -39,8 +38,6 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.load_cases import Combination
 
-MOST_NAMES = 12
-"""Up to so many cables and bars have their names in the picture of the model."""
 NOW = "Current state"
 """Name of the case of a report without combinations."""
 
@@ -265,13 +262,12 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
 
 
 def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
-    """A model with a picture of the scene's present state. Collective."""
+    """A model with pictures of the scene's present state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
-    names = len(scene.cables) + len(scene.bars) <= MOST_NAMES
-    png = draw_png(solver, dpi=SHARPEST, show_names=names, **plan.look)
-    return replace(model, picture=png, caption=caption)
+    figures = model_figures(solver, caption, plan.unit, plan.look)
+    return replace(model, pictures=figures, loads=load_figures(solver, plan.look))
 
 
 def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
@@ -285,6 +281,7 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
             report = Report(
                 plan.title, about, model, results, held, limits, plan.sections,
                 order=plan.order, template=Path(plan.template) if plan.template else None,
+                plans=force_figures(held),
             )  # fmt: skip
             texts = {path: report.html()}
             for table in report.tables():

@@ -73,14 +73,20 @@ class ResultTables:
                 label += self.units[one.unit] if one.unit else ""
                 yield part, name, label, found.least[name], found.largest[name]
 
-    def factors(self) -> Table:
-        """Pressure and factors of the loads."""
-        loads = self.names("factors")
+    def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
+        """Pressure and factors of the loads, also in the base state."""
+        every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
+        base = [one for one in every if one[1] == pressure and one[2] == factors]
+        if not base:
+            base = [("base state", pressure, factors)]
+        every = base + [one for one in every if one not in base]
+        loads = list(dict.fromkeys(load for _, _, known in every for load in known))
+        first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
         rows: list[Row] = [
-            (case.name, case.summary.pressure, *(case.summary.factors.get(load) for load in loads))
-            for case in self.cases
+            (f"LC{k}", name, p, *(known.get(load) for load in loads))
+            for k, (name, p, known) in enumerate(every, first)
         ]
-        columns = self.units.headings("Combination|Inner pressure{pressure}")
+        columns = self.units.headings("Case|Combination|Inner pressure{pressure}")
         columns += [f"Factor of {load}" for load in loads]
         return Table("Inner pressure and factors of the loads", columns, rows, "combinations")
 

@@ -105,7 +105,6 @@ class Report:
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
         about += versions(self.model.ranks)
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
         verdict = verdict_on(self.cases, self.limits, results.size)
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
@@ -114,7 +113,6 @@ class Report:
         sections = [
             PageSection("Summary", [verdict, KeyFigures(self._cards()), chart]),
             *self._model(),
-            PageSection("Combinations", [Paragraph(text), results.factors(), results.overview()]),
             *self._results(),
             *self._forces(),
             *self.further,
@@ -126,7 +124,13 @@ class Report:
     def tables(self) -> list[Table]:
         """The tables that become CSV files."""
         of = self.results
-        found = [of.factors(), of.overview(), of.membrane(), of.envelope(), of.supports()]
+        found = [
+            of.factors(self.model.pressure, self.model.factors),
+            of.overview(),
+            of.membrane(),
+            of.envelope(),
+            of.supports(),
+        ]
         found += [self.held.lines(), self.held.balance()]
         found.append(of.verification())
         if of.names("cables"):
@@ -182,28 +186,39 @@ class Report:
 
     def _model(self) -> list[PageSection]:
         model = self.model
-        picture = [Figure(model.picture, model.caption, "model")] if model.picture else []
         tables = {name: one for name, one in model.tables.items() if one.rows}
         if "bars" in tables:
             tables["bars"] = in_families(tables["bars"])
-        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints", "loads")
+        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
         return [
-            PageSection("Model", [*picture, tables["mesh"]]),
+            PageSection("Model", [*model.pictures, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
-            PageSection("Supports, cables, bars and loads", below, 3),
-        ]
+            PageSection("Supports, cables and bars", below, 3),
+            PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
+                                  Figures(model.loads), *self._combinations()]),
+        ]  # fmt: skip
+
+    def _combinations(self) -> list[PagePart]:
+        """What acts in each load case, and in the base state."""
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
+        return [Paragraph(text), self.results.factors(self.model.pressure, self.model.factors)]
 
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
         if several:
             text = "Least and largest values over all combinations, and which of them governs."
             body: list[PagePart] = [Paragraph(text), self.results.envelope()]
+            body.append(self.results.overview())
             found.append(PageSection("Envelope of the membrane", body))
             same = "Colours have the same scale in all combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
-        found.append(PageSection("Membrane by combination", [Paragraph(same)] if same else []))
+        body = [
+            *([Paragraph(same)] if same else []),
+            *([] if several else [self.results.overview()]),
+        ]
+        found.append(PageSection("Membrane by combination", body))
         for case in self.cases:
             body = [Figures(case.pictures), self.results.of_case(case)]
             found.append(PageSection(case.name, body, 3))
