@@ -192,7 +192,7 @@ def draw_shape(
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
     if how.strokes is not None and np.size(how.strokes):
-        _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, INK)
+        _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
@@ -307,7 +307,9 @@ def _paint_outline(
     _paint_seen(axes3d, outline, flat, tolerance, colour)
 
 
-def _paint_seen(axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any) -> None:
+def _paint_seen(
+    axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
+) -> None:
     """Paint short lines (k, 2, 3) where no triangle hides them."""
     from matplotlib.collections import LineCollection
 
@@ -316,7 +318,11 @@ def _paint_seen(axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, c
         seen = visible(ends.mean(axis=1), flat, tolerance)
         axes3d.axes.add_collection(
             LineCollection(
-                list(ends[seen, :, :2]), colors=[colour], linewidths=0.8, capstyle="round", zorder=2
+                list(ends[seen, :, :2]),
+                colors=[colour],
+                linewidths=thick,
+                capstyle="round",
+                zorder=2,
             )
         )
 

@@ -38,8 +38,12 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     from matplotlib.collections import LineCollection, PolyCollection
 
     places = [plan.rim[..., :2].reshape(-1, 2), *(at[None, :2] for at, _ in plan.points.values())]
-    axes, size = _axes(np.concatenate(places), unit, width, 1.15 * ROOM)
-    centre = np.mean(np.concatenate(places), axis=0)
+    flats = np.concatenate(places)
+    air = ROOM + 0.1 if plan.most_per_length > 0.0 else ROOM
+    axes, size = _axes(flats, unit, width, air)
+    centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
+    high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))
+    high *= ROOM * size / (plan.most_per_length or 1.0)
     if plan.most_per_length > 0.0:
         flat = plan.rim[..., :2]
         along = flat[:, 1] - flat[:, 0]
@@ -68,9 +72,15 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
                 arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3},
             )  # fmt: skip
         few = len(plan.points) <= MOST_VALUES
+        side = (at[:2] - centre) / np.maximum(np.ptp(flats, axis=0), 1e-300)
+        across = abs(side[1]) > abs(side[0])  # at the upper or lower side
+        out = np.sign(side) * (not across, across)
+        text_at = at[:2] + 1.04 * high * out if high else at[:2]
         value = f" {'↑' if one[2] > 0.0 else '↓'}{abs(one[2]):.3g}" if few else ""
-        away = np.sign(at[:2] - centre) * 9.0
-        _name(axes, f"{name}{value}", at[:2], away)
+        away = out * 9.0
+        _name(axes, f"{name}{value}", text_at, away)
+        if high and across:
+            axes.texts[-1].set(rotation=90, va="bottom" if out[1] > 0.0 else "top")
     text = [f"largest horizontal force {plan.most:.4g} {force}".rstrip()] if plan.points else []
     if plan.most_per_length > 0.0:
         per = f"{force}/{unit}" if force and unit else ""

@@ -102,7 +102,7 @@ def with_pictures(
         forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
         options |= {
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
-            "directions": forces,
+            "directions": forces, "loose": "lifted" if fabric is None else None,
         }  # fmt: skip
         limits, own = _limits(every, colour), _limits([case], colour)
         faint = (

@@ -24,6 +24,7 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
 from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
+from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 from crms_fenicsx.runtime.arrays import Array, floats
@@ -189,7 +190,11 @@ def _text(value: Any) -> str:
 def _supports(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     own, comm = scene.V.dofmap.index_map.size_local, scene.comm
-    for name, (directions, dofs) in held_groups(scene.membrane).items():
+    groups = held_groups(scene.membrane)
+    for name in partition(scene, {key: dofs for key, (_, dofs) in groups.items()}):
+        if name not in groups:
+            continue
+        directions, dofs = groups[name]
         length = None
         if name in scene.mesh.edges:
             lengths = held_lengths(scene.membrane, name)[:own]

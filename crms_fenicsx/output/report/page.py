@@ -8,7 +8,7 @@ import io
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import ClassVar, Protocol
@@ -160,6 +160,16 @@ class Table:
         return len(self.rows) <= SHORT
 
     @property
+    def shown(self) -> Table:
+        """The table without columns that have no values."""
+        kept = [
+            k for k in range(len(self.columns))
+            if k < self.headings or any(row[k] not in (None, "") for row in self.rows)
+        ]  # fmt: skip
+        rows = [[row[k] for k in kept] for row in self.rows]
+        return replace(self, columns=[self.columns[k] for k in kept], rows=rows)
+
+    @property
     def numeric(self) -> list[bool]:
         """Which columns have numbers."""
         each = range(len(self.columns))
@@ -194,7 +204,7 @@ class PageSection:
     def parts(self) -> list[PagePart]:
         """What is below, without charts and figures of nothing."""
         return [
-            one for one in self.body
+            one.shown if isinstance(one, Table) else one for one in self.body
             if not (isinstance(one, BarChart) and one.is_empty)
             and not (isinstance(one, Figures) and not one.figures)
         ]  # fmt: skip

@@ -25,7 +25,7 @@ MOST_PLANNED = 40_000
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
     """The model in space and in plan, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
-    png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, **look)
+    png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
     if png:
         found.append(Figure(png, f"{caption}; faintly the stress-free shape", "model"))
     if scene.mesh.mesh.topology.index_map(2).size_global <= MOST_PLANNED:
@@ -77,7 +77,7 @@ def load_figures(solver: HasSystem, look: Any) -> list[Figure]:
     for name in scene.loads.factors:
         if name not in on_joints:
             colour = f"{LOAD}{name}"
-            png = draw_png(solver, dpi=110, colour=colour, tensions=False, **look)
+            png = draw_png(solver, dpi=110, colour=colour, tensions=False, loose=None, **look)
             if png:
                 found.append(Figure(png, f"{label_of(colour)[0]} at the factor 1"))
     return found
@@ -99,9 +99,5 @@ def force_figures(held: FoundationTables, most: int = 24) -> list[Figure]:
         if own or len(of.rim):
             plan = ForcePlan(of.rim, of.per_length, own, largest, greatest)
             png = draw_forces(plan, held.units.length, held.units.force, 110)
-            text = (
-                f"{case.name}: forces on the foundations in plan; arrows and diagrams have one "
-                "scale in all combinations; orange is uplift, blue downward"
-            )
-            figures.append(Figure(png, text))
+            figures.append(Figure(png, f"{case.name}: forces on the foundations"))
     return figures

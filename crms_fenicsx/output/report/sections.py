@@ -34,7 +34,9 @@ FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
     "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
     "points that meet at one place are summed up. Lines of held edges bear the membrane's forces "
-    "without these; a vertex of two groups counts with the larger one."
+    "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
+    "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
+    "of them have one scale. Orange is uplift, blue is downward."
 )
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "

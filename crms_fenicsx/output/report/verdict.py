@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Verdict, per_cent, place
+from crms_fenicsx.output.report.results_tables import PEAK
 
-COLLAPSED, TURNED, PEAK = 0.5, 0.01, 1.25
+COLLAPSED, TURNED = 0.5, 0.01
 """Share of the base state's volume below which a roof has collapsed; share of the area from which
-on one has turned over; ratio of a cell to the recovered value from which on it is a peak."""
+on one has turned over."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,6 @@ class Limits:
 
     strain: float = 0.1  # largest principal strain of the membrane
     cables: Mapping[str, float] = field(default_factory=dict)  # strengths of cables, by name
-    bars: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # tension, compression
 
 
 def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
@@ -79,10 +79,9 @@ def _excess(case: Case, limits: Limits) -> Iterator[str]:
             share = cable.largest / limits.cables[name]
             yield f"the cable {name} is used to {per_cent(share)} of its strength."
     for name, bar in case.summary.bars.items():
-        used = used_bar(bar.force, *limits.bars.get(name, (None, None)))
-        if used is not None and used > 1.0:
-            how = "tension" if bar.force > 0.0 else "compression, with its buckling"
-            yield f"the bar {name} is used to {per_cent(used)} in {how}."
+        if bar.utilisation is not None and bar.utilisation > 1.0:
+            how = "tension" if bar.force > 0.0 else "compression"
+            yield f"the bar {name} is used to {per_cent(bar.utilisation)} in {how}."
 
 
 def _used_fabric(case: Case, size: float) -> Iterator[str]:
@@ -98,9 +97,3 @@ def _used_fabric(case: Case, size: float) -> Iterator[str]:
                 f"{of} is used to {per_cent(one.value)} of its strength at x; y; z = "
                 f"{place(one.at, size)}{peak if one.value > PEAK * nodal else ''}."
             )
-
-
-def used_bar(force: float, tension: float | None, compression: float | None) -> float | None:
-    """Share of a bar's strength that its force takes; None where this is not known."""
-    limit = tension if force > 0.0 else compression
-    return None if limit is None else abs(force) / limit
