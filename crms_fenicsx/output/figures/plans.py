@@ -95,7 +95,7 @@ class ModelPlan:
 
     corners: Array  # (m, 3, 3) triangles (length)
     rim: Array  # (k, 2, 3) held edges
-    points: Mapping[str, Array]  # held points and joints
+    points: Sequence[tuple[str, Array]]  # held points and joints; those without a name get none
     cables: Sequence[Line]
     bars: Sequence[Line]  # those without a name get none
     warp: tuple[Array, Array]  # places and directions
@@ -131,9 +131,9 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
                 start = flat[0] if colour == CABLE else flat.mean(axis=0)
                 away = (flat[0] - flat[1]) if colour == CABLE else start - centre
                 _name(axes, line.name, start, 9.0 * away / (np.linalg.norm(away) or 1.0))
-    for name, place in plan.points.items():
+    for name, place in plan.points:
         axes.plot(place[0], place[1], "^", color=HELD, markersize=5, zorder=4)
-        if len(plan.points) <= MOST_VALUES:
+        if name and len(plan.points) <= MOST_VALUES:
             _name(axes, name, place[:2], 9.0 * np.sign(place[:2] - centre))
     told = [
         (HELD, "held edges", len(plan.rim)), (CABLE, "cables", len(plan.cables)),

@@ -43,7 +43,7 @@ class Case:
     verification: Verification | None
     foundations: Foundations  # what its supports bear
     change: ShapeChange  # since its base state
-    # largest values at vertices, means of the cells around, by part and by quantity
+    # largest values of cells, smoothed with those around, by part and by quantity
     recovered: Mapping[str, Mapping[str, float]]
     # low, high: corners of the box around membrane, cables and bars (length)
     low: Corner
@@ -67,11 +67,14 @@ def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
 
 
 def recovered(results: MembraneResults, found: Summary) -> dict[str, dict[str, float]]:
-    """Largest means of the cells around each vertex, by part and by quantity. Collective."""
+    """Largest smoothed values of cells, by part and by quantity. Collective.
+
+    That of a cell is the mean over its vertices of the means over the cells around these.
+    """
     values: dict[str, dict[str, float]] = {part: {} for part in found.parts}
     for name in found.membrane.largest:
         nodal = results.function(name, smooth=True)
-        at = nodal.x.array[nodal.function_space.dofmap.list[: len(results.state)]]
+        at = nodal.x.array[nodal.function_space.dofmap.list[: len(results.state)]].mean(axis=1)
         for part in found.parts:
             own = at[results.parts[part]] if part else at
             most = float(np.max(own[np.isfinite(own)], initial=-np.inf))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from crms_fenicsx.results.foundations import FoundationPoint
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal part and of its angles."""
+NOTHING = 1e-5
+"""Part of a sum's largest component below which another one is no figure."""
 BALANCED = 1e-8
 """Difference of loads and foundations, relative to the largest of them, that is rounding."""
 
@@ -39,9 +42,10 @@ class FoundationTables:
         named = [name for name in self.carried if name in keys]
         others = [key for key in keys if key not in named]
         others.sort(key=lambda key: _angle(triple(np.subtract(first[key], centre))))
+        numbers = (name for k in count(1) if (name := f"F{k}") not in self.carried)
         found = {}
         for key in (*named, *others):
-            label = key if isinstance(key, str) else f"F{1 + others.index(key)}"
+            label = key if isinstance(key, str) else next(numbers)
             found[label] = {
                 case.name: summed(own) for case in self.cases
                 if (own := [x for x in case.foundations.points if self._key(x) == key])
@@ -58,7 +62,7 @@ class FoundationTables:
     def places(self) -> Table:
         """Where the foundations are and what meets there."""
         rows: list[Row] = [
-            (label, *clean(one.at, max(map(abs, one.at), default=0.0)), ", ".join(one.members))
+            (label, *clean(one.at, max(map(abs, one.at)), 1e-4), ", ".join(one.members))
             for label, found in self.points.items() for one in list(found.values())[:1]
         ]  # fmt: skip
         columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|What meets there")
@@ -108,7 +112,7 @@ class FoundationTables:
                 for one in (one for one in case.foundations.lines if one.name == name):
                     scale = max(*map(abs, one.force), one.mean * one.length)
                     along = (one.length, one.mean, one.largest) if one.length else (None,) * 3
-                    rows.append((name, case.name, *clean(one.force, scale), *along))
+                    rows.append((name, case.name, *clean(one.force, scale, NOTHING), *along))
         columns = self.units.headings(
             "Line|Combination|Fx{force}|Fy{force}|Fz{force}|Length{length}|"
             "Per length, mean{stress}|Per length, largest{stress}"
@@ -124,9 +128,11 @@ class FoundationTables:
             of = case.foundations
             scale = max([abs(x) for one in of.loads.values() for x in one], default=0.0)
             for name, force in of.loads.items():
-                rows.append((case.name, name, *clean(force, scale)))
+                rows.append((case.name, name, *clean(force, scale, NOTHING)))
             words = f"to {BALANCED:g}" if of.unbalanced <= BALANCED else f"to {of.unbalanced:.1e}"
-            rows.append((case.name, f"all foundations (balanced {words})", *clean(of.total, scale)))
+            rows.append(
+                (case.name, f"all foundations (balanced {words})", *clean(of.total, scale, NOTHING))
+            )
         columns = self.units.headings("Combination|Sum of|Fx{force}|Fy{force}|Fz{force}")
         return Table("Balance of loads and foundations", columns, rows, "balance", headings=2)
 

@@ -55,7 +55,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
     ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
-        "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas)),
+        "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
         "strengths": ("Strengths", "Part|Warp{stress}|Weft{stress}", strengths),
         "supports": (
             "Supports of the membrane",
@@ -75,7 +75,10 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         "joints": (
             "Joints",
             "Joint|Held directions|x{length}|y{length}|z{length}",
-            [(joint.name, _held(joint), *floats(joint.position)) for joint in scene.joints],
+            [
+                (joint.name, _held(joint), *clean(floats(joint.position), max(extents), 1e-4))
+                for joint in scene.joints
+            ],
         ),
         "loads": (
             "Loads at the factor 1",
@@ -159,22 +162,32 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
     return [(name, shown(value)) for name, value in rows]
 
 
-def _materials(scene: Scene, areas: Array) -> list[Row]:
+def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
     membrane, rows = scene.membrane, list[Row]()
     for k, material in membrane.materials.items():
         tags = membrane.cell_tags
         own = areas if tags is None else areas[tags.values == k]
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
-        rows.append((part, area, type(material).__name__, _data(material)))
+        rows.append((part, area, type(material).__name__, _data(material, units)))
     return rows
 
 
-def _data(thing: Any) -> str:
-    """The fields of a dataclass as text."""
+KINDS = dict.fromkeys(("E", "E1", "E2", "G12"), "pressure")
+KINDS |= {"thickness": "length", "prestress": "stress"}
+"""Kinds of the units of a material's data."""
+
+
+def _data(thing: Any, units: Units | None = None) -> str:
+    """The fields of a dataclass as text, with units."""
     if not is_dataclass(thing):
         return ""
-    return ", ".join(f"{one.name} = {_text(getattr(thing, one.name))}" for one in fields(thing))
+    return ", ".join(
+        f"{one.name} = {_text(getattr(thing, one.name))}"
+        + (units[KINDS[one.name]].replace("[", "").replace("]", "")
+           if units is not None and one.name in KINDS else "")
+        for one in fields(thing)
+    )  # fmt: skip
 
 
 def _text(value: Any) -> str:
@@ -236,7 +249,7 @@ def _loads(scene: Scene) -> list[Row]:
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
-        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-9)))
+        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-5)))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"

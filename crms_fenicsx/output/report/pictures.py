@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -43,11 +44,17 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
     corners = scene.positions()[scene.V.dofmap.list[:own]]
     pieces = comm.allgather((corners, membrane_results(solver.system).warp))
     corners, warp = (np.concatenate([one[k] for one in pieces]) for k in (0, 1))
-    shared = {own[0]: label for label, own in families([bar.name for bar in scene.bars]).items()}
+    shared = {
+        own[len(own) // 2]: label
+        for label, own in families([bar.name for bar in scene.bars]).items()
+    }
     bars = [Line(bar.points, name=shared.get(bar.name, "")) for bar in scene.bars]
     cables = [Line(cable.line, name=cable.name) for cable in scene.cables]
-    joints = {joint.name: joint.position for joint in scene.joints if joint.held.any()}
-    held = _held_points(scene) | joints
+    joints = [
+        ("" if re.match("(start|end) of ", joint.name) else joint.name, joint.position)
+        for joint in scene.joints if joint.held.any()
+    ]  # fmt: skip
+    held = [*_held_points(scene).items(), *joints]
     centres = corners.mean(axis=1) * (1.0, 1.0, 0.0)
     chosen = spread(centres, float(np.ptp(centres, axis=0).max()) / MOST_STROKES)
     strokes = centres[chosen], warp[chosen]

@@ -25,7 +25,7 @@ NOISE = 1e-6
 FINE = 1e-3
 """Least values below this part of the largest one are no figures to design by."""
 PEAK = 1.25
-"""Ratio of a cell's value to that averaged around vertices from which on it is a peak."""
+"""Ratio of a cell's largest value to the smoothed one from which on it is a peak."""
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""
 
@@ -128,7 +128,7 @@ class ResultTables:
                 place(low.at, self.size), high.value, place(high.at, self.size), nodal, peak,
             ))  # fmt: skip
         columns = "Part|Result|Least|at x; y; z{length}|Largest|at x; y; z{length}"
-        columns += "|Largest, averaged around vertices|Remark"
+        columns += "|Largest, smoothed|Remark"
         table = Table(f"Membrane, {case.name}", self.units.headings(columns), rows, headings=2)
         return _without_one_part(table)
 

@@ -42,15 +42,19 @@ NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
     "it, shear belongs to these two. Each triangle has one value, so that largest values at "
-    "corners, anchors and cables grow as the mesh becomes finer.",
+    "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
+    "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
     "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, which must contain all partial factors. Shear is not part of it.",
+    "given for them, which must contain all partial factors, divided by the largest factor of the "
+    "loads that act where such factors are given. Shear is not part of it. That of bars in "
+    "compression is by the smaller one of their strength and Euler's load between hinges.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Deflections are displacements from the stress-free shape. Reactions are forces that supports "
-    "exert on all that meets there: on the membrane, and on ends of cables and bars. Per length "
-    "they are forces on the membrane over the length of held edges that belongs to each vertex; "
-    "they contain what cables hand on there that pass over. Groups may share vertices.",
+    "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
+    "those of each vertex over the length of held edges that belongs to it; they contain what "
+    "cables hand on there that pass over.",
+    "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
+    "wind and inner pressure stay normal to the surface.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "

@@ -91,7 +91,7 @@ def _used_fabric(case: Case, size: float) -> Iterator[str]:
         one = part.largest.get("utilisation")
         if one is not None and one.value > 1.0 and (name or len(parts) == 1):
             nodal = case.recovered[name]["utilisation"]
-            peak = f", in a single cell: {per_cent(nodal)} averaged around its vertices"
+            peak = f", in a single cell: {per_cent(nodal)} smoothed with the cells around"
             of = f"its part {name}" if name else "the membrane"
             yield (
                 f"{of} is used to {per_cent(one.value)} of its strength at x; y; z = "
