@@ -39,7 +39,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
 
     places = [plan.rim[..., :2].reshape(-1, 2), *(at[None, :2] for at, _ in plan.points.values())]
     flats = np.concatenate(places)
-    air = ROOM + 0.1 if plan.most_per_length > 0.0 else ROOM
+    air = ROOM + 0.2 if plan.most_per_length > 0.0 else ROOM
     axes, size = _axes(flats, unit, width, air)
     centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
     high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))
@@ -63,7 +63,8 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         axes.add_collection(LineCollection(list(outer), colors=INK, linewidths=0.6))
     axes.add_collection(LineCollection(list(plan.rim[..., :2]), colors=HELD, linewidths=1.4))
     for name, (at, one) in plan.points.items():
-        colour = UPLIFT if one[2] > 0.0 else DOWNWARD
+        size_of = float(np.linalg.norm(one))
+        colour = INK if size_of == 0.0 else UPLIFT if one[2] > 0.0 else DOWNWARD
         axes.plot(at[0], at[1], "s", color=colour, markersize=4, zorder=4)
         tip = at[:2] + one[:2] * (ROOM * size / plan.most if plan.most > 0.0 else 0.0)
         if np.linalg.norm(tip - at[:2]) > 0.01 * size:

@@ -34,30 +34,28 @@ class FoundationTables:
 
     @property
     def points(self) -> dict[str, dict[str, FoundationPoint]]:
-        """By the names of foundations and of cases."""
-        every = [(case, one) for case in self.cases for one in case.foundations.points]
-        keys = list(dict.fromkeys(self._key(one) for _, one in every))
-        first = {key: next(x.at for _, x in every if self._key(x) == key) for key in keys}
+        """By the names of foundations and of cases; those that no foundation carries get names."""
+        of_case = {case.name: case.foundations.points for case in self.cases}
+        every = [point for points in of_case.values() for point in points]
+        first = {one.members: one.at for one in reversed(every)}
+        rest = {
+            one.members for one in every if not any(self._carries(x, one) for x in self.carried)
+        }
         centre = np.mean([*first.values()], axis=0) if first else np.zeros(3)
-        named = [name for name in self.carried if name in keys]
-        others = [key for key in keys if key not in named]
-        others.sort(key=lambda key: _angle(triple(np.subtract(first[key], centre))))
+        order = sorted(rest, key=lambda key: _angle(triple(np.subtract(first[key], centre))))
         numbers = (name for k in count(1) if (name := f"F{k}") not in self.carried)
-        found = {}
-        for key in (*named, *others):
-            label = key if isinstance(key, str) else next(numbers)
-            found[label] = {
-                case.name: summed(own) for case in self.cases
-                if (own := [x for x in case.foundations.points if self._key(x) == key])
-            }  # fmt: skip
+        labels = dict(zip(order, numbers, strict=False))
+        found: dict[str, dict[str, FoundationPoint]] = {}
+        for name in (*self.carried, *labels.values()):
+            for case, points in of_case.items():
+                own = [x for x in points if self._carries(name, x) or labels.get(x.members) == name]
+                if own:
+                    found.setdefault(name, {})[case] = summed(own)
         return found
 
-    def _key(self, point: FoundationPoint) -> str | tuple[str, ...]:
-        """The foundation that carries a point: its name, or what meets there."""
-        for name, members in self.carried.items():
-            if {*members} & {*point.members, *point.joints}:
-                return name
-        return point.members
+    def _carries(self, name: str, point: FoundationPoint) -> bool:
+        """Whether a foundation of a name carries what meets at a point."""
+        return bool({*self.carried.get(name, ())} & {*point.members, *point.joints})
 
     def places(self) -> Table:
         """Where the foundations are and what meets there."""
