@@ -11,10 +11,18 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 
-def load_values(scene: Scene, name: str) -> Array:
-    """Force per area of a load or pond at the factor 1 in this rank's cells, (m,). Collective.
+def load_label(scene: Scene, name: str) -> tuple[str, str]:
+    """Label of a load's values, and the kind of their unit."""
+    if any(load.name == name and load.suction is not None for load in scene.loads):
+        return f"c_p of {name}", ""
+    return f"{name} per area", "pressure"
 
-    Wind is positive where it presses on the outer side; others are sizes, means around vertices.
+
+def load_values(scene: Scene, name: str) -> Array:
+    """What a load or pond is in this rank's cells at the factor 1, (m,). Collective.
+
+    Of wind the pressure coefficients, positive where it presses on the outer side; of others the
+    sizes of their forces per area, means around vertices.
     """
     membrane, own = scene.membrane, scene.mesh.mesh.topology.index_map(2).size_local
     cells = membrane.V.dofmap.list[:own]
@@ -25,7 +33,7 @@ def load_values(scene: Scene, name: str) -> Array:
             return np.asarray(pond.weight * depth * pond.cells(membrane)[:own])
     load = checks.named("load", {one.name: one for one in scene.loads}, name)
     if load.suction is not None:
-        return np.asarray(-load.suction[:own])
+        return np.asarray(-load.suction[:own] / load.peak)
     forces, areas = fem.Function(membrane.V), fem.Function(membrane.nodal_values)
     forces.x.array[:] = load.forces.ravel()
     shares = norm(double_areas(corners))[:, None] / 6

@@ -21,7 +21,7 @@ def test_loads_per_area(comm: MPI.Intracomm) -> None:
     scene.put_pond(10.0, level=0.1, name="water")
     np.testing.assert_allclose(load_values(scene, "snow"), 0.5, rtol=1e-12)
     wind = load_values(scene, "wind")
-    assert {*np.concatenate(comm.allgather(wind)).round(12)} == {0.35, -0.45}
+    assert {*np.concatenate(comm.allgather(wind)).round(12)} == {0.7, -0.9}
     np.testing.assert_allclose(load_values(scene, "water"), 1.0, rtol=1e-12)
     with pytest.raises(InputError, match="'load hail' is not known"):
         Solver(scene).draw(None, colour="load hail")

@@ -17,7 +17,7 @@ from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
 from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.output.figures.plots import units_of_results
-from crms_fenicsx.results.load_values import load_values
+from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
@@ -61,8 +61,6 @@ LOAD = "load "
 
 def label_of(colour: str) -> tuple[str, str]:
     """Label of a colour, and the kind of its unit."""
-    if colour.startswith(LOAD):
-        return f"{colour.removeprefix(LOAD)} per area", "pressure"
     if colour == "displacement":
         return "deflection", "length"
     if colour not in QUANTITY_OF:
@@ -110,7 +108,7 @@ def draw(
         and smaller principal true section force), "warp", "weft" and "shear" (true section
         forces), "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the
         strengths of `Scene.set_strengths`), "load snow" (force per area of the load of that name at
-        the factor 1; wind is positive where it presses on the outer side); None: plain fabric.
+        the factor 1, of wind its pressure coefficients c_p); None: plain fabric.
     unit, force
         Names of the units of length and force, for labels.
     ghost
@@ -161,7 +159,9 @@ def draw(
     if directions:
         options["strokes"] = _principal_strokes(system)
     if colour is not None:
-        label, kind = label_of(colour)
+        label, kind = (
+            load_label(scene, colour[len(LOAD) :]) if colour in loads else label_of(colour)
+        )
         named = units_of_results(unit, force).get(kind, "")
         options.setdefault("label", with_unit(label, named))
     if colour == "state":

@@ -77,7 +77,8 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         across = abs(side[1]) > abs(side[0])  # at the upper or lower side
         out = np.sign(side) * (not across, across)
         text_at = at[:2] + 1.04 * high * out if high else at[:2]
-        value = f" {'↑' if one[2] > 0.0 else '↓'}{abs(one[2]):.3g}" if few else ""
+        sign = "" if size_of == 0.0 else "↑" if one[2] > 0.0 else "↓"
+        value = f" {sign}{abs(one[2]):.3g}" if few else ""
         away = out * 9.0
         _name(axes, f"{name}{value}", text_at, away)
         if high and across:

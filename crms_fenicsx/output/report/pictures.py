@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, label_of, spread
+from crms_fenicsx.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, spread
 from crms_fenicsx.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
 from crms_fenicsx.output.report.case import SHARPEST, draw_png
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.page import Figure
-from crms_fenicsx.output.report.results_tables import families
+from crms_fenicsx.output.report.results_tables import Units, families
 from crms_fenicsx.results.foundations import held_rim
+from crms_fenicsx.results.load_values import load_label
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
@@ -77,16 +78,19 @@ def _held_points(scene: Scene) -> dict[str, Array]:
     return found
 
 
-def load_figures(solver: HasSystem, look: Any) -> list[Figure]:
+def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
     """A picture of each load at the factor 1, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
     on_joints = {load.name for load in scene.loads if load.joints}
+    peaks = {load.name: load.peak for load in scene.loads if load.suction is not None}
     for name in scene.loads.factors:
         if name not in on_joints:
             colour = f"{LOAD}{name}"
             png = draw_png(solver, dpi=110, colour=colour, tensions=False, loose=None, **look)
             if png:
-                found.append(Figure(png, f"{label_of(colour)[0]} at the factor 1"))
+                label = load_label(scene, name)[0]
+                text = f"q_p = {peaks[name]:.4g}{units['pressure']}" if name in peaks else ""
+                found.append(Figure(png, f"{label}{text and ', '}{text}, at the factor 1"))
     return found
 
 

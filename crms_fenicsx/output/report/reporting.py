@@ -267,7 +267,7 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
     figures = model_figures(solver, caption, plan.unit, plan.look)
-    return replace(model, pictures=figures, loads=load_figures(solver, plan.look))
+    return replace(model, pictures=figures, loads=load_figures(solver, plan.units, plan.look))
 
 
 def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
