@@ -303,7 +303,7 @@ def _paint_outline(
     axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
 ) -> None:
     """Paint what is seen of a surface's border; `flat` are the triangles that may hide it."""
-    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
+    outline = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
     _paint_seen(axes3d, outline, flat, tolerance, colour)
 
 
@@ -336,7 +336,7 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
     return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
 
 
-def _outline(points: Array, triangles: Integers) -> Array:
+def outline_of(points: Array, triangles: Integers) -> Array:
     """Ends (b, 2, 3) of edges of one triangle only; vertices at one place count as one."""
     if len(triangles) == 0:
         return np.empty((0, 2, 3))

@@ -29,6 +29,7 @@ class ForcePlan:
     rim: Array  # (k, 2, 3) held edges (length)
     per_length: Array  # (k, 2, 3) forces on them (force per length)
     points: Mapping[str, tuple[Array, Array]]  # place and force (force) of each foundation
+    outline: Array  # (k, 2, 3) edges of the membrane and bars, for orientation
     most: float  # of the horizontal forces on points
     most_per_length: float
 
@@ -37,7 +38,8 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     """Draw arrows for horizontal forces and, beside the rim, a diagram of forces per length."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    places = [plan.rim[..., :2].reshape(-1, 2), *(at[None, :2] for at, _ in plan.points.values())]
+    places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
+    places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
     air = ROOM + 0.2 if plan.most_per_length > 0.0 else ROOM
     axes, size = _axes(flats, unit, width, air)
@@ -61,6 +63,8 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
             )
         )  # fmt: skip
         axes.add_collection(LineCollection(list(outer), colors=INK, linewidths=0.6))
+    faint = list(plan.outline[..., :2])
+    axes.add_collection(LineCollection(faint, colors="#9aa3ad", linewidths=0.7, zorder=1))
     axes.add_collection(LineCollection(list(plan.rim[..., :2]), colors=HELD, linewidths=1.4))
     for name, (at, one) in plan.points.items():
         size_of = float(np.linalg.norm(one))
@@ -129,7 +133,7 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
         shown = [np.asarray(line.points)[:, :2] for line in one]
         axes.add_collection(LineCollection(shown, colors=colour, linewidths=1.2, zorder=3))
         for line, flat in zip(one, shown, strict=True):
-            if line.name and len(plan.cables) + len(plan.bars) <= MOST_NAMES:
+            if line.name and sum(bool(x.name) for x in (*plan.cables, *plan.bars)) <= MOST_NAMES:
                 start = flat[0] if colour == CABLE else flat.mean(axis=0)
                 away = (flat[0] - flat[1]) if colour == CABLE else start - centre
                 _name(axes, line.name, start, 9.0 * away / (np.linalg.norm(away) or 1.0))

@@ -69,7 +69,7 @@ class FoundationTables:
     def forces(self) -> Table:
         """Forces on the foundations, by combination."""
         rows: list[Row] = [
-            (label, case, *with_size(one.force), *inclined(one.force))
+            (label, case, *with_size(one.force, NOTHING), *inclined(one.force))
             for label, found in self.points.items() for case, one in found.items()
         ]  # fmt: skip
         columns = self.units.headings(
@@ -148,7 +148,7 @@ def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
 def inclined(force: Force) -> tuple[float | None, float | None, float]:
     """Horizontal part of a force, its direction in plan from the x axis, and its angle with the
     plan (degrees)."""
-    x, y, z = clean(force, math.hypot(*force))
+    x, y, z = clean(force, math.hypot(*force), NOTHING)
     flat = math.hypot(x, y)
     return flat, (_angle((x, y)) if flat else None), math.degrees(math.atan2(z, flat))
 

@@ -41,6 +41,7 @@ class Model:
     tables: dict[str, Table]  # by what they list
     pictures: Sequence[Figure] = ()  # of the model and of its loads, on the first rank
     loads: Sequence[Figure] = ()
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))  # in the base state
     pressure: float = 0.0  # (force per area), and
     factors: Mapping[str, float] = field(default_factory=dict)  # of loads, in the base state
 
@@ -184,7 +185,7 @@ def _data(thing: Any, units: Units | None = None) -> str:
         return ""
     return ", ".join(
         f"{one.name} = {_text(getattr(thing, one.name))}"
-        + (units[KINDS[one.name]].replace("[", "").replace("]", "")
+        + (units.plain(KINDS[one.name])
            if units is not None and one.name in KINDS else "")
         for one in fields(thing)
     )  # fmt: skip
@@ -249,7 +250,7 @@ def _loads(scene: Scene) -> list[Row]:
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
-        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-5)))
+        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-4)))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"

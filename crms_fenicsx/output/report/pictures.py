@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, spread
+from crms_fenicsx.output.figures.draw_surface import outline_of
 from crms_fenicsx.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
 from crms_fenicsx.output.report.case import SHARPEST, draw_png
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
@@ -18,7 +20,7 @@ from crms_fenicsx.results.load_values import load_label
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.views.view_data import Line
+from crms_fenicsx.views.view_data import Line, surface_piece, whole_surface
 
 MOST_PLANNED = 40_000
 """A plan of more cells would be all black."""
@@ -89,12 +91,24 @@ def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
             png = draw_png(solver, dpi=110, colour=colour, tensions=False, loose=None, **look)
             if png:
                 label = load_label(scene, name)[0]
-                text = f"q_p = {peaks[name]:.4g}{units['pressure']}" if name in peaks else ""
+                text = f"q_p = {peaks[name]:.4g}{units.plain('pressure')}" if name in peaks else ""
                 found.append(Figure(png, f"{label}{text and ', '}{text}, at the factor 1"))
     return found
 
 
-def force_figures(held: FoundationTables, most: int = 24) -> list[Figure]:
+def outline_in_plan(scene: Scene) -> Array:
+    """Edges of the membrane and bars where they are now, (k, 2, 3), on all ranks. Collective."""
+    surface = whole_surface(
+        scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {})
+    )
+    edges: Array = np.zeros((0, 2, 3))
+    if surface is not None:
+        edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
+    bars = [bar.points for bar in scene.bars]
+    return np.concatenate([scene.comm.bcast(edges), np.reshape(bars, (-1, 2, 3))])
+
+
+def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> list[Figure]:
     """Plans of the forces on foundations in up to so many load cases, all at one scale."""
     points, figures = held.points, list[Figure]()
     flat = [np.hypot(*x.force[:2]) for one in points.values() for x in one.values()]
@@ -108,7 +122,7 @@ def force_figures(held: FoundationTables, most: int = 24) -> list[Figure]:
             for label, one in points.items() if case.name in one
         }  # fmt: skip
         if own or len(of.rim):
-            plan = ForcePlan(of.rim, of.per_length, own, largest, greatest)
+            plan = ForcePlan(of.rim, of.per_length, own, outline, largest, greatest)
             png = draw_forces(plan, held.units.length, held.units.force, 110)
             figures.append(Figure(png, f"{case.name}: forces on the foundations"))
     return figures

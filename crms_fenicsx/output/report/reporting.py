@@ -23,7 +23,12 @@ from crms_fenicsx.output.report.case import (
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.output.report.page import PageSection
-from crms_fenicsx.output.report.pictures import force_figures, load_figures, model_figures
+from crms_fenicsx.output.report.pictures import (
+    force_figures,
+    load_figures,
+    model_figures,
+    outline_in_plan,
+)
 from crms_fenicsx.output.report.printing import browser, print_page
 from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
@@ -267,7 +272,8 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
     figures = model_figures(solver, caption, plan.unit, plan.look)
-    return replace(model, pictures=figures, loads=load_figures(solver, plan.units, plan.look))
+    loads = load_figures(solver, plan.units, plan.look)
+    return replace(model, pictures=figures, loads=loads, outline=outline_in_plan(scene))
 
 
 def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
@@ -281,7 +287,7 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
             report = Report(
                 plan.title, about, model, results, held, limits, plan.sections,
                 order=plan.order, template=Path(plan.template) if plan.template else None,
-                plans=force_figures(held),
+                plans=force_figures(held, model.outline),
             )  # fmt: skip
             texts = {path: report.html()}
             for table in report.tables():

@@ -42,6 +42,10 @@ class Units:
         unit = units_of_results(self.length, self.force).get(kind)
         return f" [{unit}]" if unit else ""
 
+    def plain(self, kind: str) -> str:
+        """The unit of a kind after a blank, without brackets."""
+        return self[kind].replace("[", "").replace("]", "")
+
     def headings(self, text: str) -> list[str]:
         """Headings from texts between "|" that name kinds of units, as "Length{length}"."""
         return text.format_map(self).split("|")
@@ -358,9 +362,9 @@ def _share(one: tuple[str, float | None]) -> float:
     return one[1] or 0.0
 
 
-def with_size(force: Sequence[float]) -> list[float]:
+def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:
     size = sum(x * x for x in force) ** 0.5
-    return [*clean(force, size), size]
+    return [*clean(force, size, part), size]
 
 
 def _without_one_part(table: Table) -> Table:
