@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -18,6 +19,7 @@ from crms_fenicsx.results.reactions import (
     held_ends,
     held_lengths,
     hung_bars,
+    nodal_forces,
     pressed_facets,
     support_forces,
 )
@@ -74,6 +76,8 @@ class Foundations:
         return float(gap.max() / (sizes.max(initial=0.0) or 1.0))
 
 
+ROUNDED = 1e-10
+"""Part of the largest resultant below which another one, as of forces within, is none."""
 OTHERS = "other supports"
 """Held vertices in no group that is held as a whole."""
 
@@ -125,7 +129,7 @@ def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]
 
 
 def resultants(system: System) -> dict[str, Force]:
-    """Sums of the forces of loads, pressure and water on membrane and joints. Collective."""
+    """Sums of the forces of all that acts on membrane and joints but supports. Collective."""
     scene, found = system.scene, dict[str, Array]()
     for load in scene.loads:
         if load.factor != 0.0:
@@ -135,13 +139,31 @@ def resultants(system: System) -> dict[str, Force]:
     if scene.pressure != 0.0:
         vectors = pressed_facets(system)[1].sum(axis=0)
         found["pressure"] = scene.pressure * scene.comm.allreduce(vectors)
-    if system.ponds is not None:
-        vector, g = system.unknowns.vector()
-        system.ponds.add_pressure(system.potential, g, -1.0)
-        system.unknowns.gather_forces(vector, g)
-        vector.destroy()
-        found["water"] = -scene.comm.allreduce(g[: system.unknowns.n_owned].sum(axis=0))
-    return {name: triple(np.asarray(force)) for name, force in found.items()}
+    potential, ponds = system.potential, system.ponds
+    if ponds is not None:
+        found["water"] = _sum(system, lambda g: ponds.add_pressure(potential, g, -1.0))
+    potential.sum_up()
+    for term in scene.terms:  # the user's own, such as springs to the ground
+        sums = potential.sums_of(term)
+        found[term.name] = _sum(system, partial(term.add_gradient, potential.x, sums))
+    if scene.floor_level is not None:
+        free = nodal_forces(system)[: system.unknowns.n_vertices]
+        up = np.where(scene.held[: len(free), 2], 0.0, free[:, 2]).sum()
+        found["floor"] = np.array([0.0, 0.0, scene.comm.allreduce(float(up))])
+    nothing = ROUNDED * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
+    return {
+        name: triple(np.asarray(force)) for name, force in found.items()
+        if np.abs(force).max() > nothing
+    }  # fmt: skip
+
+
+def _sum(system: System, add: Callable[[Array], object]) -> Array:
+    """Sum of the forces whose opposite a function adds to those on all blocks. Collective."""
+    vector, g = system.unknowns.vector()
+    add(g)
+    system.unknowns.gather_forces(vector, g)
+    vector.destroy()
+    return -np.asarray(system.scene.comm.allreduce(g[: system.unknowns.n_owned].sum(axis=0)))
 
 
 def _points(ends: Iterable[HeldEnd], near: float) -> list[FoundationPoint]:

@@ -94,6 +94,19 @@ def test_corners_with_bars_and_guys(comm: MPI.Intracomm) -> None:
     )
 
 
+def test_a_floor_bears_its_part(comm: MPI.Intracomm) -> None:
+    mesh = meshes.rectangle(comm, SIDE, SIDE, 1.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=1.0))
+    scene.fix("boundary")
+    scene.floor(-0.2)
+    scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
+    solver = Solver(scene)
+    solver.advance(load={"snow": 1.0})
+    found = found_in(solver)
+    assert found.loads["floor"][2] > 0.1 * SNOW * SIDE**2
+    assert found.total[2] == pytest.approx(-SNOW * SIDE**2 + found.loads["floor"][2])
+
+
 def test_each_held_vertex_is_in_one_group(comm: MPI.Intracomm) -> None:
     mesh = meshes.rectangle(comm, SIDE, SIDE, 2.0, structured=True)
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
