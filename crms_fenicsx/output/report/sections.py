@@ -243,9 +243,10 @@ class Report:
         if of.names("ponds"):
             found.append(PageSection("Ponds", [of.ponds()]))
         held = self.held
-        tables = [held.envelope(), held.forces(), held.lines(), held.places(), held.balance()]
-        body: list[PagePart] = [Paragraph(FORCES_ON), Figures(self.plans)]
-        body += [table for table in tables if table.rows]
+        tables = [held.forces(), held.lines(), held.places(), held.balance()]
+        body: list[PagePart] = [Paragraph(FORCES_ON)]
+        body += [table for table in [held.envelope()] if table.rows]
+        body += [Figures(self.plans), *(table for table in tables if table.rows)]
         found.append(PageSection("Foundations and anchors", body))
         if self.order is not None:
             found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
