@@ -213,7 +213,8 @@ class VertexTrials:
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
-        cables, shape = self.change.net.cables, self.change.net.strip_shape()
+        net, shape = self.change.net, self.change.net.strip_shape()
+        cables = net.cables
         least: dict[int, int] = {}
         for c, cable in enumerate(cables):
             if not cable.taut:
