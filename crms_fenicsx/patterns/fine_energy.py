@@ -1,9 +1,9 @@
 """Energies of flat pieces on finer cells than theirs, extrapolated to infinitely fine ones.
 
-The cells of a piece are divided into four, where they lie, until they can show how its strains vary
-across it; the surface stays that of its facets. With n columns of a sphere's gore, whatever its
-width, the energy is 52 % too large for n = 8, 16 % for 16, 4.7 % for 32, and extrapolated from these
-by the rate that they show .2 % too small; the facets of 4 columns are off by 6 %.
+The cells of a piece are divided into four, where they lie, until they can show how its strains
+vary across it; the surface stays that of its facets. With 8, 16 and 32 columns across a sphere's
+gore, whatever its width, the energy is 52, 16 and 4.7 % too large, and extrapolated from these by
+the rate that they show .2 % too small; the facets of 4 columns are off by 6 %.
 """
 
 from __future__ import annotations

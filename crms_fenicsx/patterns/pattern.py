@@ -244,7 +244,7 @@ def flatten(
     Notes
     -----
     A strip of width W on a surface of Gaussian curvature K is strained by ``|K| W**2 / 12`` and has
-    the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. Energies of the pieces are
+    the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. The pieces' energies are
     found on their cells and on finer ones, and extrapolated: to 1 % with 8 columns of cells across
     a piece, to 6 % with 4.
 
