@@ -5,21 +5,29 @@ compensated for 1.5 along warp and weft, sewn together and inflated by p = 0.3: 
 with planes of symmetry. Without wrinkling the figures can be compared with those of an independent
 program, in brackets; with it the compression goes where the film is wrinkled.
 
-    ./run python benchmarks/sewn_spheres.py [linear|wrinkling] [GORES ...]
+Before, the energies of single gores laid flat, in per cent of that program's limits, by the numbers
+of columns of cells.
+
+    ./run python benchmarks/sewn_spheres.py [flat|linear|wrinkling] [GORES ...]
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx import patterns
+from crms_fenicsx import IsotropicMembrane, patterns
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
+from pattern_surfaces import two_gores
 from sewn_sphere import inflated_sphere
+
+LIMITS = {16: 6.94e-3, 32: 4.389e-4, 64: 2.7505e-5}
+"""Energies per area of gores laid flat."""
 
 THERE = {
     8: "9.555 to 10.264, 1.438 / 1.96 / -4.3, 1.492 / .27",
@@ -29,6 +37,20 @@ THERE = {
     128: "9.9998 to 10.0004, 1.5000 / .056 / 1.34, 1.4999 / .008",
 }
 """Radii; along warp mean, standard deviation and least force; along weft mean and deviation."""
+
+
+def flat(columns: Sequence[int] = (4, 8, 16)) -> None:
+    """Print energies of flat gores."""
+    film = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
+    for n in columns:
+        row = []
+        for gores, limit in LIMITS.items():
+            mesh = two_gores(MPI.COMM_SELF, gores, n, n * gores // 4)
+            pieces = patterns.cut(mesh, [patterns.edge_line(mesh, "seam 1")])
+            one = patterns.flatten(pieces, film).flat[0]
+            own = one.problem_of(one.piece, one.shape).energy(one.shape) / one.piece.area
+            row.append(f"{one.energy / limit:.1%} ({own / limit:.0%} on its own cells)")
+        print(n, *row, sep=" | ", flush=True)
 
 
 def main(wrinkling: bool, gores: list[int]) -> None:
@@ -48,4 +70,7 @@ def main(wrinkling: bool, gores: list[int]) -> None:
 
 if __name__ == "__main__":
     law, *numbers = sys.argv[1:] or ["linear"]
-    main(law == "wrinkling", [int(n) for n in numbers] or list(THERE))
+    if law == "flat":
+        flat()
+    else:
+        main(law == "wrinkling", [int(n) for n in numbers] or list(THERE))

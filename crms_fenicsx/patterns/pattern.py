@@ -294,8 +294,9 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
         found[k] = 1.0 - 1.0 / stretches, problem.strains(shapes[k]) - problem.wanted
     every = {k: one for part in comm.allgather(found) for k, one in part.items()}
     flat = tuple(
-        FlatPiece(piece, shapes[k] - shapes[k].min(axis=0), *every[k], problem_of)
+        FlatPiece(piece, shapes[k] - shapes[k].min(axis=0), shrink, strains, problem_of)
         for k, piece in enumerate(pieces.pieces)
+        for shrink, strains in [every[k]]
     )
     _check(flat, made.limit)
     _warn(comm, flat)
