@@ -30,7 +30,7 @@ from crms_fenicsx.paths.path_change import (
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import raised_together
+from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -171,26 +171,28 @@ class GeodesicSliding:
         fresh: bool,
     ) -> list[_Pulled]:
         """Pull paths taut, each on one rank, with the cells that this needs. Collective."""
-        comm, found = self.net.membrane.comm, {}
-        pending: Sequence[int] = range(len(cables))
+        found: dict[int, _Pulled] = {}
         for rings in itertools.count(1):
             surface = CreasedSurface(self.net.strip_shape(), folds)
-            mine: dict[int, _Pulled] = {}
-            missing: set[int] = set()
-            with raised_together(comm):
-                for c in pending[comm.rank :: comm.size]:
-                    try:
-                        mine[c] = self._pulled(cables[c], surface, max_flips, fresh)
-                    except MissingCells as cells:
-                        missing.update(cells.vertices)
-            parts = comm.allgather((mine, missing)) if comm.size > 1 else [(mine, missing)]
-            for some, _ in parts:
-                found.update(some)
-            pending = [c for c in pending if c not in found]
-            if not pending:
-                return [found[c] for c in range(len(cables))]
-            self.net.grow_strip(sorted(set().union(*(lacking for _, lacking in parts))), rings)
-        raise AssertionError("unreachable")
+
+            def pulled(c: int, on: CreasedSurface = surface) -> _Pulled | MissingCells:
+                try:
+                    return self._pulled(cables[c], on, max_flips, fresh)
+                except MissingCells as missing:
+                    return missing
+
+            pending = [c for c in range(len(cables)) if c not in found]
+            lacking: set[int] = set()
+            new = share_out(self.net.membrane.comm, pending, pulled)
+            for c, result in zip(pending, new, strict=True):
+                if isinstance(result, MissingCells):
+                    lacking.update(result.vertices)
+                else:
+                    found[c] = result
+            if not lacking:
+                break
+            self.net.grow_strip(sorted(lacking), rings)
+        return [found[c] for c in range(len(cables))]
 
     def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:
         """Take down the ways that a cable has been pulled taut in, and whether these are known to
