@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cables.bonding import bonded_nodes
 from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.clamp import Clamp, ClampedParts
@@ -127,11 +128,14 @@ def divide(
         if len(nodes[clamp.name]) < 2:
             nodes[clamp.name] = _at_vertex(clamp, by_name)
     for cable in cables:
-        own = sorted(
-            (nodes[clamp.name][cable.name], clamp.at[clamp.cables.index(cable.name)])
+        at = {
+            nodes[clamp.name][cable.name]: clamp.at[clamp.cables.index(cable.name)]
             for clamp in clamps
             if cable.name in nodes[clamp.name]
-        )
+        }
+        if cable.bonds is not None:
+            at |= dict(zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True))
+        own = sorted(at.items())
         cable.update(parts=_parts(cable, own) if own else None)
     return tuple(
         replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.cables.bonding import held_points, holds_points
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
 from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
+from crms_fenicsx.energies.held_line import HeldLine
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.equilibrium.fold_contribution import FoldContribution
@@ -24,7 +26,7 @@ from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
-from crms_fenicsx.runtime.arrays import Array, pointers
+from crms_fenicsx.runtime.arrays import Array, Booleans, pointers
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -101,12 +103,15 @@ class CableContribution(Contribution):
             L0 = np.array([cable.L0 + cable.smoothing_length for cable in self.gripped])
             self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
             terms.append(self.capstan)
+        if holds_points(self.taut):
+            shape, materials = self.scene.net.strip_shape(), self.scene.materials.values()
+            terms.append(HeldLine(held_points(self.numbering, shape, materials)))
         return terms
 
     def _tension_term(self, tables: CableTables) -> CableTension:
         EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
-        starts = [cable.step_start for cable in self.sliding]
+        starts = [own.step_start for own in self.sliding for _ in own.part_lengths]
         one = np.array([cable.axial is None for cable in self.taut])
         mine, number = one[tables.cable], np.cumsum(one) - 1
         cable = number[tables.cable[mine]]
@@ -120,7 +125,8 @@ class CableContribution(Contribution):
             from crms_fenicsx.energies.paper.cable_elements import StepCableTension
 
             return StepCableTension(*links, EA, L0, starts)
-        return CableTension(*links, EA, L0)
+        alone = np.concatenate([_parts_of_one_link(own) for own in self.sliding])
+        return CableTension(*links, EA, L0, alone)
 
     def _stiffnesses(self) -> Array:
         """Axial stiffnesses of the parts of the sliding cables (force)."""
@@ -190,8 +196,9 @@ class CableContribution(Contribution):
 
     def commit(self) -> None:
         if self.tension is not None:
-            for cable, start in zip(self.sliding, self.tension.starts, strict=False):
-                cable.update(step_start=start)
+            for cable, first in zip(self.sliding, self.first_parts[:-1], strict=True):
+                for start in self.tension.starts[first : first + 1]:  # none without such cables
+                    cable.update(step_start=start)
         for cable in self.scene.cables:
             cable.update(ends_before=cable.positions[[0, -1]])
 
@@ -199,6 +206,13 @@ class CableContribution(Contribution):
 def _smoothing(cable: LaidCable) -> Array:
     """What smoothing adds to the lengths of a cable's parts between clamps (length)."""
     return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
+
+
+def _parts_of_one_link(cable: LaidCable) -> Booleans:
+    """Which parts of a bonded cable go straight from one contact to the next."""
+    if cable.bonds is None:
+        return np.zeros(len(cable.part_lengths), dtype=bool)
+    return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 
 
 def _current_lengths(cable: LaidCable) -> Array:

@@ -68,7 +68,7 @@ class GeodesicSliding:
         self._slide(fresh, folded_by=others, fresh=True)
         shape = self.net.strip_shape()
         for cable in fresh:
-            if not cable.sleeve:
+            if cable.lifts_off:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
             taut = cable.is_tight(nearly=True)
@@ -213,7 +213,7 @@ class GeodesicSliding:
 
 def _leaves_cells(cable: LaidCable) -> bool:
     """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
-    return cable.slides_freely and not cable.in_edge
+    return cable.slides_freely and not cable.keeps_line
 
 
 Ends = tuple[list[SurfacePoint], list[SurfacePoint]]

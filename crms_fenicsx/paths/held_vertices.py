@@ -80,7 +80,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     count as one where friction holds them: only their sum means anything. Some of them may have
     lifted off where the cable bends inward against the vertex. Returns in the order of the path;
     none of a cable in an edge, which belongs there."""
-    near = {} if cable.in_edge else _near(cable, shape)
+    near = {} if cable.keeps_line else _near(cable, shape)
     if not near:
         return []
     at = _at(cable) if cable.lateral is not None else near

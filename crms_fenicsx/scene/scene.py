@@ -17,6 +17,7 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
@@ -362,7 +363,7 @@ class Scene:
         L0: float | None = None,
         tension: float | None = None,
         shortest: bool = False,
-        sleeve: bool = False,
+        hold: Hold = "outside",
         layer: int = 0,
         name: str | None = None,
         measured_on: Literal["surface", "facets"] = "surface",
@@ -392,9 +393,17 @@ class Scene:
         shortest
             Whether to lay the cable along the shortest path on the membrane near `path`, where a
             cable without friction lies.
-        sleeve
-            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. A
-            cable along free edges always has a sleeve, and stays there.
+        hold
+            What holds the cable on the membrane:
+
+            * "outside": nothing; it slides and lifts off.
+            * "sleeve": it slides, also sideways, but cannot lift off.
+            * "pocket": it slides along itself only; its line on the fabric is that on which it was
+              sewn. So does a cable along free edges, whatever is given.
+            * "bonded": it does not slide at all, as belts sewn on and bolt ropes; between two sides
+              of cells each part has a tension of its own, `LaidCable.tensions`.
+
+            Friction in directions in which the cable cannot slide has no part.
         layer
             Of two crossing cables the one with the higher layer lies on top, of equal ones the
             later one.
@@ -402,7 +411,8 @@ class Scene:
             Name in results; "cable 1", "cable 2" ... by default.
         measured_on
             Without `L0`: whether to measure the length on the smooth "surface" through the
-            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` uses the facets.
+            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` and bonded
+            cables use the facets.
 
         Returns
         -------
@@ -420,7 +430,7 @@ class Scene:
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "shortest": shortest, "sleeve": sleeve, "layer": layer,
+            "L0": L0, "tension": tension, "shortest": shortest, "hold": hold, "layer": layer,
             "name": name, "measured_on": measured_on,
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
@@ -437,7 +447,7 @@ class Scene:
         cable: Cable,
         *,
         tension: float | None = None,
-        sleeve: bool = False,
+        hold: Hold = "outside",
         clamped: bool = False,
     ) -> tuple[LaidCable, ...]:
         """Lay a cable on each line of a net, under the line's name. Collective.
@@ -448,7 +458,7 @@ class Scene:
         ----------
         net
             A layout from `crms_fenicsx.nets`.
-        cable, tension, sleeve
+        cable, tension, hold
             As for `lay_cable`, the same for all lines.
         clamped
             Whether to clamp all crossings, as `clamp` does.
@@ -477,7 +487,7 @@ class Scene:
         before = self.net.state
         try:
             laid = tuple(
-                self.lay_cable(cable, line.path, tension=tension, sleeve=sleeve, name=line.name)
+                self.lay_cable(cable, line.path, tension=tension, hold=hold, name=line.name)
                 for line in net.lines
             )
             if clamped:

@@ -127,7 +127,7 @@ class CableVerifier:
             if cable.taut:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
-                if not cable.sleeve:
+                if cable.lifts_off:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape)
                 values |= forces(cable, shape, free[c])
             elif cable.cable.law == "total":

@@ -103,7 +103,7 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
     values = {"unbalanced forces of cables": free / own}
     press = max(float(turns.sum()), least)
     values |= _held(cable, shape, press)
-    if cable.slides_freely and not cable.in_edge:
+    if cable.slides_freely and not cable.keeps_line:
         # the edge carries them, where it is much stiffer than the cable is tight
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
