@@ -17,9 +17,9 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.surface.points import EdgePoint
 
-HOLDING = 1e4
+HOLDING = 1e2
 """Stiffness with which points are held on their edges, relative to that of the fabric: it gives way
-by 1e-4 of what the fabric is strained."""
+by a hundredth of what the fabric is strained."""
 
 
 def bonds_of(cable: LaidCable) -> Bonds:
@@ -29,8 +29,7 @@ def bonds_of(cable: LaidCable) -> Bonds:
     inside = [
         k
         for k in cable.path_nodes()
-        if 0 < k < last
-        and min(norm(x[k] - x[0]), norm(x[k] - x[last])) > SAME_PLACE * passed[-1]
+        if 0 < k < last and norm(x[[k, k]] - x[[0, last]]).min() > SAME_PLACE * passed[-1]
     ]
     places = tuple(cable.nodes[k].support for k in inside)
     return Bonds(places, passed[inside] / passed[-1])

@@ -128,14 +128,14 @@ def divide(
         if len(nodes[clamp.name]) < 2:
             nodes[clamp.name] = _at_vertex(clamp, by_name)
     for cable in cables:
-        at = {
+        shares = {
             nodes[clamp.name][cable.name]: clamp.at[clamp.cables.index(cable.name)]
             for clamp in clamps
             if cable.name in nodes[clamp.name]
         }
         if cable.bonds is not None:
-            at |= dict(zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True))
-        own = sorted(at.items())
+            shares |= dict(zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True))
+        own = sorted(shares.items())
         cable.update(parts=_parts(cable, own) if own else None)
     return tuple(
         replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())

@@ -118,7 +118,11 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     for run in runs(cable):
         for way in range(len(ways)):
             smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
-    return np.asarray(np.linalg.norm(wrap, axis=0)) if not cable.lifts_off else np.maximum(wrap[0], 0.0)
+    return (
+        np.asarray(np.linalg.norm(wrap, axis=0))
+        if not cable.lifts_off
+        else np.maximum(wrap[0], 0.0)
+    )
 
 
 def paper_forces(cable: LaidCable) -> Array:

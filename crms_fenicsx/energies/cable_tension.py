@@ -155,9 +155,7 @@ class CableTension(EnergyTerm):
 
     def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
         """The tension of such segments; the rest of each cable keeps its length."""
-        some = CableTension(
-            table.ends, table.eps, table.cable, self.EA, self.L0, self.alone
-        )
+        some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0, self.alone)
         some._lengths[:] = table.lengths
         some.smoothing_length = some._moving() - sums
         return some

@@ -137,9 +137,12 @@ def find_form(
     deviation = largest / film.largest
     found = tuple(
         FormCableFound(
-            line.cable.group, line.tension, line.length, places_of(membrane, line.ids),
+            line.cable.group,
+            line.tension,
+            line.length,
+            places_of(membrane, line.ids),
             line.cable.bonded,
-        )  # fmt: skip
+        )
         for line in lines
     )
     reactions = group_sums(membrane, supports, search.support_forces)

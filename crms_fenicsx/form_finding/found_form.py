@@ -132,9 +132,10 @@ class FoundForm:
         """Make a scene that is in equilibrium as it is. Collective.
 
         Its supports hold, but for those that bars replace with the forces that balance the form.
-        Its cables are laid with the tensions found, those along edges in pockets, others in sleeves,
-        unless they are bonded; its pressure is that of the form. Where there is `residual_stress` it is a term of the energy, and section forces of
-        results are those of the materials with it.
+        Its cables are laid with the tensions found, those along edges in pockets, others in
+        sleeves, unless they are bonded; its pressure is that of the form. Where there is
+        `residual_stress` it is a term of the energy, and section forces of results are those of the
+        materials with it.
 
         Parameters
         ----------

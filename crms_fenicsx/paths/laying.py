@@ -126,8 +126,8 @@ def lay(
     if HOLDS[hold].sideways and _follows_free_edge(way, strip):
         hold = "pocket"
     state = CableState(
-        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off, nowhere, L0=1.0, length=0.0, tension=0.0,
-        hold=hold, layer=layer, joints=joints,
+        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off, nowhere,
+        L0=1.0, length=0.0, tension=0.0, hold=hold, layer=layer, joints=joints,
     )  # fmt: skip
     laid = LaidCable(name, state)
     _refuse_folds(net.membrane, strip, laid)
