@@ -103,8 +103,8 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     """Angle by which the cable wraps what it presses on at each node, (n,). On the membrane it is
     the turn that the normal contact force comes from, without the turn sideways, and smoothed like
-    that force; zero where the membrane would be pulled. The pocket of a free edge also holds the
-    cable sideways, and there the whole turn counts."""
+    that force; zero where the membrane would be pulled. A pocket also holds the cable sideways, and
+    there the whole turn counts."""
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
     ways = [up, left] if cable.keeps_line else [up]
