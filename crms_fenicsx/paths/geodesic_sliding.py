@@ -227,8 +227,8 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
     if cable.parts is None:
         return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
-    # clamps by the number of the path's first point after them, but those where the cable follows an
-    # edge between two vertices of its path: they can be no ends
+    # clamps by the number of the path's first point after them, but those where the cable follows
+    # an edge between two vertices of its path: they can be no ends
     at: dict[int, SurfacePoint] = {}
     for k in cable.parts.nodes:
         point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))

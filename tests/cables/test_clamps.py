@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from crms_fenicsx import (
     meshes,
     nets,
 )
+from crms_fenicsx.model.bar import PlacedBar
 
 FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
 EA = 1e3
@@ -72,6 +74,7 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     force = solver.clamp_forces()["a x b"]
     assert len(set(np.round(a.tensions, 9))) == 2 and len(set(np.round(b.tensions, 9))) == 2
     assert force.before == (a.tensions[0], b.tensions[0])
+    assert solver.history["clamp a x b"][-1] == force.size
     assert force.after == (a.tensions[-1], b.tensions[-1])
     assert abs(force.differences[0]) > 0.2
     # what the one hands on the other takes, but for the pressure on the facets around
@@ -277,3 +280,34 @@ def test_clamped_cables_along_lines_of_the_mesh_are_tightened(comm, order) -> No
         assert step.verification.passed
     tensions = np.concatenate([cable.tensions for cable in cables])
     np.testing.assert_allclose(tensions, tensions.mean(), rtol=0.02)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize(("n", "cables", "rtol"), [(8, 7, 1e-9), (8, 3, 0.01)])
+def test_a_clamped_net_against_bars_between_shared_nodes(comm, n, cables, rtol) -> None:
+    """On a mesh whose lines carry both families: clamped at each vertex it is the same net, which
+    is bonded there; with fewer clamps its cables slide between them."""
+    at, step = [10 * k / (cables + 1) for k in range(1, cables + 1)], 10 / n
+    net, barred = square(comm, step, structured=True), square(comm, step, structured=True)
+    for y in at:
+        for name, path in (("A", [(0.0, y), (10.0, y)]), ("B", [(y, 0.0), (y, 10.0)])):
+            net.lay_cable(Cable(EA), path, tension=2.0, measured_on="facets", name=f"{name}{y}")
+    net.clamp(*net.cables)
+    bars: dict[str, list[PlacedBar]] = {}
+    for cable in net.cables:
+        places = [barred.vertex_at(step * k * (cable.line[-1] - cable.line[0]) / 10 + cable.line[0])
+                  for k in range(n + 1)]  # fmt: skip
+        bars[cable.name] = [
+            barred.add_bar(Bar(EA, tension_only=True), *ends, L0=step / (1 + 2.0 / EA))
+            for ends in pairwise(places)
+        ]
+    for scene in (net, barred):
+        load = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
+        scene.put_load(load, name="half")
+        solver = Solver(scene, rtol=1e-11)
+        solver.advance(pressure=2.0)
+        solver.advance(load={"half": 1.0})
+    assert net.energy == pytest.approx(barred.energy, rel=rtol)
+    for cable in net.cables:
+        mean = np.mean([bar.force for bar in bars[cable.name]])
+        assert cable.tension == pytest.approx(mean, rel=rtol)
