@@ -40,7 +40,10 @@ def bonded_parts(cable: LaidCable) -> ClampedParts:
     assert cable.bonds is not None
     count = len(cable.bonds.at) + 1
     force = np.full(count, cable.tension)
-    return ClampedParts(cable.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count))
+    inner = np.zeros(count - 1)
+    return ClampedParts(
+        cable.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count), inner, inner
+    )
 
 
 def bonded_nodes(cable: LaidCable) -> list[int]:

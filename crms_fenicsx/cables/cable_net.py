@@ -141,9 +141,12 @@ class CableNet:
         self.strip = cells_at(self.membrane, vertices) if vertices else None
         self.arrange_crossings()
 
-    def clamp(self, cables: Sequence[LaidCable | str], near: object) -> tuple[Clamp, ...]:
+    def clamp(
+        self, cables: Sequence[LaidCable | str], near: object, slip: float | None = None
+    ) -> tuple[Clamp, ...]:
         """Clamp cables where they cross, see `Scene.clamp`. Collective."""
         own = self._cables("clamp", cables)
+        slip = None if slip is None else checks.positive("clamp: slip", slip)
         for cable in own:
             if cable.cable.law == "step" or cable.axial is not None:
                 what = 'law="step"' if cable.cable.law == "step" else "friction along its axis"
@@ -175,7 +178,7 @@ class CableNet:
                     )
                     continue
                 name = named([*self.clamps, *new], (a.name, b.name))
-                new.append(Clamp(name, (a.name, b.name), one.at, one.place))
+                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip))
         if apart and len(own) == 2:
             raise InputError(
                 f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."

@@ -129,14 +129,18 @@ def divide(
             nodes[clamp.name] = _at_vertex(clamp, by_name)
     for cable in cables:
         shares = {
-            nodes[clamp.name][cable.name]: clamp.at[clamp.cables.index(cable.name)]
+            nodes[clamp.name][cable.name]: (
+                clamp.at[clamp.cables.index(cable.name)],
+                clamp.slip or 0.0,
+            )
             for clamp in clamps
             if cable.name in nodes[clamp.name]
         }
         if cable.bonds is not None:
-            shares |= dict(zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True))
+            bonds = zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True)
+            shares |= {k: (at, 0.0) for k, at in bonds}
         own = sorted(shares.items())
-        cable.update(parts=_parts(cable, own) if own else None)
+        cable.update(parts=_parts(cable, own))
     return tuple(
         replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())
         if (at := nodes[clamp.name])
@@ -161,13 +165,20 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
     return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
 
 
-def _parts(cable: LaidCable, own: Sequence[tuple[int, float]]) -> ClampedParts:
-    """The parts of a cable between clamps, given by nodes and shares of the unstressed length."""
-    nodes, at = zip(*own, strict=True)
-    shares, count = np.maximum.accumulate(np.array(at)), len(own) + 1
+def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
+    """The parts of a cable between clamps, given by nodes, with shares of the unstressed length and
+    grips; None without any."""
     old = cable.parts
-    if old is not None and np.array_equal(old.at, shares):
+    if not own:
+        return None
+    nodes = tuple(k for k, _ in own)
+    at, grips = np.array([given for _, given in own]).T
+    shares, count = np.maximum.accumulate(at), len(own) + 1
+    if old is not None and np.array_equal(old.at, shares) and np.array_equal(old.grips, grips):
         return replace(old, nodes=nodes)
     force = np.full(count, cable.tension)
     smoothing = cable.smoothing_length * np.diff([0.0, *shares, 1.0])
-    return ClampedParts(shares, nodes, force, smoothing)
+    spent = 0.0 if old is None else old.dissipated
+    return ClampedParts(
+        shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent
+    )

@@ -172,8 +172,9 @@ class LaidCable(Handle[CableState]):
 
     @property
     def dissipated(self) -> float:
-        """Energy that its friction has dissipated (force x length)."""
-        return sum(grip.dissipated for grip in (self.lateral, self.axial) if grip is not None)
+        """Energy that friction and slips through clamps have dissipated (force x length)."""
+        grips = (self.lateral, self.axial, self.parts)
+        return sum(grip.dissipated for grip in grips if grip is not None)
 
     @property
     def line(self) -> Array:
@@ -217,6 +218,11 @@ class LaidCable(Handle[CableState]):
         return self.axial is not None or self.parts is not None
 
     @property
+    def may_slip(self) -> bool:
+        """Internal: whether it can slip through some of its clamps."""
+        return self.parts is not None and bool(self.parts.grips.any())
+
+    @property
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` that clamps hold, 0 elsewhere."""
         nodes = () if self.parts is None else self.parts.nodes
@@ -225,8 +231,9 @@ class LaidCable(Handle[CableState]):
     @property
     def part_lengths(self) -> Array:
         """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
-        at = () if self.parts is None else self.parts.at
-        return self.L0 * np.diff([0.0, *at, 1.0])
+        if self.parts is None:
+            return np.array([self.L0])
+        return np.diff([0.0, *(self.L0 * self.parts.at + self.parts.slips), self.L0])
 
     @property
     def start(self) -> CableEnd:

@@ -240,10 +240,11 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
     for is_off, run in lifted_runs(cable):
         cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
         for a, b in itertools.pairwise(cuts):
-            before, after = ([at[i]] if i in at else None for i in (a, b))
-            if after is not None and not isinstance(after[0], CellPoint):
-                after = []  # the part has it as its last point
-            found.append((is_off, range(a, b), (before, after)))
+            before: list[SurfacePoint] | None = [at[a]] if a in at else None
+            ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
+            if ahead is not None and not isinstance(ahead[0], CellPoint):
+                ahead = []  # the part has it as its last point
+            found.append((is_off, range(a, b), (before, ahead)))
     return found
 
 

@@ -69,7 +69,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     read = [_result(scene, one) for one in of]
     setters = [_parameter(scene, one) for one in by]
     K = tangent(system)
-    rubs = scene.net.has_friction or any(cable.axial is not None for cable in scene.cables)
+    rubs = scene.net.has_friction or any(c.axial is not None or c.may_slip for c in scene.cables)
     if rubs or system.has_history:
         K.destroy()
         what = "friction" if rubs else "a step-wise law"

@@ -500,7 +500,10 @@ class Scene:
     @collective
     @changes_model
     def clamp(
-        self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
+        self,
+        *cables: LaidCable | str,
+        near: Sequence[Sequence[float]] | Array | None = None,
+        slip: float | None = None,
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
@@ -517,6 +520,11 @@ class Scene:
         near
             Points in space near which to clamp, (k, 3) (length): of each the nearest crossing; by
             default all crossings.
+        slip
+            Grip of the clamps (force): where the tensions of a cable before and after a clamp would
+            differ by more, it slips through, and its unstressed length goes from one part to the
+            other; the work is heat, `dissipated`. The grip acts on the unstressed cable: on the
+            stretched one it is smaller by the strain. By default they hold whatever comes.
 
         Returns
         -------
@@ -539,8 +547,8 @@ class Scene:
         >>> scene.clamp("A1", "B2")
         >>> scene.clamp(*scene.cables)
         """
-        checks.same(self.comm, "clamp", cables=cables, near=near)
-        return self.net.clamp(cables, near)
+        checks.same(self.comm, "clamp", cables=cables, near=near, slip=slip)
+        return self.net.clamp(cables, near, slip)
 
     @collective
     @changes_model

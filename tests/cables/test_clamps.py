@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from taylor import OnMesh, gradient_order, noise
+from term_scene import displaced
 
 from crms_fenicsx import (
     Bar,
@@ -311,3 +314,67 @@ def test_a_clamped_net_against_bars_between_shared_nodes(comm, n, cables, rtol) 
     for cable in net.cables:
         mean = np.mean([bar.force for bar in bars[cable.name]])
         assert cable.tension == pytest.approx(mean, rel=rtol)
+
+
+@pytest.mark.ranks
+def test_clamps_of_limited_grip(comm) -> None:
+    """With much grip they hold as those without a limit; with none the net slides; between them
+    the tensions differ by the grip, the work is heat, and the way counts."""
+    found, heat = {}, {}
+    for slip in (None, 1e3, 0.3, 1e-4, 0.0):
+        scene, solver = crossed(comm)
+        solver.advance(pressure=2.0)
+        if slip != 0.0:
+            scene.clamp("a", "b", slip=slip)
+        solver.advance(load={"half": 1.0})
+        a = scene.cable("a")
+        found[slip] = [scene.energy, *a.tensions[[0, -1]]]
+        assert solver.steps[-1].verification.passed
+        if slip == 0.3:
+            force = 0.3 / (1 + a.tension / EA)  # the grip acts on the unstressed cable
+            assert solver.clamp_forces()["a x b"].differences[0] == pytest.approx(force, rel=1e-3)
+            heat["there"] = scene.dissipated
+            (clamp,) = scene.clamps
+            assert clamp.at[0] * a.L0 == pytest.approx(a.part_lengths[0], abs=2e-5)
+            slid = (0.49991796 - clamp.at[0]) * a.L0
+            assert heat["there"] == pytest.approx(0.3 * slid, rel=1e-3)
+            solver.advance(load={"half": 0.0})
+            heat["back"] = scene.dissipated
+            assert solver.history["dissipated"][-1] == scene.dissipated
+    assert heat["there"] > 1e-3 and heat["back"] >= heat["there"]
+    np.testing.assert_allclose(found[1e3], found[None], rtol=1e-6)
+    np.testing.assert_allclose(found[1e-4], found[0.0], rtol=1e-5)
+    assert found[None][0] > found[0.3][0] > found[0.0][0]
+
+
+def test_taylor_of_cables_that_slip_through_clamps(comm) -> None:
+    """The slips are eliminated: the slope of the energy is that with the slips held."""
+    scene, solver = crossed(comm)
+    solver.advance(pressure=2.0)
+    scene.clamp("a", "b", slip=0.3)
+    solver.advance(load={"half": 1.0})
+    system = solver.system
+    assert system.cables is not None and system.cables.clutches is not None
+    term = system.cables.clutches
+    term.renew(replace(term.grips, eps=0 * term.grips.eps + 0.1, elastic=0 * term.grips.eps + 0.1))
+    f = OnMesh(system.unknowns, scene.u, [term])
+    x = displaced(f.unknowns, 0.05, stretch=1.05)
+    d = noise(x, 1)
+    assert gradient_order(f, x, d) > 1.9
+
+
+def test_slipped_clamps_in_checkpoints(comm, tmp_path) -> None:
+    folder = Path(comm.bcast(str(tmp_path)))
+    runs = []
+    for saved in (True, False):
+        scene, solver = crossed(comm)
+        scene.clamp("a", "b", slip=0.3)
+        if saved:
+            solver.advance(pressure=2.0)
+            solver.advance(load={"half": 1.0})
+            solver.save(folder / "state")
+        else:
+            solver.load(folder / "state")
+        solver.advance(load={"half": 0.2})
+        runs.append([scene.energy, scene.dissipated, *scene.clamps[0].at])
+    np.testing.assert_allclose(*runs, rtol=1e-10)
