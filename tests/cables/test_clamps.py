@@ -65,10 +65,10 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     """Under load on one half; unclamped and unloaded it is the sliding net again."""
     scene, solver = crossed(comm)
     solver.advance(pressure=2.0)
-    before = [scene.energy, *(cable.tension for cable in scene.cables)]
     solver.advance(load={"half": 1.0})
     slid = [scene.energy, *(cable.tension for cable in scene.cables)]
     solver.advance(load={"half": 0.0})
+    before = [scene.energy, *(cable.tension for cable in scene.cables)]
     (clamp,) = scene.clamp("a", "b")
     solver.advance(load={"half": 1.0})
     assert solver.steps[-1].verification.passed
@@ -92,7 +92,9 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     scene.unclamp("a", "b")
     solver.advance(load={"half": 0.0})
     after = [scene.energy, *(cable.tension for cable in scene.cables)]
-    np.testing.assert_allclose(after, before, rtol=3e-5)  # paths on other sides of vertices
+    # to rounding, from the state that a cycle of this load leaves: before it a cable lay on the
+    # other side of a vertex, at an energy 5e-7 higher
+    np.testing.assert_allclose(after, before, rtol=1e-9)
     assert not scene.clamps and a.parts is None
 
 
