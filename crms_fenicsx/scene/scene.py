@@ -510,7 +510,8 @@ class Scene:
         At a clamp the same points of both cables stay together. They slide over the membrane, lift
         off and touch down together, and each cable has one tension from clamp to clamp,
         `LaidCable.tensions`. The unstressed lengths between clamps are those at clamping; a load
-        step that changes a cable's L0 changes those of its parts alike. In an equilibrium clamping
+        step that changes a cable's L0 changes those of its parts alike. With friction along a cable
+        its tension varies between clamps, too. In an equilibrium clamping
         changes nothing until the loads do.
 
         Parameters
@@ -535,7 +536,7 @@ class Scene:
         ------
         InputError
             On all ranks: cables that do not cross, lie apart where they do, have the step-wise law
-            or friction along their axis.
+            or friction with a cone, or friction along their axis where `slip` is given.
 
         Warns
         -----

@@ -261,7 +261,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         strain = max(abs(cable.tension), abs(force)) / EA
         return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.length - length) / L0]
-    if cable.parts is not None:
+    if cable.parts is not None and cable.axial is None:
         of_part = cable.parts_of(cable.contacts()[:-1]).astype(np.int64)
         own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.parts.smoothing
         longer = np.maximum(own - cable.part_lengths, 0.0)

@@ -241,6 +241,8 @@ def test_bad_clamps_are_refused(comm) -> None:
     scene.lay_cable(Cable(EA), [(0.0, 2.0), (10.0, 2.5)], tension=5.0, name="c")
     rubs = Cable(EA, friction=Friction(0.3, along=0.2))
     scene.lay_cable(rubs, [(0.0, 8.0), (10.0, 8.0)], tension=5.0, name="d")
+    rubs = Cable(EA, friction=Friction(0.2, along=0.2, cone=True))
+    scene.lay_cable(rubs, [(0.0, 9.0), (10.0, 9.0)], tension=5.0, name="f")
     scene.lay_cable(Cable(EA), [(3.0, 0.0, 0.0), (3.0, 5.0, 2.0)], tension=5.0, name="e")
     bad = [
         (lambda: scene.clamp("a", "a"), "the cables are a, a; give two or more different ones"),
@@ -248,7 +250,12 @@ def test_bad_clamps_are_refused(comm) -> None:
         (lambda: scene.clamp("a", "x"), "no cable 'x'"),
         (lambda: scene.clamp("a", 3), "3 is not a cable of this scene"),
         (lambda: scene.clamp("a", "c"), "'a' and 'c' do not cross"),
-        (lambda: scene.clamp("b", "d"), "'d' has friction along its axis"),
+        (
+            lambda: scene.clamp("b", "d", slip=1.0),
+            "'d' has friction along its axis, and cannot slip",
+        ),
+        (lambda: scene.clamp("b", "f"), "'f' has friction with cone=True"),
+        (lambda: scene.clamp("a", "b", slip=-1.0), "clamp: slip"),
         (lambda: scene.clamp("c", "e"), "'c' and 'e' lie 0.798 apart where they cross"),
         (lambda: scene.clamp("a", "b", near="here"), "near = 'here'"),
         (lambda: scene.unclamp("a", "b"), "there is no such clamp; the scene has none"),
@@ -380,3 +387,35 @@ def test_slipped_clamps_in_checkpoints(comm, tmp_path) -> None:
         solver.advance(load={"half": 0.2})
         runs.append([scene.energy, scene.dissipated, *scene.clamps[0].at])
     np.testing.assert_allclose(*runs, rtol=1e-10)
+
+
+@pytest.mark.ranks
+def test_friction_along_cables_between_clamps(comm) -> None:
+    """With little of it the net is the one without; with more the tension goes on changing from
+    the clamp, at which it jumps, to the anchors."""
+    found = {}
+    for along in (0.0, 1e-4, 0.05):
+        scene = square(comm)
+        for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
+            friction = Friction(0.0, along=along) if along else 0.0
+            scene.lay_cable(Cable(EA, friction=friction), path, tension=5.0, name=name)
+        half = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
+        scene.put_load(half, name="half")
+        solver = Solver(scene, rtol=1e-10)
+        solver.advance(pressure=2.0)
+        (clamp,) = scene.clamp("a", "b")
+        solver.advance(load={"half": 1.0})
+        assert solver.steps[-1].verification.passed
+        a = scene.cable("a")
+        found[along] = [scene.energy, *a.tensions[[0, -1]]]
+        force = solver.clamp_forces()["a x b"]
+        if along == 0.05:
+            steps = np.abs(np.diff(a.tensions))
+            assert np.count_nonzero(steps > 1e-4) > 5
+            assert steps.max() == pytest.approx(abs(force.differences[0]), rel=1e-6)
+            rest = a.axial.arcs[np.argmin(np.abs(a.axial.arcs - clamp.at[0] * a.L0))]
+            assert rest == pytest.approx(clamp.at[0] * a.L0, abs=1e-6 * a.L0)
+            solver.advance(L0={a: 0.999 * a.L0})
+            assert solver.steps[-1].verification.passed
+    np.testing.assert_allclose(found[1e-4], found[0.0], rtol=3e-5)
+    assert abs(found[0.05][0] / found[0.0][0] - 1) > 3e-6
