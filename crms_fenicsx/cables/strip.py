@@ -6,20 +6,19 @@ those are gathered. It grows as cables slide.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, pairwise
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.meshes.triangles import double_areas, lists, norm, vectors
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints, runs
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import Edge
 from crms_fenicsx.surface.trace import near_section
@@ -115,6 +114,31 @@ def _spanned(corners, keys, base, first, second):  # type: ignore[no-untyped-def
     return found
 
 
+class CellsAround(dict[tuple[int, ...], list[int]]):
+    """Rows, ascending, of the cells around a vertex (a,), an edge (a, b) or a cell (a, b, c), in
+    any order, also repeated: those asked for so far. `some` (k,): rows of the cells that count."""
+
+    def __init__(
+        self, cells: Integers, corners: list[list[int]], some: Integers | None = None
+    ) -> None:
+        super().__init__()
+        vertices = cells if some is None else cells[some]
+        order = np.argsort(vertices, axis=None, kind="stable")
+        ids, first = np.unique(vertices.ravel()[order], return_index=True)
+        rows = order // 3 if some is None else some[order // 3]
+        self._rows = ints(rows)
+        cuts = pairwise([*ints(first), len(rows)])
+        self._at = dict(zip(ints(ids), cuts, strict=True))
+        self._corners = corners
+
+    def __missing__(self, vertices: tuple[int, ...]) -> list[int]:
+        first, *others = vertices
+        rows = self._rows[slice(*self._at.get(first, (0, 0)))]
+        found = [row for row in rows if all(vertex in self._corners[row] for vertex in others)]
+        self[vertices] = found
+        return found
+
+
 @dataclass(frozen=True)
 class Strip:
     """Cells with the ids of their vertices, their owners and their numbers there."""
@@ -130,14 +154,15 @@ class Strip:
     hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property
-    def around(self) -> dict[tuple[int, ...], list[int]]:
-        """Rows of the cells around each vertex (a,), edge (a, b) and cell (a, b, c), sorted."""
-        return _around(self.corners, frozenset())
+    def _around(self) -> CellsAround:
+        return CellsAround(self.cells, self.corners)
 
     @cached_property
-    def outer_around(self) -> dict[tuple[int, ...], list[int]]:
-        """`around`, without the cells behind seams."""
-        return _around(self.corners, self.hidden) if self.hidden else self.around
+    def _outer_around(self) -> CellsAround:
+        """`_around`, without the cells behind seams."""
+        if not self.hidden:
+            return self._around
+        return CellsAround(self.cells, self.corners, np.flatnonzero(self.is_outer))
 
     @cached_property
     def outer_cells(self) -> Integers:
@@ -158,12 +183,12 @@ class Strip:
     @cached_property
     def corners(self) -> list[list[int]]:
         """`cells` as lists of numbers, which loops read faster."""
-        return [[int(vertex) for vertex in cell] for cell in self.cells]
+        return lists(self.cells)
 
     @cached_property
     def owners(self) -> list[int]:
         """`owner` as a list of numbers."""
-        return [int(rank) for rank in self.owner]
+        return ints(self.owner)
 
     @cached_property
     def vertices(self) -> Integers:
@@ -180,15 +205,15 @@ class Strip:
     @cached_property
     def row_of(self) -> dict[int, int]:
         """Place of each vertex in `vertices`."""
-        return {int(vertex): row for row, vertex in enumerate(self.vertices)}
+        return {vertex: row for row, vertex in enumerate(ints(self.vertices))}
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices."""
-        return _rows(self.around, vertices)
+        return self._around[vertices]
 
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices and that cables can lie on."""
-        return _rows(self.outer_around, vertices)
+        return self._outer_around[vertices]
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
@@ -210,25 +235,6 @@ def ascending(cells: Integers) -> Integers:
     """Rows of the cells (n, 3) by their lowest vertex ids, then by their middle ones, and so on."""
     low, middle, high = np.sort(cells, axis=1).T
     return np.lexsort((high, middle, low))
-
-
-def _around(
-    cells: list[list[int]], but: frozenset[tuple[int, int, int]]
-) -> dict[tuple[int, ...], list[int]]:
-    """Rows of the cells around each vertex, edge and cell, without some cells."""
-    table: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for row, cell in enumerate(cells):
-        a, b, c = sorted(cell)
-        if (a, b, c) not in but:
-            for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
-                table[key].append(row)
-    return dict(table)
-
-
-def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -> list[int]:
-    """Rows of the cells at vertices in any order, also repeated; most often they are in order."""
-    found = around.get(vertices)
-    return around.get(tuple(sorted(set(vertices))), []) if found is None else found
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
@@ -331,8 +337,8 @@ class StripShape:
     @cached_property
     def places(self) -> dict[int, tuple[float, float, float]]:
         """Current positions of all vertices, by id, which loops read faster."""
-        rows = zip(self.strip.vertices, *self.current.T, strict=True)
-        return {int(vertex): (float(x), float(y), float(z)) for vertex, x, y, z in rows}
+        rows = zip(ints(self.strip.vertices), *map(floats, vectors(self.current.T)), strict=True)
+        return {vertex: (x, y, z) for vertex, x, y, z in rows}
 
     def at(self, vertex: int) -> Array:
         """Current position of a vertex, by id, (3,)."""

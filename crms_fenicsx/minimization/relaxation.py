@@ -31,14 +31,14 @@ MOST = 0.5
 """Part of all blocks that may be relaxed at once: points beyond that are relaxed all together,
 patches not at all."""
 
-RATIO, BALANCED = 0.5, 0.3
+RATIO, BALANCED = 0.25, 0.3
 """Force on the points, relative to that on the vertices, from which on they are relaxed, and part
 of that which may be left."""
 
 PATCHED, SETTLED = 1e-4, 1e-6
 """Residual, relative to the force scale, from which on patches are relaxed, and to which."""
 
-ROUNDS, STEPS = 4, 12
+ROUNDS, STEPS = 2, 12
 """How often blocks are chosen anew, and Newton steps of each choice."""
 
 RISE = 1e-12

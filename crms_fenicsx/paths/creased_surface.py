@@ -2,8 +2,6 @@
 
 A path is pulled taut by lengths of edges and the order of the cells at a vertex alone. An edge is
 as long as the way through the fold points on it.
-
-Between two looks at the paths few cables change their nodes, and of all edges few are looked at.
 """
 
 from __future__ import annotations
@@ -11,19 +9,19 @@ from __future__ import annotations
 import math
 from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from itertools import accumulate, pairwise
 from types import MappingProxyType
 
 import numpy as np
 
-from crms_fenicsx.cables.points_on_edges import on_edges
+from crms_fenicsx.cables.points_on_edges import CROSSING, NodeTable, fractions_of, positions_of
 from crms_fenicsx.cables.strip import StripShape, own_surface
-from crms_fenicsx.meshes.triangles import vectors
-from crms_fenicsx.model.cable_state import CableNode, CableState, NodeId
+from crms_fenicsx.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, floats
+from crms_fenicsx.runtime.arrays import Array, floats, ints, pointers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE
 from crms_fenicsx.surface.feet import feet_of
@@ -31,66 +29,40 @@ from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
 
-
-class NodesOnEdges:
-    """Which nodes of cables in tension are on each edge, kept for cables that have not changed."""
-
-    def __init__(self) -> None:
-        self._nodes: list[tuple[CableNode, ...]] = []
-        self._found: dict[Edge, tuple[NodeId, ...]] = {}
-
-    def of(self, states: Sequence[CableState]) -> Mapping[Edge, Sequence[NodeId]]:
-        """Numbers of cables and nodes on each edge, lifted ones too; later calls keep it."""
-        nodes = [state.nodes if state.taut else () for state in states]
-        before, self._nodes = self._nodes, nodes
-        if len(before) != len(nodes):
-            before, self._found = [()] * len(nodes), {}
-        changed = [c for c, own in enumerate(nodes) if own is not before[c]]
-        if not changed:
-            return self._found
-        found = dict(self._found)
-        for c in changed:
-            for _, edge in on_edges(before[c]):
-                found[edge] = tuple(member for member in found[edge] if member[0] != c)
-            for k, edge in on_edges(nodes[c]):
-                found[edge] = (*found.get(edge, ()), (c, k))
-        self._found = found
-        return found
+NONE = np.zeros((0, 3))
+"""The points on an edge without any."""
 
 
-class FoldPoints(Mapping[Edge, Sequence[Array]]):
-    """Positions (3,) of the points on each edge that has some, in order, without lifted ones. They
-    are those at the time when this is made, whatever becomes of the cables."""
+class FoldPoints(Mapping[Edge, Array]):
+    """Positions (k, 3) of the points on each edge that has some, in order, without lifted ones, as
+    they are when this is made, whatever becomes of the cables."""
 
-    def __init__(self, cables: Sequence[LaidCable], kept: NodesOnEdges) -> None:
-        self._states, self._kept = [cable.state for cable in cables], kept
-        self._found: dict[Edge, list[Array]] = {}
-
-    def __getitem__(self, edge: Edge) -> Sequence[Array]:
-        found = self._found.get(edge)
-        if found is None:
-            found = self._found[edge] = self._on(edge)
-        if not found:
-            raise KeyError(edge)
-        return found
+    def __init__(self, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> None:
+        self._nodes = NodeTable.of(cables, nodes)
+        self._positions, self._fractions = positions_of(cables), fractions_of(cables)
 
     @cached_property
-    def _nodes(self) -> Mapping[Edge, Sequence[NodeId]]:
-        return self._kept.of(self._states)
+    def _found(self) -> dict[Edge, Array]:
+        nodes = self._nodes
+        on = (nodes.size == 2) & (nodes.kind != CROSSING) & nodes.taut & ~nodes.lifted
+        rows = np.flatnonzero(on)
+        first, second = nodes.support[rows, 0], nodes.support[rows, 1]
+        rows = rows[np.lexsort((rows, self._fractions[rows], second, first))]
+        edges = nodes.support[rows, :2]
+        starts = np.flatnonzero(np.diff(edges, axis=0, prepend=-1).any(axis=1))
+        cuts = pairwise([*ints(starts), len(rows)])
+        points = [self._positions[rows[a:b]] for a, b in cuts]
+        keys = ((a, b) for a, b in lists(edges[starts]))
+        return dict(zip(keys, points, strict=True))
 
-    def _on(self, edge: Edge) -> list[Array]:
-        points = []
-        for c, k in self._nodes.get(edge, ()):
-            state = self._states[c]
-            if not state.lifted[k]:
-                points.append((float(state.fractions[k]), c, k, state.positions[k]))
-        return [point[3] for point in sorted(points, key=lambda point: point[:3])]
+    def __getitem__(self, edge: Edge) -> Array:
+        return self._found[edge]
 
     def __iter__(self) -> Iterator[Edge]:
-        return (edge for edge in self._nodes if edge in self)
+        return iter(self._found)
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
+        return len(self._found)
 
 
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
@@ -137,31 +109,55 @@ class CreasedSurface:
     def __init__(
         self,
         shape: StripShape,
-        bends: Mapping[Edge, Sequence[Array]],
+        bends: Mapping[Edge, Array],
         anchors: Mapping[int, Array] = MappingProxyType({}),
         ends: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
-        self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
+        self.anchors = _places(anchors)
         self.ends = ends
         self._at = shape.places
+
+    def with_anchors(
+        self, anchors: Mapping[int, Array], ends: Mapping[int, tuple[int, ...]]
+    ) -> CreasedSurface:
+        """The surface with other anchors."""
+        self._bent  # noqa: B018 - known to both from now on
+        surface = copy(self)
+        surface.anchors, surface.ends = _places(anchors), ends
+        return surface
+
+    @cached_property
+    def _bent(self) -> dict[Edge, float]:
+        """Lengths of the edges with fold points through all of them."""
+        edges = np.array(list(self.bends), dtype=np.int64).reshape(-1, 2)
+        first = pointers(np.array([len(points) + 2 for points in self.bends.values()], dtype=int))
+        line = np.zeros((first[-1], 3))
+        inner = np.ones(len(line), dtype=bool)
+        for at, vertices in zip((first[:-1], first[1:] - 1), edges.T, strict=True):
+            inner[at] = False
+            line[at] = self.shape.current[np.searchsorted(self.strip.vertices, vertices)]
+        if len(edges):
+            line[inner] = np.concatenate(list(self.bends.values()))
+        steps = norm(np.diff(line, axis=0, append=line[-1:]))
+        steps[first[1:] - 1] = 0.0
+        lengths = np.add.reduceat(steps, first[:-1]) if len(edges) else steps
+        return dict(zip(self.bends, floats(lengths), strict=True))
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
         if edge[1] in self.anchors:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
-        bends = self.bends.get(edge)
-        if bends is None:
-            return math.dist(self._at[edge[0]], self._at[edge[1]])
-        total, (x, y, z) = 0.0, self._at[edge[0]]
-        for p, q, r in self._line(edge, bends)[1:]:
-            total += math.sqrt((p - x) * (p - x) + (q - y) * (q - y) + (r - z) * (r - z))
-            x, y, z = p, q, r
-        return total
+        bent = self._bent.get(edge)
+        return math.dist(self._at[edge[0]], self._at[edge[1]]) if bent is None else bent
 
-    def _line(self, edge: Edge, bends: Sequence[Array]) -> list[Sequence[float]]:
+    def _line(self, edge: Edge) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        return [self._at[edge[0]], *map(floats, bends), self._at[edge[1]]]
+        return [
+            self._at[edge[0]],
+            *map(floats, vectors(self.bends.get(edge, NONE))),
+            self._at[edge[1]],
+        ]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
@@ -212,7 +208,7 @@ class CreasedSurface:
 
     def place(self, edge: Edge, fraction: float) -> Array:
         """Position on an edge at a share of its length, (3,)."""
-        line = self._line(edge, self.bends.get(edge, ()))
+        line = self._line(edge)
         arcs = _arcs(line)
         at = max(fraction, 0.0) * arcs[-1]
         if at >= arcs[-1]:
@@ -220,6 +216,10 @@ class CreasedSurface:
         k = bisect(arcs, at) - 1
         step, more = arcs[k + 1] - arcs[k], at - arcs[k]
         return np.array([(b - a) / step * more + a for a, b in zip(*line[k : k + 2], strict=True)])
+
+
+def _places(anchors: Mapping[int, Array]) -> dict[int, tuple[float, float, float]]:
+    return {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
 
 
 def _arcs(line: Sequence[Sequence[float]]) -> list[float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence, Set
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from crms_fenicsx.contact.span_projection import with_span_projections
 from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
-from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
 from crms_fenicsx.paths.path_change import (
     PathChange,
     is_crossed,
@@ -29,6 +30,7 @@ from crms_fenicsx.paths.path_change import (
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -40,6 +42,16 @@ CLAMP_INSIDE = 1e-6
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
 has pressed its crease into the membrane: a path along a line of the mesh stays there."""
+
+
+@dataclass(frozen=True)
+class _Pulled:
+    """What has come of pulling a path taut."""
+
+    points: list[SurfacePoint]  # of its new path; none where that is the old one
+    lifted: list[bool]  # which of them are
+    flips: int  # how many vertices it has passed
+    followed: list[tuple[Corridor, bool]]  # see `GeodesicSliding._note`
 
 
 class GeodesicSliding:
@@ -137,33 +149,63 @@ class GeodesicSliding:
     ) -> int:
         folds = self.change.folds()
         if folded_by is not None:
-            folds = FoldPoints(folded_by, NodesOnEdges())
+            folds = FoldPoints(folded_by)
+        pulled = self._pull_all(cables, folds, max_flips, fresh)
         surface = CreasedSurface(self.net.strip_shape(), folds)
-        done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
-        for cable in cables:
-            for rings in itertools.count(1):
-                try:
-                    done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
-                    break
-                except MissingCells as missing:
-                    self.net.grow_strip(missing.vertices, rings)
-                    surface = CreasedSurface(self.net.strip_shape(), folds)
         most = 0
-        for cable, (points, lifted, flips) in done:
-            if flips or fresh:
-                self.change.replace(cable, points, lifted, surface)
-                most = max(most, flips)
+        for cable, new in zip(cables, pulled, strict=True):
+            self._note(cable, new.followed)
+            if new.flips or fresh:
+                self.change.replace(cable, new.points, new.lifted, surface)
+                most = max(most, new.flips)
         if most or fresh:
             nodes = [node.point for cable in cables for node in cable.nodes]
             self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
 
+    def _pull_all(
+        self,
+        cables: Sequence[LaidCable],
+        folds: FoldPoints,
+        max_flips: int | None,
+        fresh: bool,
+    ) -> list[_Pulled]:
+        """Pull paths taut, each on one rank, with the cells that this needs. Collective."""
+        found: dict[int, _Pulled] = {}
+        for rings in itertools.count(1):
+            surface = CreasedSurface(self.net.strip_shape(), folds)
+
+            def pulled(c: int, on: CreasedSurface = surface) -> _Pulled | MissingCells:
+                try:
+                    return self._pulled(cables[c], on, max_flips, fresh)
+                except MissingCells as missing:
+                    return missing
+
+            pending = [c for c in range(len(cables)) if c not in found]
+            lacking: set[int] = set()
+            new = share_out(self.net.membrane.comm, pending, pulled)
+            for c, result in zip(pending, new, strict=True):
+                if isinstance(result, MissingCells):
+                    lacking.update(result.vertices)
+                else:
+                    found[c] = result
+            if not lacking:
+                break
+            self.net.grow_strip(sorted(lacking), rings)
+        return [found[c] for c in range(len(cables))]
+
+    def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:
+        """Take down the ways that a cable has been pulled taut in, and whether these are known to
+        be possible wherever it lies."""
+        self.tried.refused.setdefault(cable.name, set()).update(way for way, _ in followed)
+        self._followed.update(way for way, always in followed if always)
+
     def _pulled(
         self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
-    ) -> tuple[list[SurfacePoint], list[bool], int]:
-        """The path pulled taut: its points, which of them are lifted, how many flips."""
+    ) -> _Pulled:
+        """The path pulled taut."""
         path = list(cable.path.points)
-        refused = self.tried.refused.setdefault(cable.name, set())
+        refused = set(self.tried.refused.get(cable.name, ()))
         held_at = None
         if is_crossed(cable) and not fresh:
             visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
@@ -172,6 +214,7 @@ class GeodesicSliding:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
+        followed: list[tuple[Corridor, bool]] = []
         for is_off, run, clamps in _between_clamps(cable, surface.shape):
             new = path[run.start : run.stop]
             if not is_off:
@@ -188,14 +231,14 @@ class GeodesicSliding:
                 if fits and len(string) > 2:
                     given = corridor(string)
                     refused.add(given)
-                    if held_at is None or held_at:  # else it does not flip over any vertex
+                    pulls = held_at is None or bool(held_at)
+                    followed.append((given, pulls and not before and not after))
+                    if pulls:  # else it does not flip over any vertex
                         result = shorten(
                             string, joined, refused=refused, max_flips=max_flips,
                             grip=GRIP if fresh else 0.0, held_at=held_at,
                             checked=given in self._followed,
                         )  # fmt: skip
-                        if not before and not after:
-                            self._followed.add(given)
                         passed += len(result.flips)
                         new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
@@ -204,7 +247,7 @@ class GeodesicSliding:
             n = self.change.n_vertices
             if len(points) < 2 or any(max(point.support) >= n for point in points):
                 raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
-        return points, lifted, passed
+        return _Pulled(points if passed or fresh else [], lifted, passed, followed)
 
     def _may_lie(self, string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
         """Whether a cable can follow a path."""

@@ -8,6 +8,7 @@ put them.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,10 +16,10 @@ import numpy as np
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.strip import Strip, StripShape
-from crms_fenicsx.model.cable_state import CableNode, End
+from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
-from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
 from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
@@ -83,7 +84,7 @@ class PathChange:
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
-        self._nodes_on_edges = NodesOnEdges()
+        self._folds: tuple[list[CableState], FoldPoints] | None = None  # of these states
 
     @property
     def n_vertices(self) -> int:
@@ -100,8 +101,14 @@ class PathChange:
         return CreasedSurface(like, self.folds())
 
     def folds(self) -> FoldPoints:
-        """The fold points of all cables."""
-        return FoldPoints(self.net.cables, self._nodes_on_edges)
+        """The fold points of all cables; the same while these do not change."""
+        states = [cable.state for cable in self.net.cables]
+        of, folds = self._folds or ([], None)
+        same = len(of) == len(states) and all(map(operator.is_, of, states))
+        if folds is None or not same:
+            folds = FoldPoints(self.net.cables, self.net.nodes)
+            self._folds = states, folds
+        return folds
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
@@ -111,7 +118,7 @@ class PathChange:
         n, on_path = self.n_vertices, cable.path_nodes()
         # n is the first, n + 1 the last
         ends = {k: cable.nodes[on_path[n - k]].support for k in anchors}
-        return CreasedSurface(surface.shape, surface.bends, anchors, ends)
+        return surface.with_anchors(anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
         """Positions of a cable's anchors off the membrane, by ids that no vertex has. Not of one

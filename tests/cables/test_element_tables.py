@@ -10,7 +10,7 @@ from cable_edits import put
 from mpi4py import MPI
 from polygon_twins import facets_of
 from ridged_square import OBLIQUE, ridged
-from table_twins import SlowTables, meetings, sides_of
+from table_twins import SlowTables, cells_around, meetings, sides_of
 from term_scene import ISOTROPIC, cable_square
 
 from crms_fenicsx import Cable, Scene, meshes
@@ -150,13 +150,15 @@ def test_sliding_points_are_damped_along_their_edges(tables) -> None:
 def test_simplices_are_those_around_the_cells(tables) -> None:
     strip = tables[0].strip
     found: Simplices = strip.simplices
-    supports = np.full((len(strip.around), 3), -1)
-    for n, support in enumerate(strip.around):
+    around = cells_around(strip)
+    supports = np.full((len(around), 3), -1)
+    for n, support in enumerate(around):
         supports[n, : len(support)] = support
     numbers = found.find(supports)
     assert sorted(numbers.tolist()) == list(range(len(supports)))
-    for number, rows in zip(numbers, strip.around.values(), strict=True):
+    for number, (support, rows) in zip(numbers, around.items(), strict=True):
         assert found.around(np.array([number]))[1].tolist() == rows
+        assert strip.rows(support) == strip.rows(support[::-1]) == rows
         assert found.owner[number] == min(strip.owner[rows])
     lacking = np.array([(-1, -1, -1), (10**6, -1, -1), (strip.vertices[0], 10**6, -1)])
     assert found.find(lacking).tolist() == [-1, -1, -1]

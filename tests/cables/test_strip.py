@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
+from table_twins import cells_around
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
@@ -170,7 +171,7 @@ def test_its_normals_are_those_of_the_cells(comm: MPI.Intracomm) -> None:
         total += normal
     np.testing.assert_allclose(shape.normal((inside,)), total / np.linalg.norm(total), atol=1e-14)
     assert shape.normal((inside,))[2] > 0.5
-    supports = sorted(strip.outer_around)
+    supports = sorted(cells_around(strip))
     normals, sizes = shape.normals_and_sizes(supports)
     for support, unit, size in zip(supports, normals, sizes, strict=True):
         own = shape.normals[strip.rows(support)]

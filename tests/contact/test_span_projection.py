@@ -92,7 +92,7 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
     points = route(shape, (0, 13), (100, 71))
     edge = points[3].edge
     bend = shape.at(edge[0]) + np.array([1.0, 2.0, -2.0])
-    surface = CreasedSurface(shape, {edge: [bend]})
+    surface = CreasedSurface(shape, {edge: np.array([bend])})
     parts = [np.linalg.norm(bend - shape.at(v)) for v in edge]
     assert surface.length(edge) == pytest.approx(sum(parts), rel=1e-14)
     half = surface.place(edge, parts[0] / sum(parts))

@@ -202,3 +202,13 @@ def _cross(rims: Sequence[int | None], t: Array) -> bool:
         return bool(np.all((t > 0) & (t < 1)))
     low, high = sorted(places[:2])
     return len(set(places)) == 4 and (low < places[2] < high) != (low < places[3] < high)
+
+
+def cells_around(strip: Strip) -> dict[tuple[int, ...], list[int]]:
+    """Rows of the cells around each vertex (a,), edge (a, b) and cell (a, b, c) of a strip."""
+    table: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for row, cell in enumerate(strip.cells.tolist()):
+        for size in (1, 2, 3):
+            for key in combinations(sorted(cell), size):
+                table[key].append(row)
+    return dict(table)
