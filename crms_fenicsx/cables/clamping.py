@@ -141,12 +141,20 @@ def divide(
             shares |= {k: (at, 0.0) for k, at in bonds}
         own = sorted(shares.items())
         cable.update(parts=_parts(cable, own))
-    return tuple(
-        replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())
-        if (at := nodes[clamp.name])
-        else clamp
-        for clamp in clamps
-    )
+    return placed(cables, clamps)
+
+
+def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
+    """The clamps of cables in tension at their places now."""
+    by_name = {cable.name: cable for cable in cables}
+    found = []
+    for clamp in clamps:
+        cable = by_name[clamp.cables[0]]
+        if cable.taut and cable.parts is not None and cable.parts.nodes:
+            k = cable.parts.nodes[int(np.argmin(np.abs(cable.parts.at - clamp.at[0])))]
+            clamp = replace(clamp, place=cable.positions[k].copy())
+        found.append(clamp)
+    return tuple(found)
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crms_fenicsx.cables.bonding import held_points, holds_points
+from crms_fenicsx.cables.clamping import placed
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
 from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.numbering import CableNumbering
@@ -182,6 +183,9 @@ class CableContribution(Contribution):
             mean = float(tensions @ cable.part_lengths) / cable.L0
             parts = replace(cable.parts, tensions=tensions.copy())
             cable.update(length=length, tension=mean, parts=parts)
+
+        if self.scene.clamps:
+            self.scene.net.clamps = placed(self.scene.cables, self.scene.clamps)
 
     def _write_slips(self, term: CapstanTension, potential: Potential) -> dict[LaidCable, Array]:
         """Copy slips through clamps to the cables, their energy to the scene; return tensions."""

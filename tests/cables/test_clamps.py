@@ -110,9 +110,10 @@ def test_clamping_changes_nothing_in_an_equilibrium(comm) -> None:
         np.testing.assert_allclose(cable.tensions, cable.tension, rtol=1e-8)
 
 
-def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm) -> None:
-    """Lifted off together they are straight from the clamp to their anchors."""
-    scene = square(comm)
+@pytest.mark.parametrize("options", [{}, {"size": 1.0, "structured": True}], ids=["cell", "vertex"])
+def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm, options) -> None:
+    """Lifted off together they are straight from the clamp to their anchors; also from a vertex."""
+    scene = square(comm, **options)
     a = scene.lay_cable(Cable(1e6), [(-1.0, 5.0, 0.0), (11.0, 5.0, 0.0)], tension=9e3, name="a")
     b = scene.lay_cable(Cable(2e6), [(4.0, -1.0, 0.0), (4.0, 11.0, 0.0)], tension=5e3, name="b")
     (clamp,) = scene.clamp(a, b)
