@@ -29,6 +29,7 @@ LIMITS = {
     "nodes off their edges": 1e-6,
     "breaks in the path": 0.0,
     "crossing cables apart": 1e-9,
+    "clamps that hold nothing": 0.0,
     "unbalanced forces of cables": UNBALANCED,
     "tension against length": 1e-6,
     "compression": 0.0,
@@ -144,6 +145,8 @@ class CableVerifier:
         ]
         if apart:
             found["crossing cables apart"] = max(apart), ""
+        if scene.clamps:
+            found["clamps that hold nothing"] = float(_open_clamps(scene)), ""
         names = [name for name in LIMITS if name in found]
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
@@ -281,6 +284,20 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         "tension against length": max(max(errors) - rounding, 0.0) / strain,
         "compression": max(-float(cable.tensions.min()), -cable.tension) / EA,
     }
+
+
+def _open_clamps(scene: Scene) -> int:
+    """How many clamps of cables in tension these have no points of."""
+    count = 0
+    for clamp in scene.clamps:
+        cables = [scene.cable(name) for name in clamp.cables]
+        if all(cable.taut for cable in cables):
+            pairs = zip(cables, clamp.at, strict=True)
+            count += any(
+                cable.parts is None or not np.any(np.abs(cable.parts.at - at) < 1e-9)
+                for cable, at in pairs
+            )
+    return count
 
 
 def _crossings(
