@@ -20,6 +20,7 @@ from crms_fenicsx.meshes.triangles import lists, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
+from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.verification.cable_forces import contacts, forces, is_tense
 from crms_fenicsx.verification.report import ROUNDED, UNBALANCED, Check
