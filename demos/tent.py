@@ -35,11 +35,10 @@ EDGES = ["south east", "north east", "north west", "south west"]
 FABRIC = OrthotropicMembrane(E1=900.0, E2=700.0, G12=30.0, nu21=0.2, thickness=1.0)
 EDGE_CABLE = Cable(EA=31.5e3)  # spiral strand of 18 mm
 BELT = Cable(EA=1500.0)  # two polyester belts of 50 mm
-MAST = Bar(EA=846e3)  # steel tube of 168.3 x 8 mm
-GUY = Bar(EA=39e3, tension_only=True)  # spiral strand of 20 mm
+MAST = Bar(EA=846e3, EI=2.1e8 * 1.297e-5, strength=860.0)  # steel tube of 168.3 x 8 mm
+GUY = Bar(EA=39e3, tension_only=True, strength=170.0)  # spiral strand of 20 mm
 STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # of the fabric, warp and weft
 CABLE_STRENGTH = 140.0
-MAST_EI = 2.1e8 * 1.297e-5
 VIEW = (-72.0, 30.0)
 
 # %%
@@ -146,7 +145,7 @@ for name, one in combinations.items():
             solver, f"{RESULTS}/{name.lower()}.png", colour="utilisation", unit="m", force="kN",
             view=VIEW, dpi=110,
         )  # fmt: skip
-buckling = np.pi**2 * MAST_EI / scene.bar("mast west").length ** 2
+buckling = scene.bar("mast west").buckling
 figures = {}
 for name, one in summaries.items():
     forces = {kind: [bar.force for bar in one.bars.values() if bar.name.startswith(kind)]

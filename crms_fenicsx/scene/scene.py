@@ -692,7 +692,12 @@ class Scene:
                 one.update(bar=replace(one.bar, EA=float(stiffness)))
 
     @collective
-    def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:
+    def set_strengths(
+        self,
+        strengths: Strengths | Mapping[str, Strengths],
+        *,
+        factors: Mapping[str, float] | None = None,
+    ) -> None:
         """Give the fabric's strengths, for the utilisation in results, files and reports.
 
         They replace those given before. They change no equilibrium and are no part of checkpoints.
@@ -702,22 +707,40 @@ class Scene:
         strengths
             In warp and weft, divided by the partial factors (force per length): one pair, or one
             of each part by its name. Parts that are not named have no utilisation.
+        factors
+            By what the strengths are divided while loads act, for their duration and temperature,
+            by the names of loads and ponds that have been put before. Where several act, the
+            largest one counts; where none does, 1.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, parts with common cells, or strengths that are
-            not positive.
+            On all ranks: a part that does not exist, parts with common cells, strengths or factors
+            that are not positive, or a load that does not exist.
 
         Examples
         --------
         >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
+        >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
         """
-        checks.same(self.comm, "set_strengths", strengths=strengths)
+        checks.same(self.comm, "set_strengths", strengths=strengths, factors=factors)
+        factors = {} if factors is None else factors
+        checks.collection("set_strengths: factors", factors, Mapping, '{"snow": 1.6}')
+        divided = {
+            checks.named("load", {x: x for x in self.factors}, name):
+            checks.positive(f"set_strengths: factor of {name!r}", value)
+            for name, value in factors.items()
+        }  # fmt: skip
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)
         found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
-        self.membrane.strengths = found
+        self.membrane.strengths, self.membrane.strength_factors = found, divided
+
+    def strength_factor(self) -> float:
+        """Internal: by what the strengths are divided under the loads that act."""
+        acting = [name for name, factor in self.factors.items() if factor != 0.0]
+        known = self.membrane.strength_factors
+        return max((known[name] for name in acting if name in known), default=1.0)
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""
