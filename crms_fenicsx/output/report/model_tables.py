@@ -223,7 +223,7 @@ def _cable(cable: LaidCable) -> Row:
     friction = cable.cable.friction
     data = _data(friction) if isinstance(friction, Friction) else f"mu = {friction:g}"
     free = cable.slides_freely and cable.cable.along == 0.0
-    lies = "in the edge's sleeve" if cable.in_edge else "in a sleeve" if cable.sleeve else "loose"
+    lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.joints, strict=True)
