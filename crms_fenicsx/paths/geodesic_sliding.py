@@ -80,7 +80,7 @@ class GeodesicSliding:
         self._slide(fresh, folded_by=others, fresh=True)
         shape = self.net.strip_shape()
         for cable in fresh:
-            if not cable.sleeve:
+            if cable.lifts_off:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
             taut = cable.is_tight(nearly=True)
@@ -220,7 +220,8 @@ class GeodesicSliding:
             if not is_off:
                 # Pulled between clamps, the places under spans at its ends, or anchors beyond.
                 before, after = self.change.beyond(cable, surface, path, run)
-                before, after = clamps[0] or before, clamps[1] or after
+                before = before if clamps[0] is None else clamps[0]
+                after = after if clamps[1] is None else clamps[1]
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 fits = self._may_lie(string, joined)
@@ -256,35 +257,37 @@ class GeodesicSliding:
 
 def _leaves_cells(cable: LaidCable) -> bool:
     """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
-    return cable.slides_freely and not cable.in_edge
+    return cable.slides_freely and not cable.keeps_line
 
 
-Ends = tuple[list[SurfacePoint], list[SurfacePoint]]
-"""Clamps at the two ends of a part of a path, if there are any."""
+Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
+"""Clamps beyond the two ends of a part of a path; none where it ends at one itself, None where
+there is no clamp."""
 
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """The parts of a path between clamps that are lifted, and those that are not."""
     if cable.parts is None:
-        return [(is_off, run, ([], [])) for is_off, run in lifted_runs(cable)]
+        return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
-    # clamps by the number of the path's first point after them; none that can be an end where the
-    # cable follows an edge between two vertices of its path
-    at: dict[int, list[SurfacePoint]] = {}
+    # clamps by the number of the path's first point after them, but those where the cable follows
+    # an edge between two vertices of its path: they can be no ends
+    at: dict[int, SurfacePoint] = {}
     for k in cable.parts.nodes:
         point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
         if cable.nodes[k].kind != "crossing":
-            at[after + 1] = [cable.point(k)]
+            at[after + 1] = cable.point(k)
         elif isinstance(point, CellPoint):
-            at[after] = [_place_in_cell(point, cable.positions[k], shape)]
-        else:
-            at[after] = []
+            at[after] = _place_in_cell(point, cable.positions[k], shape)
     found: list[tuple[bool, range, Ends]] = []
     for is_off, run in lifted_runs(cable):
         cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
         for a, b in itertools.pairwise(cuts):
-            ahead: list[SurfacePoint] = [p for p in at.get(b, []) if isinstance(p, CellPoint)]
-            found.append((is_off, range(a, b), (at.get(a, []), ahead)))
+            before: list[SurfacePoint] | None = [at[a]] if a in at else None
+            ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
+            if ahead is not None and not isinstance(ahead[0], CellPoint):
+                ahead = []  # the part has it as its last point
+            found.append((is_off, range(a, b), (before, ahead)))
     return found
 
 

@@ -127,7 +127,7 @@ class PathChange:
         ends, off = cable.ends, {}
         for k in (0, 1):
             if ends[k] == "off":
-                if not (cable.sleeve and _is_corner(cable.path.points[-k], surface)):
+                if cable.lifts_off or not _is_corner(cable.path.points[-k], surface):
                     off[self.n_vertices + k] = cable.positions[-k]
         return off
 

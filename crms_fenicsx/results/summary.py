@@ -118,6 +118,8 @@ class Summary:
         What load steps have warned of in this state, and of snap-throughs before it.
     clamps
         By their names.
+    strength_factor
+        By what the membrane's strengths are divided under the loads that act.
     """
 
     pressure: float
@@ -135,6 +137,7 @@ class Summary:
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
+    strength_factor: float = 1.0
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -202,6 +205,7 @@ def summary(system: System) -> Summary:
         results.in_equilibrium,
         scene.warnings,
         clamp_results(scene),
+        results.strength_factor,
     )
 
 

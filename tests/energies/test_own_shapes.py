@@ -85,7 +85,7 @@ def prepared(scene: Scene, cable: bool) -> Solver:
     scene.put_load((0.0, 0.0, -0.3), name="weight", per="material")
     if cable:
         ends = [(-0.2, 0.7, 0.05), (2.3, 0.8, 0.05)]
-        scene.lay_cable(Cable(EA=50.0), ends, tension=0.4, sleeve=True, measured_on="facets")
+        scene.lay_cable(Cable(EA=50.0), ends, tension=0.4, hold="sleeve", measured_on="facets")
     return Solver(scene)
 
 

@@ -145,7 +145,7 @@ def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
         scene.fix("boundary")
         if cable:
             ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
-            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, sleeve=True, measured_on="facets")
+            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, hold="sleeve", measured_on="facets")
         solver = Solver(scene)
         solver.advance()
         places.append(scene.positions())
