@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.bonding import held_points, holds_points
 from crms_fenicsx.cables.clamping import placed
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
+from crms_fenicsx.cables.held_points import held_points, holds_points
 from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns

@@ -17,7 +17,8 @@ from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
 from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, cell_normals, open_edges
-from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial, Strengths
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
+from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, Rows

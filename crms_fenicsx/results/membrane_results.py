@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.materials import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.places import PlaceResults, find_places
 from crms_fenicsx.results.quantities import QUANTITIES, added_forces, cell_tensors

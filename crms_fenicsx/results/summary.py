@@ -12,9 +12,9 @@ from mpi4py import MPI
 from crms_fenicsx.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import double_areas, norm
-from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning
 from crms_fenicsx.results.cable_and_bar_results import (
     BarResults,

@@ -19,15 +19,11 @@ from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import (
-    MembraneMaterial,
-    Strengths,
-    checked_factors,
-    checked_strengths,
-)
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices

@@ -19,8 +19,8 @@ from crms_fenicsx.meshes.triangles import cell_sides
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS
+from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
 from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from crms_fenicsx.model.materials import ALL
+from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.figures.plots import units_of_results
 from crms_fenicsx.output.report.case import Case

@@ -1,0 +1,55 @@
+"""Strengths of fabrics, and the factors by which they are divided under some loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, outer_first
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError
+
+Strengths = tuple[float, float]
+"""In warp and weft (force per length)."""
+
+ALL = ""
+"""What the strengths are known by that belong to the whole membrane; no name of a part."""
+
+
+def checked_strengths(
+    call: str, strengths: Strengths | Mapping[str, Strengths], mesh: MembraneMesh
+) -> dict[str, Strengths]:
+    """Strengths by part, or under `ALL` those of the whole membrane."""
+    given: dict[str, Any] = {ALL: strengths}
+    if isinstance(strengths, Mapping):
+        parts = outer_first(mesh, call, "pair of strengths", strengths)
+        given = {part: strengths[part] for part in parts}
+    found = {}
+    for part, pair in given.items():
+        owner = repr(part) if isinstance(strengths, Mapping) else "the membrane"
+        if np.shape(pair) != (2,):
+            raise InputError(
+                f"{call}: strengths of {owner} = {pair!r}; give two, of warp and weft."
+            )
+        warp, weft = (checks.positive(f"{call}: strength of {owner}", x) for x in pair)
+        found[part] = (warp, weft)
+    if not found:
+        raise InputError(
+            f"{call}: strengths = {strengths!r} names no part; give those of one or more."
+        )
+    return found
+
+
+def checked_factors(
+    call: str, factors: Mapping[str, float] | None, loads: Iterable[str]
+) -> dict[str, float]:
+    """By what strengths are divided while loads act, by their names."""
+    given = {} if factors is None else factors
+    checks.collection(f"{call}: factors", given, Mapping, '{"snow": 1.6}')
+    known = {name: name for name in loads}
+    return {
+        checks.named("load", known, name): checks.positive(f"{call}: factor of {name!r}", value)
+        for name, value in given.items()
+    }
