@@ -13,7 +13,7 @@ import crms_fenicsx
 PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface model energies energies.paper minimization cables "
-    "contact friction paths scene "
+    "contact friction paths scene codes "
     "form_finding equilibrium views results nets verification steps output output.figures "
     "output.report checkpoint solver study patterns crms_fenicsx"
 ).split()

@@ -12,7 +12,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "loads", "bars", "nets", "patterns", "results", "error", "pictures",
+    "mesh", "form_finding", "loads", "codes", "bars", "nets", "patterns", "results", "error", "pictures",
     "own_term",
     "coupling",
 ]  # fmt: skip
