@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -50,6 +50,8 @@ from crms_fenicsx.steps.load_step import (
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.movements import Move
 from crms_fenicsx.steps.options import checked_options
+from crms_fenicsx.steps.rain import NAME as RAIN
+from crms_fenicsx.steps.rain import PondingCheck, Rain
 from crms_fenicsx.steps.snap_through import SnapThroughSearch
 
 if TYPE_CHECKING:
@@ -462,6 +464,52 @@ class Solver:
                     raise ConvergenceError(f"combination {name!r}: {error}") from None
                 found[name] = Combination(name, step, self.snapshot(), base)
         return found
+
+    @collective
+    def check_ponding(self, rain: float, *, weight: float = 10.0) -> PondingCheck:
+        """Fill the hollows of the current shape with rain, again and again as the membrane sinks
+        under it. The scene's state is restored. Collective.
+
+        Parameters
+        ----------
+        rain
+            Depth of the rain that falls on the plan of the roof (length). No hollow takes more than
+            all of it; a large value fills hollows to where they run over.
+        weight
+            Weight of water by volume (force / length cubed); 10 kN / m^3.
+
+        Returns
+        -------
+        PondingCheck
+            The same on all ranks but for the snapshot.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a depth or weight that is not positive.
+
+        Examples
+        --------
+        >>> check = solver.check_ponding(rain=0.1)
+        >>> print(check)
+        >>> check.passed, check.depth
+        """
+        checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
+        checks.positive("check_ponding: rain", rain)
+        checks.positive("check_ponding: weight", weight)
+        water, why = Rain(self.scene, rain, weight), ""
+        before = self.snapshot()
+        with nullcontext() if self.case else self.branch(RAIN):
+            try:
+                water.put()
+                while water.fill():
+                    self.advance(load={RAIN: 1.0})
+            except ConvergenceError as error:
+                why = f"there is no equilibrium with it ({error})"
+            finally:
+                reached = self.snapshot()
+                self.restore(before)
+        return water.check(reached, why)
 
     @collective
     def results(self) -> MembraneResults:

@@ -26,6 +26,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
     triple,
 )
 from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
+from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import (
     HeldEnd,
@@ -118,6 +119,9 @@ class Summary:
         What load steps have warned of in this state, and of snap-throughs before it.
     clamps
         By their names.
+    hollows
+        Where rain would stand as it has no way out, the deepest first: the place, depth and volume
+        of the water in this shape, without what sinks under it; see `Solver.check_ponding`.
     """
 
     pressure: float
@@ -135,6 +139,7 @@ class Summary:
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
+    hollows: tuple[Hollow, ...] = ()
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -159,6 +164,7 @@ class Summary:
         rows += [("clamp", name, f"force {one.size:.4g}") for name, one in self.clamps.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
+        rows += [("rain stands", "", repr(hollow)) for hollow in self.hollows]
         rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
         return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
@@ -202,6 +208,7 @@ def summary(system: System) -> Summary:
         results.in_equilibrium,
         scene.warnings,
         clamp_results(scene),
+        find_hollows(scene.net).hollows,
     )
 
 
