@@ -11,6 +11,7 @@ from scipy.sparse import coo_array, csgraph
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.energies.ponding import water_sums
+from crms_fenicsx.meshes.surface import BOUNDARY
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.views.view_data import surface_piece, whole_surface
@@ -64,11 +65,16 @@ def find_hollows(net: CableNet) -> Hollows:
     """Find the hollows of the current surface where it faces up; over its edges, and where it
     overhangs, water runs off. Collective."""
     membrane, comm = net.membrane, net.membrane.comm
+    shallow = SHALLOW * membrane.size  # collective
     piece = surface_piece(membrane, current_surface(net), {})
+    rim = np.zeros(len(np.asarray(piece.points)))
+    rim[membrane.vertices(BOUNDARY)] = 1.0
+    piece = replace(piece, point_data={"rim": rim})
     whole, found = whole_surface(comm, piece), None
     if whole is not None:
         points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
-        found = hollows_of(points, triangles, SHALLOW * membrane.size)
+        on_rim = np.asarray(whole.point_data["rim"]) > 0.0
+        found = hollows_of(points, triangles, on_rim, shallow)
     found = cast(Hollows, comm.bcast(found))
     homes = np.asarray(piece.homes)
     counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
@@ -76,8 +82,9 @@ def find_hollows(net: CableNet) -> Hollows:
     return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
 
 
-def hollows_of(points: Array, triangles: Integers, shallow: float) -> Hollows:
-    """The hollows of points (n, 3) and triangles (m, 3). Units: shallow (length)."""
+def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
+    """The hollows of points (n, 3) and triangles (m, 3); `rim`: whether points lie on the surface's
+    edge. Units: shallow (length)."""
     vectors = double_areas(points[triangles]) / 2
     steep = UPRIGHT * norm(vectors)
     side = 1 if np.any(vectors[:, 2] > steep) else -1
@@ -86,10 +93,15 @@ def hollows_of(points: Array, triangles: Integers, shallow: float) -> Hollows:
     z, of_points = points[:, 2], np.full(len(points), -1)
     if not len(up):
         return Hollows((), of_points, plan)
-    pairs, counts = np.unique(
-        np.sort(up[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0, return_counts=True
-    )
-    fill = _filled(z, pairs, np.unique(pairs[counts == 1]))
+    pairs, counts = _edges(up)
+    # where cables fold one of two cells, the edge between them is one of a single triangle, too
+    every, times = _edges(triangles)
+    inner = np.flatnonzero(times > 1)
+    overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
+    leads_out = rim.copy()
+    leads_out[pairs[overhang]] = True
+    leads_out &= np.bincount(up.ravel(), minlength=len(z)) > 0
+    fill = _filled(z, pairs, np.flatnonzero(leads_out))
     wet: Booleans = fill > z + shallow * 1e-3
     joined = pairs[wet[pairs].all(axis=1)]
     label = csgraph.connected_components(_graph(len(z), joined), directed=False)[1]
@@ -110,6 +122,16 @@ def hollows_of(points: Array, triangles: Integers, shallow: float) -> Hollows:
     for k, (_, inside) in enumerate(found):
         of_points[inside] = k
     return Hollows(tuple(hollow for hollow, _ in found), of_points, plan)
+
+
+def _edges(triangles: Integers) -> tuple[Integers, Integers]:
+    """Edges of triangles, (n, 2), and of how many each is one."""
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+    return np.unique(pairs, axis=0, return_counts=True)
+
+
+def _keys(pairs: Integers, n: int) -> Integers:
+    return np.asarray(pairs[:, 0] * n + pairs[:, 1])
 
 
 def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
