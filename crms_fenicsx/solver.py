@@ -758,10 +758,11 @@ class Solver:
         self, filename: str | Path,
         combinations: Mapping[str, Combination] | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
+        """Write a report for the checking engineer: one page of HTML, and CSV tables. Collective.
 
-        The page has the model, combinations, pictures, membrane forces, utilisation and envelopes,
-        cables, bars, ponds, reactions and verdicts. It loads nothing from elsewhere, is smaller
+        The page has a verdict with its reasons, the model, loads and combinations, pictures,
+        membrane forces, utilisation and envelopes, cables, bars, ponds, forces on foundations and
+        the checks of all equilibria. It loads nothing from elsewhere, is smaller
         than 5 MB, and prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``,
         with all digits. Results are those of the combinations' states, with the model and base
         state that these were brought on with; strengths are the present ones. The scene's own state
@@ -785,13 +786,18 @@ class Solver:
             are left out of too large a page. ``view``: where the viewer stands, as for `draw`.
             ``sections``: further ones, as of `crms_fenicsx.patterns.report_sections`. ``order``:
             lengths of the cables to be made, from `nets.lengths_to_order`. ``foundations``: what
-            each carries, ends of cables and joints, as ``{"F1": ["A1 start", "mast foot"]}``.
+            each carries, ends of cables and joints, as ``{"F1": ["A1 start", "mast foot"]}``; what
+            meets at one place belongs together. ``strain_limit``: of the membrane's larger
+            principal strain, by default 0.1. ``template``: a file of jinja2, which may extend
+            "report.html". ``pdf``: whether to print the page beside it, by a browser that is found
+            or that the variable CRMS_BROWSER names.
 
         Raises
         ------
         InputError
             On all ranks and before anything is written: an argument that cannot be used, a file
-            that cannot be written, or combinations of models that differ; it says in what.
+            that cannot be written, no browser for PDF, or combinations of models that differ; it
+            says in what.
 
         Examples
         --------

@@ -13,8 +13,9 @@ Units: m, kN.
 
     ./run python demos/patterns.py [SIZE]
 
-with the cells' size, 1.8 m by default. So there are three columns of cells to a strip, with which
-its strains are found too large by a half or so: take 0.6 m for real work.
+with the size of the cells under the net, 1.8 m by default. The pieces are made of cells a quarter
+as wide, nine columns to most strips: sewn of pieces with three the hall is found 5 cm off its form
+instead of 1 cm.
 """
 
 import importlib.util
@@ -33,21 +34,23 @@ HALF = 18.0  # of the plan's sides
 WANTED = 3.78  # kN/m, along warp and weft, at a pressure of 0.3 kPa
 CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa inside, and q_p of the wind
 size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.8
-warnings.simplefilter("ignore", PatternWarning)  # of the coarse cells
-
-# %%
-# Form
-# ----
-plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
-form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)
 fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
+warnings.simplefilter("ignore", PatternWarning)  # of the coarse cells under the net
+
 
 # %%
-# Seams and pieces
-# ----------------
+# Form, seams and pieces
+# ----------------------
 # Strips from front to back, of a fabric 5 m wide, with welds of 80 mm, half of them on each side.
-seams = patterns.strips(form.mesh, "front", "back", width=5.0, allowance=0.04)
-pieces = patterns.cut(form.mesh, seams)
+def cut_hall(size):
+    """Form and pieces of the hall on cells of a size."""
+    plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
+    form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)
+    seams = patterns.strips(form.mesh, "front", "back", width=5.0, allowance=0.04)
+    return form, patterns.cut(form.mesh, seams)
+
+
+_, pieces = cut_hall(size / 4)
 
 # %%
 # Flat pieces
@@ -55,7 +58,6 @@ pieces = patterns.cut(form.mesh, seams)
 # The warp runs along the seams. Compensation is what the fabric is stretched by in its form: .29 %
 # along the warp and .50 % along the weft.
 shrink = patterns.shrink_for(fabric, WANTED)
-bare = patterns.flatten(pieces, fabric, warp="seams")
 pattern = patterns.flatten(pieces, fabric, warp="seams", shrink=shrink)
 
 # %%
@@ -93,7 +95,8 @@ draw(built, f"{RESULTS}/built.png", colour="warp", view=(-125.0, 30.0), unit="m"
 # Net and storm
 # -------------
 # The same net and the same storm on three halls: the ideal one, whose fabric has its prestress
-# everywhere, one sewn without compensation, and one with.
+# everywhere, one sewn without compensation, and one with; on coarse cells, which cables need no
+# finer.
 def suction(points, normals):
     """Pressure coefficients of a wind along x."""
     away = [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0]
@@ -117,9 +120,10 @@ def netted(scene, **options):
     return solver, calm, np.array([cable.tension for cable in scene.cables])
 
 
+form, coarse = cut_hall(size)
 scenes = {"ideal": form.scene(fabric)}
-for name, one in (("not compensated", bare), ("compensated", pattern)):
-    scenes[name] = patterns.sew(one)
+for name, given in (("not compensated", None), ("compensated", shrink)):
+    scenes[name] = patterns.sew(patterns.flatten(coarse, fabric, warp="seams", shrink=given))
     scenes[name].fix("boundary")
 found = {
     name: netted(scene, **({"results": RESULTS} if name == "compensated" else {}))
@@ -145,10 +149,12 @@ if form.comm.rank == 0:
           f" {max(one.distortion for one in pattern.flat):.2%} to lie flat")  # fmt: skip
     print(f"sewn and inflated: {got.whole.mean[0]:.2f} and {got.whole.mean[1]:.2f} kN/m on the mean"
           f" of {WANTED} wanted, {got.whole.deviation:.2f} m off the form")  # fmt: skip
-    print(f"{'tensions [kN]':16} {'operation':>18} {'storm':>18}")
-    for name, (_, calm, storm) in found.items():
-        rows = " ".join(f"{t.mean():7.1f} to {t.max():6.1f}" for t in (calm, storm))
-        print(f"{name:16} {rows}")
+    print(f"{'tensions [kN]':14}" + "".join(f"{name:>18}" for name in found))
+    print(f"{'':14}" + len(found) * f"{'operation':>10}{'storm':>8}")
+    names = [cable.name for cable in scenes["ideal"].cables]
+    columns = np.array([tensions for _, *both in found.values() for tensions in both])
+    for name, row in zip([*names, "mean"], [*columns.T, columns.mean(axis=1)], strict=True):
+        print(f"{name:14}" + "".join(f"{a:10.1f}{b:8.1f}" for a, b in row.reshape(-1, 2)))
 
 calm, storm = (
     np.array([found[name][k].mean() for name in ("ideal", "not compensated", "compensated")])
@@ -159,6 +165,6 @@ calm, storm = (
 rtol = 0.02 if size < 2.0 else 0.1
 np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98], rtol=rtol)
 np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99], rtol=rtol)
-np.testing.assert_allclose(got.whole.mean, WANTED, rtol=0.05 if size < 2.0 else 0.2)
+np.testing.assert_allclose(got.whole.mean, WANTED, rtol=0.01 if size < 2.0 else 0.05)
 for lengths in pattern.seam_lengths().values():
     np.testing.assert_allclose(lengths[:, 0], lengths[:, 1], rtol=1e-9)

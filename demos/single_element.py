@@ -37,7 +37,7 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     )
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.fix("corners")
-    cable = scene.lay_cable(Cable(EA=32000.0), path=PATH, sleeve=True)
+    cable = scene.lay_cable(Cable(EA=32000.0), path=PATH, hold="sleeve")
     solver = Solver(scene, results=f"{RESULTS}/{name}", resume="--resume" in sys.argv)
 
     positions = [cable.line]

@@ -158,7 +158,7 @@ def unbalanced(world: World) -> float:
         own = comm.allreduce(load.factor * load.forces.sum(axis=0))
         own = own + load.factor * sum(map(np.array, load.joints.values()), np.zeros(3))
         if load.suction is not None and load.factor:
-            if any(not cable.sleeve or True for cable in scene.cables):
+            if any(True for cable in scene.cables):
                 pass
         total, size = total + own, size + np.abs(own).sum()
     if scene.pressure and not world.data.walls:

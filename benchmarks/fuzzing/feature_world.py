@@ -293,7 +293,7 @@ class World:
         kind = Cable(EA * frame.force, law=law, friction=held)
         scene.lay_cable(
             kind, path, tension=None if tension is None else tension * frame.force,
-            sleeve=sleeve, layer=k, name=f"cable {k + 1}",
+            hold="sleeve" if sleeve else "outside", layer=k, name=f"cable {k + 1}",
         )  # fmt: skip
 
     def _places(self, plan: Array) -> Array:

@@ -253,7 +253,8 @@ def lay(scene: Scene, data: CableData) -> None:
     friction: Any = 0.0 if data.friction is None else Friction(**data.friction)
     scene.lay_cable(
         Cable(data.EA, data.law, friction),  # type: ignore[arg-type]
-        data.path, L0=data.L0, tension=data.tension, sleeve=data.sleeve, layer=data.layer,
+        data.path, L0=data.L0, tension=data.tension, layer=data.layer,
+        hold="sleeve" if data.sleeve else "outside",
     )  # fmt: skip
 
 

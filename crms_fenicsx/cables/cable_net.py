@@ -141,15 +141,23 @@ class CableNet:
         self.strip = cells_at(self.membrane, vertices) if vertices else None
         self.arrange_crossings()
 
-    def clamp(self, cables: Sequence[LaidCable | str], near: object) -> tuple[Clamp, ...]:
+    def clamp(
+        self, cables: Sequence[LaidCable | str], near: object, slip: float | None = None
+    ) -> tuple[Clamp, ...]:
         """Clamp cables where they cross, see `Scene.clamp`. Collective."""
         own = self._cables("clamp", cables)
+        slip = None if slip is None else checks.positive("clamp: slip", slip)
         for cable in own:
-            if cable.cable.law == "step" or cable.axial is not None:
-                what = 'law="step"' if cable.cable.law == "step" else "friction along its axis"
+            if cable.cable.law == "step" or cable.cable.cone:
+                what = 'law="step"' if cable.cable.law == "step" else "friction with cone=True"
                 raise InputError(
                     f"clamp: {cable.name!r} has {what}, with which its tension cannot differ from "
                     "clamp to clamp; lay it without."
+                )
+            if cable.axial is not None and slip is not None:
+                raise InputError(
+                    f"clamp: {cable.name!r} has friction along its axis, and cannot slip through "
+                    f"a clamp of slip = {slip:g}; leave one of them out."
                 )
         new: list[Clamp] = []
         apart: list[str] = []
@@ -175,7 +183,7 @@ class CableNet:
                     )
                     continue
                 name = named([*self.clamps, *new], (a.name, b.name))
-                new.append(Clamp(name, (a.name, b.name), one.at, one.place))
+                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip))
         if apart and len(own) == 2:
             raise InputError(
                 f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cables.bonding import bonded_nodes
 from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.clamp import Clamp, ClampedParts
@@ -127,18 +128,33 @@ def divide(
         if len(nodes[clamp.name]) < 2:
             nodes[clamp.name] = _at_vertex(clamp, by_name)
     for cable in cables:
-        own = sorted(
-            (nodes[clamp.name][cable.name], clamp.at[clamp.cables.index(cable.name)])
+        shares = {
+            nodes[clamp.name][cable.name]: (
+                clamp.at[clamp.cables.index(cable.name)],
+                clamp.slip or 0.0,
+            )
             for clamp in clamps
             if cable.name in nodes[clamp.name]
-        )
-        cable.update(parts=_parts(cable, own) if own else None)
-    return tuple(
-        replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())
-        if (at := nodes[clamp.name])
-        else clamp
-        for clamp in clamps
-    )
+        }
+        if cable.bonds is not None:
+            bonds = zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True)
+            shares |= {k: (at, 0.0) for k, at in bonds}
+        own = sorted(shares.items())
+        cable.update(parts=_parts(cable, own))
+    return placed(cables, clamps)
+
+
+def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
+    """The clamps of cables in tension at their places now."""
+    by_name = {cable.name: cable for cable in cables}
+    found = []
+    for clamp in clamps:
+        cable = by_name[clamp.cables[0]]
+        if cable.taut and cable.parts is not None and cable.parts.nodes:
+            k = cable.parts.nodes[int(np.argmin(np.abs(cable.parts.at - clamp.at[0])))]
+            clamp = replace(clamp, place=cable.positions[k].copy())
+        found.append(clamp)
+    return tuple(found)
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
@@ -157,13 +173,20 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
     return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
 
 
-def _parts(cable: LaidCable, own: Sequence[tuple[int, float]]) -> ClampedParts:
-    """The parts of a cable between clamps, given by nodes and shares of the unstressed length."""
-    nodes, at = zip(*own, strict=True)
-    shares, count = np.maximum.accumulate(np.array(at)), len(own) + 1
+def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
+    """The parts of a cable between clamps, given by nodes, with shares of the unstressed length and
+    grips; None without any."""
     old = cable.parts
-    if old is not None and np.array_equal(old.at, shares):
+    if not own:
+        return None
+    nodes = tuple(k for k, _ in own)
+    at, grips = np.array([given for _, given in own]).T
+    shares, count = np.maximum.accumulate(at), len(own) + 1
+    if old is not None and np.array_equal(old.at, shares) and np.array_equal(old.grips, grips):
         return replace(old, nodes=nodes)
     force = np.full(count, cable.tension)
     smoothing = cable.smoothing_length * np.diff([0.0, *shares, 1.0])
-    return ClampedParts(shares, nodes, force, smoothing)
+    spent = 0.0 if old is None else old.dissipated
+    return ClampedParts(
+        shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent
+    )

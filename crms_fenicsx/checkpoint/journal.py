@@ -120,7 +120,7 @@ def _described(cable: LaidCable) -> Plain:
     return {
         "name": cable.name,
         **encode(cable.cable),
-        "sleeve": bool(cable.sleeve),
+        "hold": cable.hold,
         "layer": int(cable.layer),
         "L0, length": [float(cable.L0), float(cable.length)],
         "tension": float(cable.tension),

@@ -36,7 +36,7 @@ from crms_fenicsx.scene.state import SceneState
 STATE = "state.json"
 POSITIONS = "positions"
 """Name of the file with the stress-free vertices."""
-FORMAT = "crms_fenicsx checkpoint 9"
+FORMAT = "crms_fenicsx checkpoint 10"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 

@@ -143,7 +143,7 @@ class ActiveSet:
         for c, cable in enumerate(self.net.cables):
             if cable.cable.law == "step":
                 continue
-            if not cable.taut and not cable.sleeve:
+            if not cable.taut and cable.lifts_off:
                 contact.drape(cable, shape)
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved and cable.taut
@@ -168,7 +168,7 @@ class ActiveSet:
     def _contacts(self, shape: StripShape) -> list[str]:
         """Let cables in tension go where they pull the membrane, and touch where they are in it."""
         net, nodes = self.net, self.net.nodes
-        held = np.array([cable.taut and not cable.sleeve for cable in net.cables], dtype=bool)
+        held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
         may = held[nodes.cable] & ~self._covered(nodes)
         pulling = Polylines(nodes, positions_of(net.cables)).released(shape, may)
         released: dict[int, list[int]] = defaultdict(list)

@@ -95,7 +95,7 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     normal[nodes], lateral[nodes] = -dot(pull, up), dot(pull, left)
     for run in runs(cable):
         smooth_line_load(cable, run, shape, normal, bearing, line)
-    if cable.sleeve:  # it bears from below as well
+    if not cable.lifts_off:  # it bears from below as well
         return ContactForces(normal, lateral, np.abs(bearing), np.abs(line))
     return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line)
 
@@ -103,11 +103,11 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     """Angle by which the cable wraps what it presses on at each node, (n,). On the membrane it is
     the turn that the normal contact force comes from, without the turn sideways, and smoothed like
-    that force; zero where the membrane would be pulled. The pocket of a free edge also holds the
-    cable sideways, and there the whole turn counts."""
+    that force; zero where the membrane would be pulled. A pocket also holds the cable sideways, and
+    there the whole turn counts."""
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
-    ways = [up, left] if cable.in_edge else [up]
+    ways = [up, left] if cable.keeps_line else [up]
     parts = np.array([dot(before - after, way) for way in ways])
     chord = np.linalg.norm(parts, axis=0)  # of the unit circle
     parts *= 2 * np.arcsin(np.minimum(chord / 2, 1.0)) / np.where(chord > 0.0, chord, 1.0)
@@ -118,7 +118,11 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     for run in runs(cable):
         for way in range(len(ways)):
             smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
-    return np.asarray(np.linalg.norm(wrap, axis=0)) if cable.sleeve else np.maximum(wrap[0], 0.0)
+    return (
+        np.asarray(np.linalg.norm(wrap, axis=0))
+        if not cable.lifts_off
+        else np.maximum(wrap[0], 0.0)
+    )
 
 
 def paper_forces(cable: LaidCable) -> Array:

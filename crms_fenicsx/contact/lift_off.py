@@ -184,7 +184,7 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
 
 def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
-    if cable.sleeve:
+    if not cable.lifts_off:
         return []
     return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
 
@@ -266,7 +266,7 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
     another cable, and their crossing has slid out of its cell."""
     found = set()
     for c, cable in enumerate(cables):
-        if not cable.taut or cable.sleeve:
+        if not cable.taut or not cable.lifts_off:
             continue
         around = _around_lifted(cable, shape)
         for a, b in spans(cable):

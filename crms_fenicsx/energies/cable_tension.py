@@ -44,6 +44,9 @@ class CableSegments(ElementTable):
 class CableTension(EnergyTerm):
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
 
+    Parts of one segment, of which `alone` (n_cables,) tells, put all of their stiffness into the
+    sparse matrix; others have a dyad each.
+
     Attributes: `smoothing_length` (n_cables,): what smoothing adds to each cable's length (length),
     and is taken off it again; it is that of the state before. Changed in place between solves.
     Shapes and units: segments, eps, cable (n,), EA, L0 (n_cables,) (force).
@@ -62,9 +65,12 @@ class CableTension(EnergyTerm):
         cable: npt.NDArray[np.int32],
         EA: Array,
         L0: Array,
+        alone: Booleans | None = None,
     ) -> None:
         self.segments, self.eps, self.cable = segments, eps, cable
         self.EA, self.L0 = EA, L0
+        self.alone: Booleans = np.zeros(len(EA), dtype=bool) if alone is None else alone
+        self._shared = np.flatnonzero(~self.alone)
         self.smoothing_length: Array = np.zeros(len(EA))
         self.n_sums = len(EA)
         self._lengths = np.zeros(len(segments))
@@ -114,16 +120,30 @@ class CableTension(EnergyTerm):
         segment_stiffness(
             self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values
         )
+        (single,) = np.nonzero(self.alone[self.cable])
+        if len(single):
+            ends = self.segments[single]
+            ways = self.unknowns.X[ends] + x[ends]
+            ways = ways[:, 1] - ways[:, 0]
+            squares = np.maximum(np.sum(ways**2, axis=1), self.eps[single] ** 2)
+            axial = self.stiffnesses(sums)[self.cable[single]] / squares
+            self.pattern.own_values[single] += (
+                axial[:, None, None] * ways[:, :, None] * ways[:, None, :]
+            )
         self.pattern.add(A)
 
-    def dyads(self, sums: Array) -> Array:
+    def stiffnesses(self, sums: Array) -> Array:
         """Stiffness EA/L0 against the elongation of each cable in tension (force/length). One that
         is nearly as long as it must be to have tension counts: it soon will."""
         return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
 
+    def dyads(self, sums: Array) -> Array:
+        """Those of the cables of several segments."""
+        return self.stiffnesses(sums)[self._shared]
+
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
-        """Add the gradient of a cable's length."""
-        self._forces[:] = self.cable == k
+        """Add the gradient of such a cable's length."""
+        self._forces[:] = self.cable == self._shared[k]
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
@@ -135,7 +155,7 @@ class CableTension(EnergyTerm):
 
     def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
         """The tension of such segments; the rest of each cable keeps its length."""
-        some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0)
+        some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0, self.alone)
         some._lengths[:] = table.lengths
         some.smoothing_length = some._moving() - sums
         return some
@@ -155,7 +175,8 @@ class CableTension(EnergyTerm):
         comm.Allreduce(MPI.IN_PLACE, counts)
         count = counts[cables]
         L0, EA = self.L0[cables], self.EA[cables] * count
-        some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0)
+        alone = self.alone[cables]
+        some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0, alone)
         some._lengths[:] = self._lengths
         stretch = (self._moving() - self.smoothing_length - self.L0)[cables] / count
         some.smoothing_length = some._moving() - L0 - stretch
@@ -169,7 +190,8 @@ class CableTension(EnergyTerm):
         """Put ``(EA/L0)^(1/2) grad(L)`` of each piece in tension into `columns`."""
         assert self.columns is not None
         blocks, values = self.columns.blocks, self.columns.values
-        points, self._forces[:] = self.unknowns.X[blocks] + x[blocks], self.dyads(sums)[self.cable]
+        shared = np.where(self.alone, 0.0, self.stiffnesses(sums))
+        points, self._forces[:] = self.unknowns.X[blocks] + x[blocks], shared[self.cable]
         values[:] = 0.0
         add_segment_forces(
             points, np.zeros_like(points), self._ends, self.eps, self._forces**0.5, values

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.cables.bonding import held_points, holds_points
+from crms_fenicsx.cables.clamping import placed
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
 from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
+from crms_fenicsx.energies.held_line import HeldLine
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.equilibrium.fold_contribution import FoldContribution
@@ -24,7 +27,7 @@ from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
-from crms_fenicsx.runtime.arrays import Array, pointers
+from crms_fenicsx.runtime.arrays import Array, Booleans, pointers
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -45,7 +48,7 @@ class CableContribution(Contribution):
     in tension; `tables`: this rank's elements of the cables in tension; None without any; `folds`:
     contribution of the folded cells; `tension`, `sliding`: term of the cables in tension that slide
     along themselves freely, and these; `capstan`, `gripped`: term of those that friction holds
-    along their axis, and these.
+    along their axis, and these; `clutches`, `slipping`: of those that can slip through clamps.
     """
 
     def __init__(
@@ -62,7 +65,8 @@ class CableContribution(Contribution):
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
-        self.sliding = [cable for cable in self.taut if cable.axial is None]
+        self.slipping = [cable for cable in self.taut if cable.may_slip]
+        self.sliding = [c for c in self.taut if c.axial is None and c not in self.slipping]
         self.gripped = [cable for cable in self.taut if cable.axial is not None]
         # where the parts of each sliding cable begin among all parts, and their number
         self.first_parts = pointers(
@@ -70,6 +74,7 @@ class CableContribution(Contribution):
         )
         self.tension: CableTension | None = None
         self.capstan: CapstanTension | None = None
+        self.clutches: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
             self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
@@ -101,13 +106,21 @@ class CableContribution(Contribution):
             L0 = np.array([cable.L0 + cable.smoothing_length for cable in self.gripped])
             self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
             terms.append(self.capstan)
+        if self.tables is not None and self.slipping:
+            from crms_fenicsx.cables.slipping_clamps import slipping_tension
+
+            self.clutches = slipping_tension(self.numbering, self.tables, self.slipping)
+            terms.append(self.clutches)
+        if holds_points(self.taut):
+            shape, materials = self.scene.net.strip_shape(), self.scene.materials.values()
+            terms.append(HeldLine(held_points(self.numbering, shape, materials)))
         return terms
 
     def _tension_term(self, tables: CableTables) -> CableTension:
         EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
-        starts = [cable.step_start for cable in self.sliding]
-        one = np.array([cable.axial is None for cable in self.taut])
+        starts = [own.step_start for own in self.sliding for _ in own.part_lengths]
+        one = np.array([cable in self.sliding for cable in self.taut])
         mine, number = one[tables.cable], np.cumsum(one) - 1
         cable = number[tables.cable[mine]]
         part = self.first_parts[cable]
@@ -120,7 +133,8 @@ class CableContribution(Contribution):
             from crms_fenicsx.energies.paper.cable_elements import StepCableTension
 
             return StepCableTension(*links, EA, L0, starts)
-        return CableTension(*links, EA, L0)
+        alone = np.concatenate([_parts_of_one_link(own) for own in self.sliding])
+        return CableTension(*links, EA, L0, alone)
 
     def _stiffnesses(self) -> Array:
         """Axial stiffnesses of the parts of the sliding cables (force)."""
@@ -143,6 +157,11 @@ class CableContribution(Contribution):
             )
         if self.capstan is not None:
             self.capstan.L0[:] = [cable.L0 + cable.smoothing_length for cable in self.gripped]
+        if self.clutches is not None:
+            from crms_fenicsx.cables.slipping_clamps import clamp_grips, whole_lengths
+
+            self.clutches.renew(clamp_grips(self.slipping))
+            self.clutches.L0[:] = whole_lengths(self.slipping)
 
     def locate(self, potential: Potential) -> None:
         self.node_positions.gather(potential.x)
@@ -153,6 +172,8 @@ class CableContribution(Contribution):
         if self.tension is not None:
             forces = self.tension.tensions(potential.sums_of(self.tension))
             own.update(zip(self.sliding, np.split(forces, self.first_parts[1:-1]), strict=True))
+        if self.clutches is not None:
+            own.update(self._write_slips(self.clutches, potential))
         for cable in self.scene.cables:
             tensions = own.get(cable, 0.0 * cable.part_lengths)
             length = polyline_length(cable.positions[cable.contacts()])
@@ -163,6 +184,24 @@ class CableContribution(Contribution):
             parts = replace(cable.parts, tensions=tensions.copy())
             cable.update(length=length, tension=mean, parts=parts)
 
+        if self.scene.clamps:
+            self.scene.net.clamps = placed(self.scene.cables, self.scene.clamps)
+
+    def _write_slips(self, term: CapstanTension, potential: Potential) -> dict[LaidCable, Array]:
+        """Copy slips through clamps to the cables, their energy to the scene; return tensions."""
+        sums, energies = potential.sums_of(term), dict(self.scene.energies)
+        tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
+        found = {}
+        for c, cable in enumerate(self.slipping):
+            assert cable.parts is not None
+            slips = term.slips[term.nodes_of(c)].copy()
+            cable.update(parts=replace(cable.parts, slips=slips, loss=float(lost[c])))
+            found[cable] = tensions[term.spans_of(c)]
+        energies["cables"] -= term.friction_potential
+        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+        self.scene.record(energies=energies)
+        return found
+
     def renew_smoothing_length(self, potential: Potential) -> bool:
         lengths: list[tuple[LaidCable, float]] = []
         changed = False
@@ -170,11 +209,13 @@ class CableContribution(Contribution):
             parts_of = np.split(potential.sums_of(self.tension), self.first_parts[1:-1])
             for cable, own in zip(self.sliding, parts_of, strict=True):
                 lengths.append((cable, float(own.sum())))
-                if cable.parts is not None:
-                    added = own - _current_lengths(cable)
-                    parts = replace(cable.parts, smoothing=cable.parts.smoothing + added)
-                    changed |= bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
-                    cable.update(parts=parts)
+                changed |= _renew_smoothing(cable, own)
+        if self.clutches is not None:
+            sums = potential.sums_of(self.clutches)
+            for c, cable in enumerate(self.slipping):
+                own = sums[self.clutches.spans_of(c)] - _smoothing(cable)
+                lengths.append((cable, float(own.sum())))
+                changed |= _renew_smoothing(cable, own)
         if self.capstan is not None:
             sums = potential.sums_of(self.capstan)
             for c, cable in enumerate(self.gripped):
@@ -190,15 +231,37 @@ class CableContribution(Contribution):
 
     def commit(self) -> None:
         if self.tension is not None:
-            for cable, start in zip(self.sliding, self.tension.starts, strict=False):
-                cable.update(step_start=start)
+            for cable, first in zip(self.sliding, self.first_parts[:-1], strict=True):
+                for start in self.tension.starts[first : first + 1]:  # none without such cables
+                    cable.update(step_start=start)
+        if self.slipping:
+            from crms_fenicsx.cables.slipping_clamps import end_step
+
+            net = self.scene.net
+            net.clamps = end_step(self.slipping, net.clamps)
         for cable in self.scene.cables:
             cable.update(ends_before=cable.positions[[0, -1]])
+
+
+def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
+    """Take what smoothing adds to the lengths of a cable's parts; say whether that changed."""
+    if cable.parts is None:
+        return False
+    added = lengths - _current_lengths(cable)
+    cable.update(parts=replace(cable.parts, smoothing=cable.parts.smoothing + added))
+    return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
 
 
 def _smoothing(cable: LaidCable) -> Array:
     """What smoothing adds to the lengths of a cable's parts between clamps (length)."""
     return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
+
+
+def _parts_of_one_link(cable: LaidCable) -> Booleans:
+    """Which parts of a bonded cable go straight from one contact to the next."""
+    if cable.bonds is None:
+        return np.zeros(len(cable.part_lengths), dtype=bool)
+    return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 
 
 def _current_lengths(cable: LaidCable) -> Array:

@@ -72,7 +72,7 @@ class FrameStability:
         """Ways of the joints on which the energy falls, or hardly rises, the worst first; other
         ends of bars are held, (k, n, 3)."""
         joints = self.scene.joints
-        free = ~np.array([joint.held for joint in joints]).reshape(-1)
+        free = ~np.array([joint.held for joint in joints], dtype=bool).reshape(-1)
         matrix = np.diag(np.repeat(-self.least, 3))
         for bar in self.scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
@@ -89,7 +89,7 @@ class FrameStability:
         values, vectors = np.linalg.eigh(matrix[np.ix_(free, free)])
         ways = np.zeros((int(np.sum(values < 0.0)), 3 * len(joints)))
         ways[:, free] = vectors[:, values < 0.0].T
-        return ways.reshape(-1, len(joints), 3)
+        return ways.reshape(len(ways), len(joints), 3)
 
     def of_joints(self) -> list[StateWarning]:
         """What to warn of where the membrane has nothing to do with the joints."""

@@ -183,8 +183,9 @@ class PathLoop:
         return self.system.caught_cables(limit) | tangled(self.scene.net.crossings)
 
     def _sliding(self, numbers: set[int]) -> set[int]:
-        """Those cables, by number, that slide without friction."""
-        return {c for c in numbers if self.scene.cables[c].slides_freely}
+        """Those cables, by number, that slide sideways without friction."""
+        cables = self.scene.cables
+        return {c for c in numbers if cables[c].slides_freely and not cables[c].keeps_line}
 
     def _sunk(self) -> set[int]:
         """Numbers of the cables that run through the membrane beside a vertex. Collective."""

@@ -136,7 +136,13 @@ def find_form(
     largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
     deviation = largest / film.largest
     found = tuple(
-        FormCableFound(line.cable.group, line.tension, line.length, places_of(membrane, line.ids))
+        FormCableFound(
+            line.cable.group,
+            line.tension,
+            line.length,
+            places_of(membrane, line.ids),
+            line.cable.bonded,
+        )
         for line in lines
     )
     reactions = group_sums(membrane, supports, search.support_forces)

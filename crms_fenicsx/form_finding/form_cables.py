@@ -38,6 +38,9 @@ class FormCable:
         density of one of n equal links is n times that.
     length
         L (length); T is found.
+    bonded
+        Whether the cable of the scene is bonded to the fabric, as a belt or a bolt rope; else it
+        slides in a pocket, inside the membrane in a sleeve.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class FormCable:
     tension: float | None = None
     force_density: float | None = None
     length: float | None = None
+    bonded: bool = False
 
     def __post_init__(self) -> None:
         given = [name for name in LAWS if getattr(self, name) is not None]

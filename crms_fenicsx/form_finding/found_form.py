@@ -37,12 +37,15 @@ class FormCableFound:
         Length (length).
     path
         Places of its vertices from end to end (length), (k, 3).
+    bonded
+        Whether it is bonded to the fabric.
     """
 
     name: str
     tension: float
     length: float
     path: Array = field(repr=False)
+    bonded: bool = False
 
     @property
     def force_density(self) -> float:
@@ -123,14 +126,16 @@ class FoundForm:
         material: Materials,
         cables: Cable | Mapping[str, Cable] | None = None,
         bars: Sequence[FormBar] = (),
+        belts: Cable | Mapping[str, Cable] | None = None,
         **options: Any,
     ) -> Scene:
         """Make a scene that is in equilibrium as it is. Collective.
 
         Its supports hold, but for those that bars replace with the forces that balance the form.
-        Its cables are laid in sleeves, with the tensions found, and its pressure is that of the
-        form. Where there is `residual_stress` it is a term of the energy, and section forces of
-        results are those of the materials with it.
+        Its cables are laid with the tensions found, those along edges in pockets, others in
+        sleeves, unless they are bonded; its pressure is that of the form. Where there is
+        `residual_stress` it is a term of the energy, and section forces of results are those of the
+        materials with it.
 
         Parameters
         ----------
@@ -143,6 +148,9 @@ class FoundForm:
             What the cables are made of, one for all or each by name.
         bars
             Masts and guys that hold points in place of their supports.
+        belts
+            Belts sewn on along all cables, or along some by name: "belt front" along "front". They
+            are bonded, and start without force.
         **options
             For `Scene`.
 
@@ -162,8 +170,11 @@ class FoundForm:
         ...     FormBar("high point", guy, foot=(-5.0, 3.0, 0.0)),
         ... ])
         """
-        checks.same(self.comm, "FoundForm.scene", material=material, cables=cables, bars=bars)
+        checks.same(
+            self.comm, "FoundForm.scene", material=material, cables=cables, bars=bars, belts=belts
+        )
         kinds = self._kinds(cables)
+        of_belts = {} if belts is None else self._kinds(belts, all_of_them=False)
         released = self._released(bars)
         scene = Scene(self.mesh, self.stress.materials(material), **options)
         for group, directions in self.supports.items():
@@ -175,8 +186,12 @@ class FoundForm:
         for cable in self.cables:
             scene.lay_cable(
                 kinds[cable.name], cable.path, tension=cable.tension, name=cable.name,
-                sleeve=True, measured_on="facets",
+                hold="bonded" if cable.bonded else "sleeve", measured_on="facets",
             )  # fmt: skip
+        for cable in self.cables:
+            if cable.name in of_belts:
+                name = f"belt {cable.name}"
+                scene.lay_cable(of_belts[cable.name], cable.path, name=name, hold="bonded")
         scene.air.update(pressure=self.pressure)
         return scene
 
@@ -196,8 +211,10 @@ class FoundForm:
                 )
         return {bar.group for bar in bars}
 
-    def _kinds(self, cables: Cable | Mapping[str, Cable] | None) -> dict[str, Cable]:
-        """The kind of each cable."""
+    def _kinds(
+        self, cables: Cable | Mapping[str, Cable] | None, all_of_them: bool = True
+    ) -> dict[str, Cable]:
+        """The kind of each cable, or of some."""
         names = [cable.name for cable in self.cables]
         kinds = dict.fromkeys(names, cables) if not isinstance(cables, Mapping) else dict(cables)
         for name, kind in kinds.items():
@@ -211,6 +228,6 @@ class FoundForm:
                     f"FoundForm.scene: the cable {name!r} is {kind!r}; give a Cable(EA=...)."
                 )
         missing = [name for name in names if name not in kinds]
-        if missing:
+        if missing and all_of_them:
             raise InputError(f"FoundForm.scene: the cable {missing[0]!r} has no Cable; give one.")
         return kinds  # type: ignore[return-value]

@@ -38,6 +38,11 @@ LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""
 
 
+CLAMPED, CLAMP_SLIP = 10.0, 1e-6
+"""Logarithm of the ratio of tensions that clamps hold, more than any cable has, and the elastic
+slip there at which they would, relative to the cable's length."""
+
+
 @dataclass(frozen=True)
 class RestPlaces:
     """Arc at rest where friction holds the cables: ``slope * s + offset``, s places on edges."""
@@ -58,10 +63,14 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
-    """Supports of the nodes that friction can hold along the cable."""
+    """Supports of the nodes that friction can hold along the cable, and numbers of clamps."""
     last = len(cable.nodes) - 1
-    supports = []
-    for k in held_nodes(cable):
+    supports: list[Support] = []
+    clamps = clamped_nodes(cable)
+    for k in sorted({*held_nodes(cable), *clamps}):
+        if k in clamps:
+            supports.append((-1 - clamps.index(k),))  # no vertex has such a number
+            continue
         node, anchor = cable.nodes[k], {1: 0, last - 1: last}.get(k)
         if anchor is not None and node.kind == "vertex" and cable.nodes[anchor].kind == "anchor":
             away = np.linalg.norm(cable.positions[k] - cable.positions[anchor])
@@ -72,6 +81,11 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
     return tuple(supports)
 
 
+def clamped_nodes(cable: LaidCable) -> list[int]:
+    """Numbers of the nodes at which clamps hold a cable."""
+    return [] if cable.parts is None else list(cable.parts.nodes)
+
+
 def is_aligned(cable: LaidCable) -> bool:
     """Whether the grip has the nodes that friction can hold now."""
     return cable.axial is None or not cable.taut or cable.axial.supports == _supports(cable)
@@ -80,12 +94,12 @@ def is_aligned(cable: LaidCable) -> bool:
 def gripped_nodes(cable: LaidCable) -> list[int]:
     """Numbers of the nodes that the grip has, which stay while its potential is minimised."""
     assert cable.axial is not None
-    own = set(cable.axial.supports)
-    return [
+    own, clamps = set(cable.axial.supports), clamped_nodes(cable)
+    return sorted(
         k
-        for k in held_nodes(cable)
-        if (point := cable.nodes[k].point) is not None and point.support in own
-    ]
+        for k in {*held_nodes(cable), *clamps}
+        if k in clamps or ((point := cable.nodes[k].point) is not None and point.support in own)
+    )
 
 
 def remap_axial(cable: LaidCable) -> None:
@@ -107,6 +121,9 @@ def remap_axial(cable: LaidCable) -> None:
             added = [k for k in heir if k not in stays]
             if added and gone.stop > gone.start:
                 new[1:, added] = old[1:, gone].mean(axis=1, keepdims=True)
+    clamped = np.array([support[0] < 0 for support in now], dtype=bool)
+    most = CLAMP_SLIP * cable.L0
+    new[:3, clamped] = np.array([[cable.cable.EA], [most], [most]])
     bounds, eps, elastic, slips = new
     cable.update(
         axial=replace(grip, supports=now, bounds=bounds, eps=eps, elastic=elastic, slips=slips)
@@ -135,6 +152,11 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
             edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
+    at_clamps = np.isin(nodes, clamped_nodes(cable))
+    if at_clamps.any():
+        assert cable.parts is not None
+        slope[at_clamps] = 0.0
+        rest[at_clamps] = cable.parts.at * (cable.L0 + cable.smoothing_length)
     fractions = np.where(np.isnan(cable.fractions[nodes]), 0.0, cable.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
 
@@ -264,5 +286,6 @@ def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
         (n, c, i)
         for n, c in enumerate(cables)
         for i, k in enumerate(gripped_nodes(numbering.cables[c]))
+        if k not in clamped_nodes(numbering.cables[c])
         if numbering.cables[c].nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

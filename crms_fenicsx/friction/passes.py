@@ -16,7 +16,15 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
-from crms_fenicsx.friction.axial import LEAST_PART, RestPlaces, between_contacts, reference_arcs
+from crms_fenicsx.friction.axial import (
+    CLAMP_SLIP,
+    CLAMPED,
+    LEAST_PART,
+    RestPlaces,
+    between_contacts,
+    clamped_nodes,
+    reference_arcs,
+)
 from crms_fenicsx.friction.cone import Slip, full_slips, law_along, law_sideways, slips_sideways
 from crms_fenicsx.friction.slip import node_slips, slip_forces
 from crms_fenicsx.model.friction import LateralFrictionState
@@ -186,15 +194,18 @@ class AxialIteration:
             return 0.0
         places, EA = reference_arcs(cable, shape), cable.cable.EA
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
+        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        wrap[clamped] = CLAMPED
         law = self._law(places, wrap, shape)
         strains = (grip.spans - law.unstressed) / law.unstressed
         mean, eps = np.sqrt(strains[1:] * strains[:-1]), law.eps
         bounds = EA * capstan_bounds(mean, law.most, law.slips / eps)
-        total, used = float(bounds.sum()), float(grip.bounds.sum())
+        bounds[clamped] = EA
+        total, used = float(bounds[~clamped].sum()), float(grip.bounds[~clamped].sum())
         if used == 0.0 == total:
             return 0.0
         # What counts is the tension: as nodes move along their edges, neighbours share differently.
-        changes = bounds - grip.bounds
+        changes = np.where(clamped, 0.0, bounds - grip.bounds)
         if cable.cable.cone:  # where other slips are the law has another width
             before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
             changes = coulomb_forces(law.slips, bounds, eps)
@@ -206,7 +217,7 @@ class AxialIteration:
             tensions = between_contacts(cable, EA * strains)
             elastic = law.elastic
             if used > 0.0:
-                part = self._pace.factor(grip.supports, bounds - grip.bounds)
+                part = self._pace.factor(grip.supports, changes)
                 # Where nothing holds the cable, now or before, eps has no meaning.
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
@@ -223,6 +234,7 @@ class AxialIteration:
         assert grip is not None
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
+        full[np.isin(places.nodes, clamped_nodes(cable))] = CLAMP_SLIP * cable.L0
         L0 = cable.L0 + cable.smoothing_length
         if not cable.cable.cone or cable.lateral is None:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)

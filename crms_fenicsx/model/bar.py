@@ -24,7 +24,8 @@ class Bar:
     """A linearly elastic, straight bar with hinges at both ends: a mast, a strut or a guy.
 
     Its energy is ``EA/2 (l - L0)^2 / L0``, its axial force ``EA (l - L0) / L0``, l the current and
-    L0 the unstressed length. It does not buckle: compare its compression with what it can bear.
+    L0 the unstressed length. It does not buckle: its utilisation compares its compression with what
+    it can bear, the smaller one of strength and Euler's load.
 
     Parameters
     ----------
@@ -32,13 +33,23 @@ class Bar:
         Axial stiffness (force).
     tension_only
         Whether it is slack, without any force, where it is shorter than L0: a guy.
+    EI
+        Least bending stiffness (force x length squared), for Euler's buckling load; None: unknown.
+    strength
+        In tension and, without buckling, in compression, divided by the partial factor (force);
+        None: unknown.
     """
 
     EA: float
     tension_only: bool = False
+    EI: float | None = None
+    strength: float | None = None
 
     def __post_init__(self) -> None:
         checks.positive("Bar: EA", self.EA)
+        for name, value in (("EI", self.EI), ("strength", self.strength)):
+            if value is not None:
+                checks.positive(f"Bar: {name}", value)
         if not isinstance(self.tension_only, bool | np.bool_):
             raise InputError(
                 f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."
@@ -158,6 +169,19 @@ class PlacedBar(Handle[BarState]):
     def slack(self) -> bool:
         """Whether it is a guy that has no tension now."""
         return self.bar.tension_only and self.force == 0.0
+
+    @property
+    def buckling(self) -> float | None:
+        """Euler's load between hinges, pi^2 EI / l^2 (force); None without EI."""
+        return None if self.bar.EI is None else float(np.pi**2 * self.bar.EI / self.length**2)
+
+    @property
+    def utilisation(self) -> float | None:
+        """Its force over its strength, in compression over the smaller one of strength and Euler's
+        load; None where neither is known."""
+        known = [self.bar.strength] if self.force > 0.0 else [self.bar.strength, self.buckling]
+        limits = [limit for limit in known if limit is not None]
+        return abs(self.force) / min(limits) if limits else None
 
     def pull(self, end: BarEnd) -> Array:
         """Force (3,) with which it acts on one of its ends (force)."""

@@ -10,6 +10,7 @@ import numpy as np
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
+from crms_fenicsx.model.hold import Bonds, Hold
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
@@ -106,11 +107,11 @@ class CableState:
     lateral: LateralFrictionState | None = None
     axial: AxialFrictionState | None = None
     smoothing_length: float = 0.0
-    sleeve: bool = False
+    hold: Hold = "outside"
     layer: int = 0
-    in_edge: bool = False
     joints: tuple[str | None, str | None] = (None, None)
     parts: ClampedParts | None = None
+    bonds: Bonds | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

@@ -32,8 +32,8 @@ class Friction:
     along
         Coefficient against sliding along the cable's axis; with one the tension varies along the
         cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). The angle
-        is the turn around the membrane; in the pocket of a free edge, which pulls in the surface as
-        well, the whole turn. An unstressed length that changes is taken in or let out at the
+        is the turn around the membrane; in a pocket, which pulls in the surface as well, the whole
+        turn. An unstressed length that changes is taken in or let out at the
         cable's last end. 0: the cable slides along itself freely, assumption 6 of the paper.
     cone
         How the limits sideways, ``mu N``, and along, ``along N``, of a contact force N go together.

@@ -12,6 +12,7 @@ from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
+from crms_fenicsx.model.hold import HOLDS, Bonds, Hold
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats
 from crms_fenicsx.runtime.errors import InputError
@@ -96,17 +97,18 @@ class LaidCable(Handle[CableState]):
         State at the start of a step, where the cable has the step-wise law.
     taut
         Whether it has tension; the sliding points of a slack cable take no part.
-    sleeve
-        Whether a sleeve holds it to the membrane, so that it slides but cannot lift off.
-    in_edge
-        Whether its sleeve is a free edge of the membrane, along which alone it slides.
+    hold
+        What holds it on the membrane, "outside", "sleeve", "pocket" or "bonded"; see
+        `Scene.lay_cable`.
     layer
         Of two cables that cross the one with the higher layer lies on top; of equal ones the one
         laid later.
     joints
         Names of the joints of bars to which its first and last end are fixed; None elsewhere.
     parts
-        Internal: its parts between clamps; None without any.
+        Internal: its parts between clamps and bonds; None without any.
+    bonds
+        Internal: where it is bonded to the fabric; None unless it is.
     path_is_geodesic
         Whether its path has been pulled taut once: it has been in tension, free to slide.
     ends_before : (2, 3)
@@ -125,8 +127,7 @@ class LaidCable(Handle[CableState]):
     cable: ReadOnly[Cable] = ReadOnly(
         "state.cable", "call scene.set_stiffness(...) or lay another one"
     )
-    sleeve: ReadOnly[bool] = ReadOnly("state.sleeve", RELAY)
-    in_edge: ReadOnly[bool] = ReadOnly("state.in_edge", RELAY)
+    hold: ReadOnly[Hold] = ReadOnly("state.hold", RELAY)
     layer: ReadOnly[int] = ReadOnly("state.layer", RELAY)
     joints: ReadOnly[tuple[str | None, str | None]] = ReadOnly("state.joints", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
@@ -145,7 +146,18 @@ class LaidCable(Handle[CableState]):
     lateral: ReadOnly[LateralFrictionState | None] = ReadOnly("state.lateral", FOUND)
     axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
     parts: ReadOnly[ClampedParts | None] = ReadOnly("state.parts", "call scene.clamp(...)")
+    bonds: ReadOnly[Bonds | None] = ReadOnly("state.bonds", RELAY)
     smoothing_length: ReadOnly[float] = ReadOnly("state.smoothing_length", FOUND)
+
+    @property
+    def lifts_off(self) -> bool:
+        """Internal: whether it may leave the membrane."""
+        return HOLDS[self.hold].lifts
+
+    @property
+    def keeps_line(self) -> bool:
+        """Internal: whether it stays on its line on the fabric, and so crosses the same edges."""
+        return not HOLDS[self.hold].sideways
 
     @property
     def slides_freely(self) -> bool:
@@ -160,8 +172,9 @@ class LaidCable(Handle[CableState]):
 
     @property
     def dissipated(self) -> float:
-        """Energy that its friction has dissipated (force x length)."""
-        return sum(grip.dissipated for grip in (self.lateral, self.axial) if grip is not None)
+        """Energy that friction and slips through clamps have dissipated (force x length)."""
+        grips = (self.lateral, self.axial, self.parts)
+        return sum(grip.dissipated for grip in grips if grip is not None)
 
     @property
     def line(self) -> Array:
@@ -205,6 +218,11 @@ class LaidCable(Handle[CableState]):
         return self.axial is not None or self.parts is not None
 
     @property
+    def may_slip(self) -> bool:
+        """Internal: whether it can slip through some of its clamps."""
+        return self.parts is not None and bool(self.parts.grips.any())
+
+    @property
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` that clamps hold, 0 elsewhere."""
         nodes = () if self.parts is None else self.parts.nodes
@@ -213,8 +231,9 @@ class LaidCable(Handle[CableState]):
     @property
     def part_lengths(self) -> Array:
         """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
-        at = () if self.parts is None else self.parts.at
-        return self.L0 * np.diff([0.0, *at, 1.0])
+        if self.parts is None:
+            return np.array([self.L0])
+        return np.diff([0.0, *(self.L0 * self.parts.at + self.parts.slips), self.L0])
 
     @property
     def start(self) -> CableEnd:

@@ -96,7 +96,10 @@ class Membrane:
         # (n, 2, 3) what unit vectors along warp and weft of local cells' own stress-free shapes are
         # in the mesh; None where the mesh is stress-free
         self.frames = None if frames is None else _checked_frames(mesh, frames)
-        self.strengths: dict[str, Strengths] = {}  # for results, and no part of the state
+        # for results, and no part of the state: strengths by part, and what they are divided by
+        # while loads act, by the names of these
+        self.strengths: dict[str, Strengths] = {}
+        self.strength_factors: dict[str, float] = {}
 
     @property
     def state(self) -> MembraneState:

@@ -45,6 +45,9 @@ class MembraneLoad:
     intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
     # (m,) force per area along the normals of this rank's cells; None for a fixed direction
     suction: Annotated[Array, Rows.CELLS] | None = field(default=None, repr=False)
+    peak: float = (
+        0.0  # velocity pressure q_p of wind (force per area), by which suction is -q_p c_p
+    )
     factor: float = 0.0  # what the forces are multiplied by; load steps change it
     # forces (force) on joints of bars, by their names
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -134,7 +137,7 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    return shape.load(name, suction[:, None] * shape.vectors, suction)
+    return replace(shape.load(name, suction[:, None] * shape.vectors, suction), peak=pressure)
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:

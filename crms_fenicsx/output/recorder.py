@@ -92,9 +92,10 @@ class Recorder:
     Columns of the `history`: number, "halvings" of the increment, "pressure", "load" factors,
     "energy" and that of each kind of term, "dissipated" by friction and "passes" of its forces,
     "volume" gained; "tension", "length" and "L0" of each cable by its name (with friction along it
-    also "start" and "end"), "force", "bar length" and "bar L0" of each bar; "warnings", "blocked
-    points", and of the solve "iterations", "evaluations", "factorizations", "solves", "flips",
-    "residual" (force) and "seconds". With `estimate` also "error of energy" (force x length) and
+    or clamps also "start" and "end"), the force of each "clamp" along the membrane; "force",
+    "bar length" and "bar L0" of each bar; "warnings", "blocked points", and of the
+    solve "iterations", "evaluations", "factorizations", "solves", "flips", "residual" (force) and
+    "seconds". With `estimate` also "error of energy" (force x length) and
     "relative error".
     """
 
@@ -130,7 +131,7 @@ class Recorder:
             scene, results = self.scene, membrane_results(system)
             surface = surface_piece(scene.membrane, results.surface, fields_of(results))
             lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
-            self.series.write(step.number, surface, lines)
+            self.series.write(step.number, surface, lines, case)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Go on after the steps of an earlier run, with its files if they fit. Collective."""
@@ -156,7 +157,8 @@ class Recorder:
             row[f"volume {pond.name}"] = pond.volume
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
-        held = any(cable.lateral is not None or cable.axial is not None for cable in scene.cables)
+        held = any(c.lateral is not None or c.axial is not None for c in scene.cables)
+        held |= any(cable.may_slip for cable in scene.cables)
         if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
@@ -172,6 +174,11 @@ class Recorder:
                 row[f"tension {cable.name} end"] = float(cable.tensions[-1])
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
+        if scene.clamps:
+            from crms_fenicsx.results.clamp_results import clamp_results
+
+            for clamp in clamp_results(scene).values():
+                row[f"clamp {clamp.name}"] = clamp.size
         for bar in scene.bars:
             row[f"force {bar.name}"] = bar.force
             row[f"bar length {bar.name}"] = bar.length

@@ -92,7 +92,7 @@ class CrossingTrials:
 
     @staticmethod
     def _is_free(cable: LaidCable) -> bool:
-        return cable.taut and cable.slides_freely and not cable.in_edge
+        return cable.taut and cable.slides_freely and not cable.keeps_line
 
     def _sides(self) -> Iterator[Way]:
         """Past vertices on the other side, the nearest first."""
@@ -157,7 +157,7 @@ class CrossingTrials:
             cable = self.net.cables[c]
             off = cable.lifted
             on = [k for k in may_lift(cable) if not off[k] and (off[k - 1] or off[k + 1])]
-            if on and not cable.sleeve:
+            if on and cable.lifts_off:
                 around = shape.normals_and_sizes([cable.nodes[k].support for k in on])
                 presses = -outward_pulls(cable, on, *around)
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]

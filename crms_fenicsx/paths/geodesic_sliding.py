@@ -30,7 +30,7 @@ from crms_fenicsx.paths.path_change import (
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import raised_together
+from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -80,7 +80,7 @@ class GeodesicSliding:
         self._slide(fresh, folded_by=others, fresh=True)
         shape = self.net.strip_shape()
         for cable in fresh:
-            if not cable.sleeve:
+            if cable.lifts_off:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
             taut = cable.is_tight(nearly=True)
@@ -171,26 +171,28 @@ class GeodesicSliding:
         fresh: bool,
     ) -> list[_Pulled]:
         """Pull paths taut, each on one rank, with the cells that this needs. Collective."""
-        comm, found = self.net.membrane.comm, {}
-        pending: Sequence[int] = range(len(cables))
+        found: dict[int, _Pulled] = {}
         for rings in itertools.count(1):
             surface = CreasedSurface(self.net.strip_shape(), folds)
-            mine: dict[int, _Pulled] = {}
-            missing: set[int] = set()
-            with raised_together(comm):
-                for c in pending[comm.rank :: comm.size]:
-                    try:
-                        mine[c] = self._pulled(cables[c], surface, max_flips, fresh)
-                    except MissingCells as cells:
-                        missing.update(cells.vertices)
-            parts = comm.allgather((mine, missing)) if comm.size > 1 else [(mine, missing)]
-            for some, _ in parts:
-                found.update(some)
-            pending = [c for c in pending if c not in found]
-            if not pending:
-                return [found[c] for c in range(len(cables))]
-            self.net.grow_strip(sorted(set().union(*(lacking for _, lacking in parts))), rings)
-        raise AssertionError("unreachable")
+
+            def pulled(c: int, on: CreasedSurface = surface) -> _Pulled | MissingCells:
+                try:
+                    return self._pulled(cables[c], on, max_flips, fresh)
+                except MissingCells as missing:
+                    return missing
+
+            pending = [c for c in range(len(cables)) if c not in found]
+            lacking: set[int] = set()
+            new = share_out(self.net.membrane.comm, pending, pulled)
+            for c, result in zip(pending, new, strict=True):
+                if isinstance(result, MissingCells):
+                    lacking.update(result.vertices)
+                else:
+                    found[c] = result
+            if not lacking:
+                break
+            self.net.grow_strip(sorted(lacking), rings)
+        return [found[c] for c in range(len(cables))]
 
     def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:
         """Take down the ways that a cable has been pulled taut in, and whether these are known to
@@ -218,7 +220,8 @@ class GeodesicSliding:
             if not is_off:
                 # Pulled between clamps, the places under spans at its ends, or anchors beyond.
                 before, after = self.change.beyond(cable, surface, path, run)
-                before, after = clamps[0] or before, clamps[1] or after
+                before = before if clamps[0] is None else clamps[0]
+                after = after if clamps[1] is None else clamps[1]
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 fits = self._may_lie(string, joined)
@@ -254,35 +257,37 @@ class GeodesicSliding:
 
 def _leaves_cells(cable: LaidCable) -> bool:
     """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
-    return cable.slides_freely and not cable.in_edge
+    return cable.slides_freely and not cable.keeps_line
 
 
-Ends = tuple[list[SurfacePoint], list[SurfacePoint]]
-"""Clamps at the two ends of a part of a path, if there are any."""
+Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
+"""Clamps beyond the two ends of a part of a path; none where it ends at one itself, None where
+there is no clamp."""
 
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """The parts of a path between clamps that are lifted, and those that are not."""
     if cable.parts is None:
-        return [(is_off, run, ([], [])) for is_off, run in lifted_runs(cable)]
+        return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
-    # clamps by the number of the path's first point after them; none that can be an end where the
-    # cable follows an edge between two vertices of its path
-    at: dict[int, list[SurfacePoint]] = {}
+    # clamps by the number of the path's first point after them, but those where the cable follows
+    # an edge between two vertices of its path: they can be no ends
+    at: dict[int, SurfacePoint] = {}
     for k in cable.parts.nodes:
         point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
         if cable.nodes[k].kind != "crossing":
-            at[after + 1] = [cable.point(k)]
+            at[after + 1] = cable.point(k)
         elif isinstance(point, CellPoint):
-            at[after] = [_place_in_cell(point, cable.positions[k], shape)]
-        else:
-            at[after] = []
+            at[after] = _place_in_cell(point, cable.positions[k], shape)
     found: list[tuple[bool, range, Ends]] = []
     for is_off, run in lifted_runs(cable):
         cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
         for a, b in itertools.pairwise(cuts):
-            ahead: list[SurfacePoint] = [p for p in at.get(b, []) if isinstance(p, CellPoint)]
-            found.append((is_off, range(a, b), (at.get(a, []), ahead)))
+            before: list[SurfacePoint] | None = [at[a]] if a in at else None
+            ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
+            if ahead is not None and not isinstance(ahead[0], CellPoint):
+                ahead = []  # the part has it as its last point
+            found.append((is_off, range(a, b), (before, ahead)))
     return found
 
 

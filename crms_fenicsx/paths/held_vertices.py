@@ -80,7 +80,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     count as one where friction holds them: only their sum means anything. Some of them may have
     lifted off where the cable bends inward against the vertex. Returns in the order of the path;
     none of a cable in an edge, which belongs there."""
-    near = {} if cable.in_edge else _near(cable, shape)
+    near = {} if cable.keeps_line else _near(cable, shape)
     if not near:
         return []
     at = _at(cable) if cable.lateral is not None else near
@@ -162,15 +162,17 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 
 def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on, or so near that they may have run into them. Along the
-    membrane's boundary it is a part of that, which it can only slide off."""
+    membrane's boundary it is a part of that, which it can only slide off; at a clamp the other
+    cable holds it."""
     near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
     boundary = _along_boundary(nodes, shape)
+    clamped = () if cable.parts is None else cable.parts.nodes
     found: dict[int, list[int]] = defaultdict(list)
     for k, support in _between_ends(cable):
         if nodes[k].kind == "vertex":
-            if not lifted[k] and k not in boundary:
+            if not lifted[k] and k not in boundary and k not in clamped:
                 found[support[0]].append(k)
         elif nodes[k].slides and not near <= fractions[k] <= 1 - near:  # or beyond the edge's end
             found[support[int(fractions[k] > 0.5)]].append(k)

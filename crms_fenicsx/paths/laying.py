@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from crms_fenicsx.cables.bonding import bonded_parts, bonds_of
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near, grown
 from crms_fenicsx.contact.lift_off import drape
@@ -19,6 +20,8 @@ from crms_fenicsx.meshes.smooth_surface import SmoothSurface, arc_lengths_on
 from crms_fenicsx.meshes.triangles import mix, norm, vectors
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
@@ -84,7 +87,7 @@ def lay(
     *,
     L0: float | None,
     tension: float | None,
-    sleeve: bool,
+    hold: Hold = "outside",
     layer: int,
     name: str | None,
     measured_on: MeasuredOn,
@@ -96,6 +99,12 @@ def lay(
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
+    checks.one_of(f"lay_cable: hold of {name!r}", hold, tuple(HOLDS))
+    if hold == "bonded" and cable.law == "step":
+        raise InputError(
+            f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '
+            'cable; use law="total".'
+        )
     _check_length(name, L0, tension, measured_on)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
@@ -114,32 +123,48 @@ def lay(
     in_fold = dict(zip(known.values(), folds, strict=False))
     folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
-    in_edge = _follows_free_edge(way, strip)
+    if HOLDS[hold].sideways and _follows_free_edge(way, strip):
+        hold = "pocket"
     state = CableState(
-        cable, nodes, positions, fractions_of(nodes), off, nowhere, L0=1.0, length=0.0, tension=0.0,
-        sleeve=bool(sleeve) or in_edge, layer=layer, in_edge=in_edge, joints=joints,
+        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off, nowhere,
+        L0=1.0, length=0.0, tension=0.0, hold=hold, layer=layer, joints=joints,
     )  # fmt: skip
     laid = LaidCable(name, state)
     _refuse_folds(net.membrane, strip, laid)
-    if not laid.sleeve:
+    if laid.lifts_off:
         drape(laid, shape)
     length = polyline_length(laid.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     smooth = length
-    if L0 is None and measured_on == "surface" and cable.law == "total":
+    if L0 is None and measured_on == "surface" and cable.law == "total" and hold != "bonded":
         smooth = _smooth_length(laid, shape, folded)
     L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
     force = cable.EA / L0 * max(smooth - L0, 0.0)
     laid.update(L0=L0, length=length, tension=force, taut=cable.law == "step" or force > 0)
     if cable.law == "step":
         laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
-    if cable.along > 0:
+    if hold == "bonded":
+        laid.update(bonds=bonds_of(laid))
+        laid.update(parts=bonded_parts(laid))
+    elif cable.along > 0:
         from crms_fenicsx.friction.axial import initial_state
 
         laid.update(axial=initial_state(laid, shape))
     net.add(laid, strip)
     return laid
+
+
+def _held_kind(cable: Cable, hold: Hold) -> Cable:
+    """A cable without the friction that has no part in what holds it."""
+    free = HOLDS[hold]
+    if free.sideways or (cable.sideways is None and free.along):
+        return cable
+    if not free.along or not cable.along:
+        return replace(cable, friction=0.0)
+    assert isinstance(cable.friction, Friction)
+    along = Friction(0.0, along=cable.along, tolerance=cable.friction.tolerance)
+    return replace(cable, friction=along)
 
 
 def _refuse_joints_on_the_membrane(

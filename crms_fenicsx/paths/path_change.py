@@ -8,6 +8,7 @@ put them.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.strip import Strip, StripShape
-from crms_fenicsx.model.cable_state import CableNode, End
+from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
 from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
@@ -83,6 +84,7 @@ class PathChange:
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
+        self._folds: tuple[list[CableState], FoldPoints] | None = None  # of these states
 
     @property
     def n_vertices(self) -> int:
@@ -99,8 +101,14 @@ class PathChange:
         return CreasedSurface(like, self.folds())
 
     def folds(self) -> FoldPoints:
-        """The fold points of all cables."""
-        return FoldPoints(self.net.cables, self.net.nodes)
+        """The fold points of all cables; the same while these do not change."""
+        states = [cable.state for cable in self.net.cables]
+        of, folds = self._folds or ([], None)
+        same = len(of) == len(states) and all(map(operator.is_, of, states))
+        if folds is None or not same:
+            folds = FoldPoints(self.net.cables, self.net.nodes)
+            self._folds = states, folds
+        return folds
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
@@ -119,7 +127,7 @@ class PathChange:
         ends, off = cable.ends, {}
         for k in (0, 1):
             if ends[k] == "off":
-                if not (cable.sleeve and _is_corner(cable.path.points[-k], surface)):
+                if cable.lifts_off or not _is_corner(cable.path.points[-k], surface):
                     off[self.n_vertices + k] = cable.positions[-k]
         return off
 

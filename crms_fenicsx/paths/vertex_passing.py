@@ -27,6 +27,7 @@ from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
+from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -212,23 +213,26 @@ class VertexTrials:
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
-        net = self.change.net
-        shape = net.strip_shape()
-        found: list[Trial] = []
-        for c, cable in enumerate(net.cables):
+        net, shape = self.change.net, self.change.net.strip_shape()
+        cables = net.cables
+        least: dict[int, int] = {}
+        for c, cable in enumerate(cables):
             if not cable.taut:
                 continue
-            least = 1
-            if not cable.slides_freely:
-                if cable.lateral is None or not cable.lateral.known:
-                    continue
+            if cable.slides_freely:
+                least[c] = 1
+            elif cable.lateral is not None and cable.lateral.known:
                 from crms_fenicsx.friction.lateral import remap
 
                 remap(cable)
-                least = 2  # single vertices have been passed by `friction_release`
-            if c not in self._runs or self._runs[c][0] is not cable.state:
-                self._runs[c] = cable.state, held_runs(cable, shape)
-            found += [(c, run) for run in self._runs[c][1] if len(run.vertices) >= least]
+                least[c] = 2  # single vertices have been passed by `friction_release`
+        known = self._runs
+        moved = [c for c in least if c not in known or known[c][0] is not cables[c].state]
+        runs = share_out(
+            self.change.net.membrane.comm, moved, lambda c: held_runs(cables[c], shape)
+        )
+        known |= {c: (cables[c].state, own) for c, own in zip(moved, runs, strict=True)}
+        found = [(c, run) for c in least for run in known[c][1] if len(run.vertices) >= least[c]]
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 
-from crms_fenicsx.output.report.page import PageSection, Table, figure, paragraph
+from crms_fenicsx.output.report.page import Figure, Figures, PagePart, PageSection, Paragraph, Table
 from crms_fenicsx.output.report.results_tables import Units
 from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import Pattern
@@ -61,26 +61,25 @@ def report_sections(
         raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
     checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
-    picture = ""
+    figures: list[Figure] = []
     if pattern.comm.rank == 0:
         buffer = io.BytesIO()
         roll_figure(nesting, unit).savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-        picture = figure(buffer.getvalue(), "The pieces on the roll", "result")
-    picture = pattern.comm.bcast(picture)
+        figures = [Figure(buffer.getvalue(), "The pieces on the roll")]
     waste = (
         f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
         f"{nesting.waste:.1%} of it waste."
     )
-    body: list[str | Table] = [
-        paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
-        paragraph(waste), picture,
+    body: list[PagePart] = [
+        Paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
+        Paragraph(waste), Figures(figures),
     ]  # fmt: skip
     found = [PageSection("Cutting pattern", body)]
     if comparison is not None:
         text = "Section forces per current length with the pieces sewn together, and how far the "
         text += "roof is from its wanted form."
         table = comparison_table(comparison, units)
-        found.append(PageSection("Sewn of its pieces", [paragraph(text), table], 3))
+        found.append(PageSection("Sewn of its pieces", [Paragraph(text), table], 3))
     return found
 
 

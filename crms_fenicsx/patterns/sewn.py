@@ -10,6 +10,7 @@ import numpy as np
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.patterns.conformal import cell_sides_in_plane
 from crms_fenicsx.patterns.pattern import Materials, Pattern
 from crms_fenicsx.runtime import checks
@@ -17,6 +18,9 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
+
+SLOPE = 1e-12
+"""Strain whose forces are no prestress."""
 
 
 @collective
@@ -45,7 +49,8 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     Raises
     ------
     InputError
-        On all ranks: what is no pattern, or a material with a step-wise strain.
+        On all ranks: what is no pattern, a material with a step-wise strain, or a `UflMembrane`
+        with a prestress in its density.
 
     Examples
     --------
@@ -57,6 +62,14 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
         raise InputError(f"sew: pattern = {pattern!r}; give what patterns.flatten returned.")
     checks.same(pattern.comm, "sew", material=material)
     given = pattern.material if material is None else material
+    for one in given.values() if isinstance(given, Mapping) else [given]:
+        if isinstance(one, UflMembrane) and (
+            np.abs(one.prestress_vector).max() > SLOPE * one.reference_modulus
+        ):
+            raise InputError(
+                f"sew: the density of {one!r} has the slope {one.prestress_vector} at zero strain, "
+                "a prestress, which comes from the cut; subtract it from psi."
+            )
     fabric: Any = (
         {part: relaxed(one) for part, one in given.items()}
         if isinstance(given, Mapping)

@@ -98,6 +98,10 @@ def _axes(figure: Figure, length: float, width: float) -> Any:
     return axes
 
 
+def _name_axis(axis: Any, name: str, unit: str) -> None:
+    axis.set_label_text(f"{name} [{unit}]" if unit else name, fontsize=8)
+
+
 def roll_figure(nesting: Nesting, unit: str) -> Figure:
     """Figure of the roll with all pieces, row by row from the top."""
     starts = np.array([*nesting.rows, nesting.length])
@@ -114,6 +118,7 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
         row = int(np.searchsorted(starts, one.cut_line[:, 0].min() + 1e-9 * x, side="right")) - 1
         _draw(axes, one.moved(np.array([-starts[row], (last - row) * step])), names=False)
     axes.set_yticks([])
+    _name_axis(axes.xaxis, "along the roll", unit)
     bracket = f" {unit}" if unit else ""
     axes.set_title(
         f"{len(nesting.drawings)} pieces on {nesting.length:.4g}{bracket} of a roll {y:.4g}"
@@ -131,11 +136,15 @@ def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
     figure = new_figure(WIDTH, float(np.clip(WIDTH * width / length + 1.6, 2.5, HIGHEST)))
     axes = _axes(figure, length, width)
     _draw(axes, one, names=True)
+    _name_axis(axes.xaxis, "along the warp", unit)
+    _name_axis(axes.yaxis, "along the weft", unit)
     bracket = f" {unit}" if unit else ""
+    square = f" {unit}²" if unit else ""
     warp, weft = (f"{100 * part:.2f} %" for part in flat.shrink)
     axes.set_title(
         f"{one.name}: {flat.length:.4g} x {flat.width:.4g}{bracket} (fabric {length:.4g} x "
-        f"{width:.4g}), area {flat.area:.4g}; compensated {warp} along warp, {weft} along weft",
+        f"{width:.4g}), area {flat.area:.4g}{square}; compensated {warp} along "
+        f"warp, {weft} along weft",
         loc="left",
         fontsize=9,
     )

@@ -123,12 +123,16 @@ class BarResults:
     slack: bool  # whether it is a guy without tension
     length: float  # length, L0: current and unstressed length (length)
     L0: float
+    buckling: float | None = None  # Euler's load (force), and the share of the strength that is
+    utilisation: float | None = None  # used; None where they are not known
 
 
 def bar_results(scene: Scene) -> dict[str, BarResults]:
     """Forces of a scene's bars in its current state, by their names."""
     return {
-        bar.name: BarResults(bar.name, bar.force, bar.slack, bar.length, bar.L0)
+        bar.name: BarResults(
+            bar.name, bar.force, bar.slack, bar.length, bar.L0, bar.buckling, bar.utilisation
+        )
         for bar in scene.bars
     }
 

@@ -77,5 +77,5 @@ def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:
     contacts = cable.contacts()
     k = contacts.index(cable.parts.nodes[i])
     ways = np.diff(cable.positions[contacts[k - 1 : k + 2]], axis=0)
-    before, after = floats(cable.parts.tensions[i : i + 2])
+    before, after = floats(cable.part_tensions[k - 1 : k + 1])
     return (before, after), np.asarray(ways / np.maximum(norm(ways), 1e-300)[:, None])

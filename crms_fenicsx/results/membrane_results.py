@@ -85,6 +85,8 @@ class MembraneResults:
         The membrane that they are results of.
     in_equilibrium
         Whether the scene had not been changed since its last load step.
+    strength_factor
+        By what the strengths of `Scene.set_strengths` are divided under the loads that act.
     """
 
     strains: Array
@@ -104,6 +106,7 @@ class MembraneResults:
     surface: CurrentSurface
     membrane: Membrane
     in_equilibrium: bool
+    strength_factor: float = 1.0
 
     def __repr__(self) -> str:
         """In a line, of this rank's cells; not collective."""
@@ -123,7 +126,8 @@ class MembraneResults:
         ----------
         strengths
             Of the fabric in warp and weft, divided by the partial factors (force per length); one
-            pair, or one of each part by its name. By default those of `Scene.set_strengths`.
+            pair, or one of each part by its name. By default those of `Scene.set_strengths`,
+            divided by their factor under the loads that act.
 
         Returns
         -------
@@ -140,8 +144,9 @@ class MembraneResults:
         --------
         >>> worst = solver.results().utilisation({"roof": (84.0, 80.0)}).max()
         """
-        given = self.membrane.strengths
+        given, divided = self.membrane.strengths, self.strength_factor
         if strengths is not None:
+            divided = 1.0
             given = checked_strengths("utilisation", strengths, self.membrane.mesh)
         elif not given:
             raise InputError(
@@ -151,7 +156,7 @@ class MembraneResults:
         found = np.full(len(self.state), np.nan)
         for part, pair in given.items():
             cells = slice(None) if part == ALL else self.parts[part]
-            ratios = np.maximum(self.warp_weft[cells, :2] / pair, 0.0)
+            ratios = np.maximum(self.warp_weft[cells, :2] * divided / pair, 0.0)
             found[cells] = ratios.max(axis=1, initial=0.0)
         return found
 
@@ -326,6 +331,7 @@ def membrane_results(system: System) -> MembraneResults:
         surface=current_surface(scene.net),
         membrane=scene.membrane,
         in_equilibrium=scene.in_equilibrium(),
+        strength_factor=scene.strength_factor(),
     )
 
 

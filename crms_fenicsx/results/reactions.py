@@ -31,6 +31,7 @@ class HeldEnd:
     name: str
     place: Array
     force: Array
+    joint: str = ""  # name of the joint
 
 
 def held_ends(scene: Scene) -> list[HeldEnd]:
@@ -59,23 +60,31 @@ def _at_joint(scene: Scene, joint: Joint) -> list[HeldEnd]:
         if joint.name in load.joints:
             forces[load.name] = -load.factor * np.array(load.joints[joint.name])
     place = joint.position
-    return [HeldEnd(name, place, np.where(joint.held, x, 0.0)) for name, x in forces.items()]
+    return [
+        HeldEnd(name, place, np.where(joint.held, x, 0.0), joint.name) for name, x in forces.items()
+    ]
+
+
+def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
+    """What this rank's owned vertices, as far as they are held, hold of bars, with their dofs."""
+    found = []
+    for vertex in scene.frame.vertices:
+        rank, dof = scene.frame.home(vertex)
+        if rank == scene.comm.rank and scene.held[dof].any():
+            held, place = scene.held[dof], scene.positions()[dof]
+            found += [
+                (dof, HeldEnd(bar.name, place, np.where(held, -bar.pull(vertex), 0.0)))
+                for bar in scene.bars if vertex in (bar.start, bar.end)
+            ]  # fmt: skip
+    return found
 
 
 def bars_at_vertices(scene: Scene, dofs: Indices | Integers) -> list[HeldEnd]:
     """What this rank's owned vertices `dofs`, as far as they are held, hold of bars. Collective."""
-    frame, comm, found = scene.frame, scene.comm, list[HeldEnd]()
-    if not frame.vertices:
+    if not scene.frame.vertices:
         return []
-    for vertex in frame.vertices:
-        rank, dof = frame.home(vertex)
-        if rank == comm.rank and dof in dofs and scene.held[dof].any():
-            held, place = scene.held[dof], scene.positions()[dof]
-            found += [
-                HeldEnd(bar.name, place, np.where(held, -bar.pull(vertex), 0.0))
-                for bar in scene.bars if vertex in (bar.start, bar.end)
-            ]  # fmt: skip
-    return list(chain.from_iterable(comm.allgather(found)))
+    found = [end for dof, end in hung_bars(scene) if dof in dofs]
+    return list(chain.from_iterable(scene.comm.allgather(found)))
 
 
 def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:

@@ -2,6 +2,7 @@
 
 With g the slope of the potential energy and K the tangent, a parameter p moves the equilibrium by
 du/dp = -K^-1 dg/dp, one solve each with the factors of K. Results change by p itself and by du.
+With fewer results than parameters there is one solve for each result instead, K^-1 grad(R).
 Contacts and the cells that cables cross stay: where a cable is about to change them derivatives
 hold on one side only.
 """
@@ -12,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.equilibrium.system import System
@@ -66,10 +68,9 @@ class Sensitivities:
 def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
     """Derivatives at a scene's equilibrium; see `Solver.sensitivities`. Collective."""
     scene = system.scene
-    read = [_result(scene, one) for one in of]
     setters = [_parameter(scene, one) for one in by]
     K = tangent(system)
-    rubs = scene.net.has_friction or any(cable.axial is not None for cable in scene.cables)
+    rubs = scene.net.has_friction or any(c.axial is not None or c.may_slip for c in scene.cables)
     if rubs or system.has_history:
         K.destroy()
         what = "friction" if rubs else "a step-wise law"
@@ -77,43 +78,115 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
             f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
             "compare load steps instead."
         )
-    state, solver = scene.state, _TangentSolver(K.matrix, K.sparse)
-    start = system.potential.x.copy()
-    values = np.zeros((len(of), len(by)))
-    slope, way = K.matrix.createVecs()
-    place = system.potential.x_vector.duplicate()
+    solver = _TangentSolver(K.matrix, K.sparse)
+    changes = _Changes(system, [_result(scene, one) for one in of])
     try:
-        for j, (setter, step) in enumerate(setters):
-            slopes = []
-            for sign in (1.0, -1.0):
-                setter(sign * step)
-                system.read_scene()
-                system.potential.evaluate()
-                system.potential.free_gradient(slope)
-                slopes.append(slope.array.copy())
-                scene.state = state
-            slope.array[:] = (slopes[1] - slopes[0]) / (2 * step)
-            solver.solve(slope, way)
-            far = max(float(way.norm(PETSc.NormType.INFINITY)), 1e-300)
-            size = min(step, MOVE * scene.membrane.size / far)
-            found = []
-            for sign in (1.0, -1.0):
-                setter(sign * size)
-                system.read_scene()
-                place.array[:] = start[: system.unknowns.n_owned].ravel() + sign * size * way.array
-                system.potential.place(place)
-                system.potential.sum_up()
-                system.write_scene()
-                found.append([one() for one in read])
-                scene.state = state
-            values[:, j] = (np.array(found[0]) - np.array(found[1])) / (2 * size)
+        if len(of) < len(by) and all(_has_slope(scene, one) for one in of):
+            values = _by_results(changes, solver, of, setters)
+        else:
+            values = np.zeros((len(of), len(by)))
+            for j, setter in enumerate(setters):
+                way = solver.solve(changes.slope(setter))
+                values[:, j] = changes.along(setter, way)
     finally:
-        scene.state = state
-        system.read_scene()
-        for one in (slope, way, place, solver):
-            one.destroy()
+        changes.restore()
+        solver.destroy()
         K.destroy()
     return Sensitivities(values, tuple(of), tuple(by), K.inexact, _near_vertices(scene))
+
+
+Setter = tuple[Callable[[float], None], float]
+"""What changes a parameter by a number, and a step for that."""
+
+
+class _Changes:
+    """What parameters change in a scene's equilibrium, by central differences. Collective."""
+
+    def __init__(self, system: System, read: Sequence[Callable[[], float]]) -> None:
+        self.system, self.scene, self.read = system, system.scene, read
+        self.state = system.scene.state
+        self.start = system.potential.x.copy()
+
+    def slope(self, setter: Setter) -> Array:
+        """Derivatives of the forces -g by a parameter, in the free components, (3 n_owned,)."""
+        change, step = setter
+        slopes = []
+        for sign in (1.0, -1.0):
+            change(sign * step)
+            self.system.read_scene()
+            self.system.potential.evaluate()
+            self.system.potential.free_gradient(self.system.potential.g_vector)
+            slopes.append(self.system.potential.g_vector.array.copy())
+            self.scene.state = self.state
+        return np.asarray((slopes[1] - slopes[0]) / (2 * step))
+
+    def along(self, setter: Setter, way: Array) -> Array:
+        """Derivatives of the results by a parameter that moves the unknowns by a way, (n,)."""
+        (change, step), system = setter, self.system
+        comm, n = self.scene.comm, system.unknowns.n_owned
+        far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
+        size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
+        place = system.potential.x_vector.duplicate()
+        found = []
+        for sign in (1.0, -1.0):
+            change(sign * size)
+            system.read_scene()
+            place.array[:] = self.start[:n].ravel() + sign * size * way
+            system.potential.place(place)
+            system.potential.sum_up()
+            system.write_scene()
+            found.append(np.array([one() for one in self.read]))
+            self.scene.state = self.state
+        place.destroy()
+        return np.asarray((found[0] - found[1]) / (2 * size))
+
+    def restore(self) -> None:
+        """Go back to the equilibrium."""
+        self.scene.state = self.state
+        self.system.read_scene()
+
+
+def _by_results(
+    changes: _Changes, solver: _TangentSolver, of: Sequence[object], setters: Sequence[Setter]
+) -> Array:
+    """The derivatives by one solve for each result: ``dR/dp - grad(R) K^-1 dg/dp``."""
+    still = np.zeros(3 * changes.system.unknowns.n_owned)
+    adjoints = [solver.solve(_slope_of(changes, one)) for one in of]
+    values = np.zeros((len(of), len(setters)))
+    for j, setter in enumerate(setters):
+        work = np.array(adjoints) @ changes.slope(setter)
+        values[:, j] = changes.along(setter, still) + changes.scene.comm.allreduce(work)
+    return values
+
+
+def _has_slope(scene: Scene, one: object) -> bool:
+    """Whether `_slope_of` knows how a result depends on the unknowns."""
+    cable = one.cable if isinstance(one, CableEnd) else one
+    if isinstance(cable, LaidCable):
+        return cable.taut and not cable.is_divided
+    return one != "volume" or scene.air.sealed is None
+
+
+def _slope_of(changes: _Changes, one: object) -> Array:
+    """Derivatives of a result by the unknowns, in the free components, (3 n_owned,): by Maxwell's
+    reciprocity those of the forces by the parameter that works on it. With the energy's derivatives
+    -(T + T^2/(2 EA)) by an unstressed length, and -V by the pressure."""
+    scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
+    if isinstance(one, CableEnd):
+        one = one.cable
+    if isinstance(one, LaidCable):
+        return np.asarray(changes.slope(_parameter(scene, one)) / (1 + one.tension / one.cable.EA))
+    if isinstance(one, PlacedBar):
+        return np.asarray(changes.slope(_parameter(scene, one)) / (1 + one.force / one.bar.EA))
+    if one == "volume":
+        return changes.slope(_parameter(scene, "pressure"))
+    if isinstance(one, tuple):
+        vertex, axis = one
+        rank, dof = scene.frame.home(vertex)
+        at = 3 * dof + "xyz".index(axis)
+        if rank == scene.comm.rank and not scene.held.ravel()[at]:
+            slope[at] = 1.0
+    return slope
 
 
 class _TangentSolver:
@@ -122,6 +195,7 @@ class _TangentSolver:
 
     def __init__(self, whole: PETSc.Mat, sparse: PETSc.Mat) -> None:
         self._ksp, self._factors = PETSc.KSP().create(whole.comm), None
+        self._b, self._y = whole.createVecs()
         self._ksp.setOperators(whole, sparse)
         self._ksp.setType(PETSc.KSP.Type.GMRES)
         self._ksp.setTolerances(rtol=SOLVED, max_it=ITERATIONS)
@@ -136,18 +210,21 @@ class _TangentSolver:
         pc.setType(PETSc.PC.Type.PYTHON)
         pc.setPythonContext(Preconditioner(self._factors.solve))
 
-    def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve ``K y = b``, or raise `InputError`."""
-        self._ksp.solve(b, y)
+    def solve(self, b: Array) -> Array:
+        """The solution of ``K y = b``, of this rank's components, or an `InputError`."""
+        self._b.array[:] = b
+        self._ksp.solve(self._b, self._y)
         if self._ksp.getConvergedReason() < 0:
             raise InputError(
                 "sensitivities: the tangent is singular here, as where something is about to "
                 "snap through; go to another state."
             )
+        return np.array(self._y.array_r)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        self._ksp.destroy()
+        for one in (self._ksp, self._b, self._y):
+            one.destroy()
         if self._factors is not None:
             self._factors.destroy()
 
@@ -171,7 +248,7 @@ def _result(scene: Scene, one: object) -> Callable[[], float]:
     )
 
 
-def _parameter(scene: Scene, one: object) -> tuple[Callable[[float], None], float]:
+def _parameter(scene: Scene, one: object) -> Setter:
     """What changes a parameter of the scene by a number, and a step for that."""
     if isinstance(one, LaidCable) and one in scene.cables:
         return (lambda change: one.update(L0=one.L0 + change)), STEP * one.L0

@@ -119,6 +119,8 @@ class Summary:
         What load steps have warned of in this state, and of snap-throughs before it.
     clamps
         By their names.
+    strength_factor
+        By what the membrane's strengths are divided under the loads that act.
     hollows
         Where rain would stand as it has no way out, the deepest first: the place, depth and volume
         of the water in this shape, without what sinks under it; see `Solver.check_ponding`.
@@ -139,6 +141,7 @@ class Summary:
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
+    strength_factor: float = 1.0
     hollows: tuple[Hollow, ...] = ()
 
     def __repr__(self) -> str:
@@ -208,6 +211,7 @@ def summary(system: System) -> Summary:
         results.in_equilibrium,
         scene.warnings,
         clamp_results(scene),
+        results.strength_factor,
         find_hollows(scene.net).hollows,
     )
 

@@ -17,6 +17,7 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
@@ -362,7 +363,7 @@ class Scene:
         L0: float | None = None,
         tension: float | None = None,
         shortest: bool = False,
-        sleeve: bool = False,
+        hold: Hold = "outside",
         layer: int = 0,
         name: str | None = None,
         measured_on: Literal["surface", "facets"] = "surface",
@@ -392,9 +393,17 @@ class Scene:
         shortest
             Whether to lay the cable along the shortest path on the membrane near `path`, where a
             cable without friction lies.
-        sleeve
-            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. A
-            cable along free edges always has a sleeve, and stays there.
+        hold
+            What holds the cable on the membrane:
+
+            * "outside": nothing; it slides and lifts off.
+            * "sleeve": it slides, also sideways, but cannot lift off.
+            * "pocket": it slides along itself only; its line on the fabric is that on which it was
+              sewn. So does a cable along free edges, whatever is given.
+            * "bonded": it does not slide at all, as belts sewn on and bolt ropes; between two sides
+              of cells each part has a tension of its own, `LaidCable.tensions`.
+
+            Friction in directions in which the cable cannot slide has no part.
         layer
             Of two crossing cables the one with the higher layer lies on top, of equal ones the
             later one.
@@ -402,7 +411,8 @@ class Scene:
             Name in results; "cable 1", "cable 2" ... by default.
         measured_on
             Without `L0`: whether to measure the length on the smooth "surface" through the
-            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` uses the facets.
+            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` and bonded
+            cables use the facets.
 
         Returns
         -------
@@ -420,7 +430,7 @@ class Scene:
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "shortest": shortest, "sleeve": sleeve, "layer": layer,
+            "L0": L0, "tension": tension, "shortest": shortest, "hold": hold, "layer": layer,
             "name": name, "measured_on": measured_on,
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
@@ -437,7 +447,7 @@ class Scene:
         cable: Cable,
         *,
         tension: float | None = None,
-        sleeve: bool = False,
+        hold: Hold = "outside",
         clamped: bool = False,
     ) -> tuple[LaidCable, ...]:
         """Lay a cable on each line of a net, under the line's name. Collective.
@@ -448,7 +458,7 @@ class Scene:
         ----------
         net
             A layout from `crms_fenicsx.nets`.
-        cable, tension, sleeve
+        cable, tension, hold
             As for `lay_cable`, the same for all lines.
         clamped
             Whether to clamp all crossings, as `clamp` does.
@@ -477,7 +487,7 @@ class Scene:
         before = self.net.state
         try:
             laid = tuple(
-                self.lay_cable(cable, line.path, tension=tension, sleeve=sleeve, name=line.name)
+                self.lay_cable(cable, line.path, tension=tension, hold=hold, name=line.name)
                 for line in net.lines
             )
             if clamped:
@@ -490,14 +500,18 @@ class Scene:
     @collective
     @changes_model
     def clamp(
-        self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
+        self,
+        *cables: LaidCable | str,
+        near: Sequence[Sequence[float]] | Array | None = None,
+        slip: float | None = None,
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
         At a clamp the same points of both cables stay together. They slide over the membrane, lift
         off and touch down together, and each cable has one tension from clamp to clamp,
         `LaidCable.tensions`. The unstressed lengths between clamps are those at clamping; a load
-        step that changes a cable's L0 changes those of its parts alike. In an equilibrium clamping
+        step that changes a cable's L0 changes those of its parts alike. With friction along a cable
+        its tension varies between clamps, too. In an equilibrium clamping
         changes nothing until the loads do.
 
         Parameters
@@ -507,6 +521,11 @@ class Scene:
         near
             Points in space near which to clamp, (k, 3) (length): of each the nearest crossing; by
             default all crossings.
+        slip
+            Grip of the clamps (force): where the tensions of a cable before and after a clamp would
+            differ by more, it slips through, and its unstressed length goes from one part to the
+            other; the work is heat, `dissipated`. The grip acts on the unstressed cable: on the
+            stretched one it is smaller by the strain. By default they hold whatever comes.
 
         Returns
         -------
@@ -517,7 +536,7 @@ class Scene:
         ------
         InputError
             On all ranks: cables that do not cross, lie apart where they do, have the step-wise law
-            or friction along their axis.
+            or friction with a cone, or friction along their axis where `slip` is given.
 
         Warns
         -----
@@ -529,8 +548,8 @@ class Scene:
         >>> scene.clamp("A1", "B2")
         >>> scene.clamp(*scene.cables)
         """
-        checks.same(self.comm, "clamp", cables=cables, near=near)
-        return self.net.clamp(cables, near)
+        checks.same(self.comm, "clamp", cables=cables, near=near, slip=slip)
+        return self.net.clamp(cables, near, slip)
 
     @collective
     @changes_model
@@ -673,7 +692,12 @@ class Scene:
                 one.update(bar=replace(one.bar, EA=float(stiffness)))
 
     @collective
-    def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:
+    def set_strengths(
+        self,
+        strengths: Strengths | Mapping[str, Strengths],
+        *,
+        factors: Mapping[str, float] | None = None,
+    ) -> None:
         """Give the fabric's strengths, for the utilisation in results, files and reports.
 
         They replace those given before. They change no equilibrium and are no part of checkpoints.
@@ -683,22 +707,40 @@ class Scene:
         strengths
             In warp and weft, divided by the partial factors (force per length): one pair, or one
             of each part by its name. Parts that are not named have no utilisation.
+        factors
+            By what the strengths are divided while loads act, for their duration and temperature,
+            by the names of loads and ponds that have been put before. Where several act, the
+            largest one counts; where none does, 1.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, parts with common cells, or strengths that are
-            not positive.
+            On all ranks: a part that does not exist, parts with common cells, strengths or factors
+            that are not positive, or a load that does not exist.
 
         Examples
         --------
         >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
+        >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
         """
-        checks.same(self.comm, "set_strengths", strengths=strengths)
+        checks.same(self.comm, "set_strengths", strengths=strengths, factors=factors)
+        factors = {} if factors is None else factors
+        checks.collection("set_strengths: factors", factors, Mapping, '{"snow": 1.6}')
+        divided = {
+            checks.named("load", {x: x for x in self.factors}, name):
+            checks.positive(f"set_strengths: factor of {name!r}", value)
+            for name, value in factors.items()
+        }  # fmt: skip
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)
         found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
-        self.membrane.strengths = found
+        self.membrane.strengths, self.membrane.strength_factors = found, divided
+
+    def strength_factor(self) -> float:
+        """Internal: by what the strengths are divided under the loads that act."""
+        acting = [name for name, factor in self.factors.items() if factor != 0.0]
+        known = self.membrane.strength_factors
+        return max((known[name] for name in acting if name in known), default=1.0)
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""

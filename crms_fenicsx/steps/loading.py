@@ -123,7 +123,11 @@ class Target:
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
         for one, start, end in self.lengths:
-            one.update(L0=start + share * (end - start))
+            length = start + share * (end - start)
+            if isinstance(one, LaidCable) and one.axial is not None and one.parts is not None:
+                rest = one.axial.rest * (length / one.L0)  # parts between clamps change alike
+                one.update(axial=replace(one.axial, rest=rest))
+            one.update(L0=length)
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
         """A scene's ponds at a share of the way."""

@@ -29,7 +29,10 @@ class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
 
     def __init__(self, vertices: Iterable[int]) -> None:
         self.vertices = tuple(sorted(set(vertices)))
-        super().__init__(f"not all cells around the vertices {self.vertices} are known")
+        super().__init__(self.vertices)
+
+    def __str__(self) -> str:
+        return f"not all cells around the vertices {self.vertices} are known"
 
 
 class IntrinsicSurface(Protocol):

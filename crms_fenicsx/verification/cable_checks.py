@@ -20,6 +20,7 @@ from crms_fenicsx.meshes.triangles import lists, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
+from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.verification.cable_forces import contacts, forces, is_tense
 from crms_fenicsx.verification.report import ROUNDED, UNBALANCED, Check
@@ -29,6 +30,7 @@ LIMITS = {
     "nodes off their edges": 1e-6,
     "breaks in the path": 0.0,
     "crossing cables apart": 1e-9,
+    "clamps that hold nothing": 0.0,
     "unbalanced forces of cables": UNBALANCED,
     "tension against length": 1e-6,
     "compression": 0.0,
@@ -127,7 +129,7 @@ class CableVerifier:
             if cable.taut:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
-                if not cable.sleeve:
+                if cable.lifts_off:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape)
                 values |= forces(cable, shape, free[c])
             elif cable.cable.law == "total":
@@ -144,6 +146,8 @@ class CableVerifier:
         ]
         if apart:
             found["crossing cables apart"] = max(apart), ""
+        if scene.clamps:
+            found["clamps that hold nothing"] = float(_open_clamps(scene)), ""
         names = [name for name in LIMITS if name in found]
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
@@ -261,7 +265,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         strain = max(abs(cable.tension), abs(force)) / EA
         return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.length - length) / L0]
-    if cable.parts is not None:
+    if cable.parts is not None and cable.axial is None:
         of_part = cable.parts_of(cable.contacts()[:-1]).astype(np.int64)
         own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.parts.smoothing
         longer = np.maximum(own - cable.part_lengths, 0.0)
@@ -281,6 +285,20 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         "tension against length": max(max(errors) - rounding, 0.0) / strain,
         "compression": max(-float(cable.tensions.min()), -cable.tension) / EA,
     }
+
+
+def _open_clamps(scene: Scene) -> int:
+    """How many clamps of cables in tension these have no points of."""
+    count = 0
+    for clamp in scene.clamps:
+        cables = [scene.cable(name) for name in clamp.cables]
+        if all(cable.taut for cable in cables):
+            pairs = zip(cables, clamp.at, strict=True)
+            count += any(
+                cable.parts is None or not np.any(np.abs(cable.parts.at - at) < 1e-9)
+                for cable, at in pairs
+            )
+    return count
 
 
 def _crossings(

@@ -103,7 +103,7 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
     values = {"unbalanced forces of cables": free / own}
     press = max(float(turns.sum()), least)
     values |= _held(cable, shape, press)
-    if cable.slides_freely and not cable.in_edge:
+    if cable.slides_freely and not cable.keeps_line:
         # the edge carries them, where it is much stiffer than the cable is tight
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
@@ -137,7 +137,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
         return values
-    from crms_fenicsx.friction.axial import gripped_nodes
+    from crms_fenicsx.friction.axial import clamped_nodes, gripped_nodes
     from crms_fenicsx.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.lateral is not None:
@@ -154,7 +154,9 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
-        nodes, tensions = gripped_nodes(cable), cable.part_tensions
+        clamps = clamped_nodes(cable)
+        nodes = [k for k in gripped_nodes(cable) if k not in clamps]
+        tensions = cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]
         angles = cable.cable.along * wrap_angles(cable, shape)[nodes]

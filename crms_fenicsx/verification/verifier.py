@@ -134,6 +134,10 @@ class Verifier:
             if axial is not None:
                 slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
                 largest = min(largest, SMALLEST_SLIP * slip)
+        if scene.clamps:
+            from crms_fenicsx.cables.slipping_clamps import smallest_slip
+
+            largest = min(largest, SMALLEST_SLIP * smallest_slip(scene.cables))
         shake: Array = (self._random.random((n, 3)) - 0.5) * np.sqrt(12.0)
         self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
         fixed: Booleans = np.array(unknowns.held[:n])

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from taylor import OnMesh, gradient_order, noise
+from term_scene import displaced
 
 from crms_fenicsx import (
     Bar,
@@ -20,6 +24,7 @@ from crms_fenicsx import (
     meshes,
     nets,
 )
+from crms_fenicsx.model.bar import PlacedBar
 
 FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
 EA = 1e3
@@ -60,10 +65,10 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     """Under load on one half; unclamped and unloaded it is the sliding net again."""
     scene, solver = crossed(comm)
     solver.advance(pressure=2.0)
-    before = [scene.energy, *(cable.tension for cable in scene.cables)]
     solver.advance(load={"half": 1.0})
     slid = [scene.energy, *(cable.tension for cable in scene.cables)]
     solver.advance(load={"half": 0.0})
+    before = [scene.energy, *(cable.tension for cable in scene.cables)]
     (clamp,) = scene.clamp("a", "b")
     solver.advance(load={"half": 1.0})
     assert solver.steps[-1].verification.passed
@@ -72,6 +77,7 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     force = solver.clamp_forces()["a x b"]
     assert len(set(np.round(a.tensions, 9))) == 2 and len(set(np.round(b.tensions, 9))) == 2
     assert force.before == (a.tensions[0], b.tensions[0])
+    assert solver.history["clamp a x b"][-1] == force.size
     assert force.after == (a.tensions[-1], b.tensions[-1])
     assert abs(force.differences[0]) > 0.2
     # what the one hands on the other takes, but for the pressure on the facets around
@@ -86,7 +92,9 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     scene.unclamp("a", "b")
     solver.advance(load={"half": 0.0})
     after = [scene.energy, *(cable.tension for cable in scene.cables)]
-    np.testing.assert_allclose(after, before, rtol=3e-5)  # paths on other sides of vertices
+    # to rounding, from the state that a cycle of this load leaves: before it a cable lay on the
+    # other side of a vertex, at an energy 5e-7 higher
+    np.testing.assert_allclose(after, before, rtol=1e-9)
     assert not scene.clamps and a.parts is None
 
 
@@ -102,9 +110,10 @@ def test_clamping_changes_nothing_in_an_equilibrium(comm) -> None:
         np.testing.assert_allclose(cable.tensions, cable.tension, rtol=1e-8)
 
 
-def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm) -> None:
-    """Lifted off together they are straight from the clamp to their anchors."""
-    scene = square(comm)
+@pytest.mark.parametrize("options", [{}, {"size": 1.0, "structured": True}], ids=["cell", "vertex"])
+def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm, options) -> None:
+    """Lifted off together they are straight from the clamp to their anchors; also from a vertex."""
+    scene = square(comm, **options)
     a = scene.lay_cable(Cable(1e6), [(-1.0, 5.0, 0.0), (11.0, 5.0, 0.0)], tension=9e3, name="a")
     b = scene.lay_cable(Cable(2e6), [(4.0, -1.0, 0.0), (4.0, 11.0, 0.0)], tension=5e3, name="b")
     (clamp,) = scene.clamp(a, b)
@@ -233,6 +242,8 @@ def test_bad_clamps_are_refused(comm) -> None:
     scene.lay_cable(Cable(EA), [(0.0, 2.0), (10.0, 2.5)], tension=5.0, name="c")
     rubs = Cable(EA, friction=Friction(0.3, along=0.2))
     scene.lay_cable(rubs, [(0.0, 8.0), (10.0, 8.0)], tension=5.0, name="d")
+    rubs = Cable(EA, friction=Friction(0.2, along=0.2, cone=True))
+    scene.lay_cable(rubs, [(0.0, 9.0), (10.0, 9.0)], tension=5.0, name="f")
     scene.lay_cable(Cable(EA), [(3.0, 0.0, 0.0), (3.0, 5.0, 2.0)], tension=5.0, name="e")
     bad = [
         (lambda: scene.clamp("a", "a"), "the cables are a, a; give two or more different ones"),
@@ -240,7 +251,12 @@ def test_bad_clamps_are_refused(comm) -> None:
         (lambda: scene.clamp("a", "x"), "no cable 'x'"),
         (lambda: scene.clamp("a", 3), "3 is not a cable of this scene"),
         (lambda: scene.clamp("a", "c"), "'a' and 'c' do not cross"),
-        (lambda: scene.clamp("b", "d"), "'d' has friction along its axis"),
+        (
+            lambda: scene.clamp("b", "d", slip=1.0),
+            "'d' has friction along its axis, and cannot slip",
+        ),
+        (lambda: scene.clamp("b", "f"), "'f' has friction with cone=True"),
+        (lambda: scene.clamp("a", "b", slip=-1.0), "clamp: slip"),
         (lambda: scene.clamp("c", "e"), "'c' and 'e' lie 0.798 apart where they cross"),
         (lambda: scene.clamp("a", "b", near="here"), "near = 'here'"),
         (lambda: scene.unclamp("a", "b"), "there is no such clamp; the scene has none"),
@@ -277,3 +293,130 @@ def test_clamped_cables_along_lines_of_the_mesh_are_tightened(comm, order) -> No
         assert step.verification.passed
     tensions = np.concatenate([cable.tensions for cable in cables])
     np.testing.assert_allclose(tensions, tensions.mean(), rtol=0.02)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize(("n", "cables", "rtol"), [(8, 7, 1e-9), (8, 3, 0.01)])
+def test_a_clamped_net_against_bars_between_shared_nodes(comm, n, cables, rtol) -> None:
+    """On a mesh whose lines carry both families: clamped at each vertex it is the same net, which
+    is bonded there; with fewer clamps its cables slide between them."""
+    at, step = [10 * k / (cables + 1) for k in range(1, cables + 1)], 10 / n
+    net, barred = square(comm, step, structured=True), square(comm, step, structured=True)
+    for y in at:
+        for name, path in (("A", [(0.0, y), (10.0, y)]), ("B", [(y, 0.0), (y, 10.0)])):
+            net.lay_cable(Cable(EA), path, tension=2.0, measured_on="facets", name=f"{name}{y}")
+    net.clamp(*net.cables)
+    bars: dict[str, list[PlacedBar]] = {}
+    for cable in net.cables:
+        places = [barred.vertex_at(step * k * (cable.line[-1] - cable.line[0]) / 10 + cable.line[0])
+                  for k in range(n + 1)]  # fmt: skip
+        bars[cable.name] = [
+            barred.add_bar(Bar(EA, tension_only=True), *ends, L0=step / (1 + 2.0 / EA))
+            for ends in pairwise(places)
+        ]
+    for scene in (net, barred):
+        load = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
+        scene.put_load(load, name="half")
+        solver = Solver(scene, rtol=1e-11)
+        solver.advance(pressure=2.0)
+        solver.advance(load={"half": 1.0})
+    assert net.energy == pytest.approx(barred.energy, rel=rtol)
+    for cable in net.cables:
+        mean = np.mean([bar.force for bar in bars[cable.name]])
+        assert cable.tension == pytest.approx(mean, rel=rtol)
+
+
+@pytest.mark.ranks
+def test_clamps_of_limited_grip(comm) -> None:
+    """With much grip they hold as those without a limit; with none the net slides; between them
+    the tensions differ by the grip, the work is heat, and the way counts."""
+    found, heat = {}, {}
+    for slip in (None, 1e3, 0.3, 1e-4, 0.0):
+        scene, solver = crossed(comm)
+        solver.advance(pressure=2.0)
+        if slip != 0.0:
+            scene.clamp("a", "b", slip=slip)
+        solver.advance(load={"half": 1.0})
+        a = scene.cable("a")
+        found[slip] = [scene.energy, *a.tensions[[0, -1]]]
+        assert solver.steps[-1].verification.passed
+        if slip == 0.3:
+            force = 0.3 / (1 + a.tension / EA)  # the grip acts on the unstressed cable
+            assert solver.clamp_forces()["a x b"].differences[0] == pytest.approx(force, rel=1e-3)
+            heat["there"] = scene.dissipated
+            (clamp,) = scene.clamps
+            assert clamp.at[0] * a.L0 == pytest.approx(a.part_lengths[0], abs=2e-5)
+            slid = (0.49991796 - clamp.at[0]) * a.L0
+            assert heat["there"] == pytest.approx(0.3 * slid, rel=1e-3)
+            solver.advance(load={"half": 0.0})
+            heat["back"] = scene.dissipated
+            assert solver.history["dissipated"][-1] == scene.dissipated
+    assert heat["there"] > 1e-3 and heat["back"] >= heat["there"]
+    np.testing.assert_allclose(found[1e3], found[None], rtol=1e-6)
+    np.testing.assert_allclose(found[1e-4], found[0.0], rtol=1e-5)
+    assert found[None][0] > found[0.3][0] > found[0.0][0]
+
+
+def test_taylor_of_cables_that_slip_through_clamps(comm) -> None:
+    """The slips are eliminated: the slope of the energy is that with the slips held."""
+    scene, solver = crossed(comm)
+    solver.advance(pressure=2.0)
+    scene.clamp("a", "b", slip=0.3)
+    solver.advance(load={"half": 1.0})
+    system = solver.system
+    assert system.cables is not None and system.cables.clutches is not None
+    term = system.cables.clutches
+    term.renew(replace(term.grips, eps=0 * term.grips.eps + 0.1, elastic=0 * term.grips.eps + 0.1))
+    f = OnMesh(system.unknowns, scene.u, [term])
+    x = displaced(f.unknowns, 0.05, stretch=1.05)
+    d = noise(x, 1)
+    assert gradient_order(f, x, d) > 1.9
+
+
+def test_slipped_clamps_in_checkpoints(comm, tmp_path) -> None:
+    folder = Path(comm.bcast(str(tmp_path)))
+    runs = []
+    for saved in (True, False):
+        scene, solver = crossed(comm)
+        scene.clamp("a", "b", slip=0.3)
+        if saved:
+            solver.advance(pressure=2.0)
+            solver.advance(load={"half": 1.0})
+            solver.save(folder / "state")
+        else:
+            solver.load(folder / "state")
+        solver.advance(load={"half": 0.2})
+        runs.append([scene.energy, scene.dissipated, *scene.clamps[0].at])
+    np.testing.assert_allclose(*runs, rtol=1e-10)
+
+
+@pytest.mark.ranks
+def test_friction_along_cables_between_clamps(comm) -> None:
+    """With little of it the net is the one without; with more the tension goes on changing from
+    the clamp, at which it jumps, to the anchors."""
+    found = {}
+    for along in (0.0, 1e-4, 0.05):
+        scene = square(comm)
+        for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
+            friction = Friction(0.0, along=along) if along else 0.0
+            scene.lay_cable(Cable(EA, friction=friction), path, tension=5.0, name=name)
+        half = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
+        scene.put_load(half, name="half")
+        solver = Solver(scene, rtol=1e-10)
+        solver.advance(pressure=2.0)
+        (clamp,) = scene.clamp("a", "b")
+        solver.advance(load={"half": 1.0})
+        assert solver.steps[-1].verification.passed
+        a = scene.cable("a")
+        found[along] = [scene.energy, *a.tensions[[0, -1]]]
+        force = solver.clamp_forces()["a x b"]
+        if along == 0.05:
+            steps = np.abs(np.diff(a.tensions))
+            assert np.count_nonzero(steps > 1e-4) > 5
+            assert steps.max() == pytest.approx(abs(force.differences[0]), rel=1e-6)
+            rest = a.axial.arcs[np.argmin(np.abs(a.axial.arcs - clamp.at[0] * a.L0))]
+            assert rest == pytest.approx(clamp.at[0] * a.L0, abs=1e-6 * a.L0)
+            solver.advance(L0={a: 0.999 * a.L0})
+            assert solver.steps[-1].verification.passed
+    np.testing.assert_allclose(found[1e-4], found[0.0], rtol=3e-5)
+    assert abs(found[0.05][0] / found[0.0][0] - 1) > 3e-6

@@ -210,7 +210,7 @@ def test_ends_and_crossings_do_not_lift() -> None:
 def test_a_sleeve_holds_it() -> None:
     shape = roof([0.0, -0.3, 0.0])
     cable, _ = along(shape)
-    cable.update(sleeve=True)
+    cable.update(hold="sleeve")
     assert released(cable, shape) == []
 
 

@@ -240,7 +240,7 @@ def test_line_force_on_a_helix():
     assert np.polyfit(np.log(sizes), np.log(errors), 1)[0] > 0.8
 
 
-def hollow(sleeve):
+def hollow(hold):
     """A cable across a rigid sheet with a ridge and a valley, z = sin(x)."""
     x = np.linspace(0.0, 2 * np.pi, 25)
     y = np.linspace(-0.6, 0.6, 6)
@@ -255,14 +255,14 @@ def hollow(sleeve):
     )
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = np.column_stack([x, np.full(25, 0.05), np.sin(x)])
-    cable = scene.lay_cable(Cable(1.0, friction=0.5), path, sleeve=sleeve)
+    cable = scene.lay_cable(Cable(1.0, friction=0.5), path, hold=hold)
     cable.update(taut=True, tension=T)
     return scene, cable
 
 
 def test_a_sleeve_bears_from_both_sides():
     """Positive on the ridge, negative in the valley; a sleeve holds the cable there too."""
-    scene, cable = hollow(sleeve=True)
+    scene, cable = hollow("sleeve")
     forces = contact_forces(cable, scene.net.strip_shape())
     x = cable.positions[:, 0]
     ridge = (x > 0.6) & (x < np.pi - 0.6)
@@ -273,7 +273,7 @@ def test_a_sleeve_bears_from_both_sides():
     assert np.all(forces.bearing >= 0)
     assert forces.bearing[valley].sum() > T  # it turns by more than a right angle
     assert forces.line[valley].min() > 0
-    cable.update(sleeve=False)  # on the very same points
+    cable.update(hold="outside")  # on the very same points
     bare = contact_forces(cable, scene.net.strip_shape())
     np.testing.assert_array_equal(bare.normal, forces.normal)
     np.testing.assert_array_equal(bare.bearing[ridge], forces.bearing[ridge])
@@ -282,7 +282,7 @@ def test_a_sleeve_bears_from_both_sides():
 
 
 def test_lifted_cable_bears_where_it_lies():
-    scene, cable = hollow(sleeve=False)
+    scene, cable = hollow("outside")
     assert cable.lifted.any()
     forces = contact_forces(cable, scene.net.strip_shape())
     for values in (forces.normal, forces.lateral, forces.bearing):

@@ -127,7 +127,9 @@ def test_sleeve_pulls_the_membrane_outward(comm) -> None:
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
         free = top(scene)
-        cable = scene.lay_cable(CABLE, [(50, 47, 13), (103, 47, -1)], sleeve=sleeve)
+        cable = scene.lay_cable(
+            CABLE, [(50, 47, 13), (103, 47, -1)], hold="sleeve" if sleeve else "outside"
+        )
         solver.advance(L0={cable: 0.99 * cable.L0})
         assert cable.taut and cable.lifted.any() != sleeve
         heights[sleeve] = top(scene)

@@ -115,7 +115,7 @@ def test_supports_carry_the_load(comm):
     scene = Scene(irregular_square(comm), ISOTROPIC)
     scene.fix("boundary")
     scene.put_load((0.0, 0.0, -0.01))
-    cable = scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], sleeve=True, L0=SIDE)
+    cable = scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], hold="sleeve", L0=SIDE)
     solver = Solver(scene)
     solver.advance(load=1.0)
     assert cable.tension > 1.0

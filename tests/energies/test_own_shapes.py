@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
 from term_scene import FABRIC
 
@@ -17,6 +18,7 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     Solver,
+    UflMembrane,
     meshes,
     taylor_test,
 )
@@ -83,7 +85,7 @@ def prepared(scene: Scene, cable: bool) -> Solver:
     scene.put_load((0.0, 0.0, -0.3), name="weight", per="material")
     if cable:
         ends = [(-0.2, 0.7, 0.05), (2.3, 0.8, 0.05)]
-        scene.lay_cable(Cable(EA=50.0), ends, tension=0.4, sleeve=True, measured_on="facets")
+        scene.lay_cable(Cable(EA=50.0), ends, tension=0.4, hold="sleeve", measured_on="facets")
     return Solver(scene)
 
 
@@ -110,6 +112,22 @@ def test_own_shapes_are_the_stress_free_mesh(
     assert a == pytest.approx(b, rel=1e-7)
     a, b = (solver.estimate_error().total for solver in solvers)
     assert b < a < 2.0 * b  # on the bent mesh averages are those of tilted facets
+
+
+@pytest.mark.ranks
+def test_laws_of_ones_own(comm: MPI.Intracomm) -> None:
+    """A sheet of rubber: the same equilibrium as on its stress-free mesh."""
+    one, other = twins(comm, UflMembrane(neo_hookean))
+    solvers = [loaded(scene, cable=False) for scene in (one, other)]
+    np.testing.assert_allclose(*(shape(s.scene) for s in solvers), atol=2e-8)
+    a, b = (solver.scene.energies["membrane"] for solver in solvers)
+    assert a == pytest.approx(b, rel=1e-7)
+
+
+def neo_hookean(E: Any) -> Any:
+    """Incompressible, in plane stress."""
+    C = ufl.Identity(2) + 2 * E
+    return 10.0 * (ufl.tr(C) + 1 / ufl.det(C) - 3)
 
 
 def cells_in_order(scene: Scene) -> Array:

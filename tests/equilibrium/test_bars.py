@@ -36,6 +36,22 @@ def sheet(comm, size=2.0):
     return scene
 
 
+def test_strength_and_buckling_of_bars(comm):
+    """A strut in compression by the smaller one of both, in tension by its strength."""
+    scene = sheet(comm)
+    strut = Bar(EA=1e3, EI=2.0, strength=8.0)
+    bar = scene.add_bar(strut, (9.0, 0.0, 0.0), (11.0, 0.0, 0.0), L0=2.002)
+    assert bar.buckling == pytest.approx(np.pi**2 * 2.0 / 2.0**2)
+    assert bar.utilisation == pytest.approx(-bar.force / bar.buckling)
+    tie = scene.add_bar(strut, (9.0, 1.0, 0.0), (11.0, 1.0, 0.0), L0=1.99)
+    assert tie.utilisation == pytest.approx(tie.force / 8.0)
+    plain = scene.add_bar(Bar(EA=1e3), (9.0, 2.0, 0.0), (11.0, 2.0, 0.0), L0=2.01)
+    assert plain.buckling is None and plain.utilisation is None
+    for name in ("EI", "strength"):
+        with pytest.raises(InputError, match=f"Bar: {name} = -1.0"):
+            Bar(EA=1.0, **{name: -1.0})
+
+
 def truss(comm):
     """Von Mises' truss: two flat struts."""
     scene = sheet(comm)

@@ -93,7 +93,7 @@ def tightened(comm: MPI.Intracomm, n: int, place: Map, ends: np.ndarray):
     along = np.linspace(0.0, 1.0, 9)[:, None]
     route = ends[0] + along * (ends[1] - ends[0])
     route[1:-1, 1] += 0.3 * np.sin(np.pi * along[1:-1, 0])
-    cable = scene.lay_cable(Cable(EA=1.0), place(*route.T), sleeve=True)
+    cable = scene.lay_cable(Cable(EA=1.0), place(*route.T), hold="sleeve")
     chord = float(np.linalg.norm(cable.positions[0] - cable.positions[-1]))
     Solver(scene).advance(L0={cable: chord})
     assert cable.taut

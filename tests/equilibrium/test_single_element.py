@@ -137,7 +137,7 @@ def scene(law: str) -> tuple[Scene, object]:
     scene = Scene(mesh, material, strain=law, literal_penalty=literal)
     scene.fix("corners")
     # a sleeve, as the element holds the cable when its ends are moved up, too
-    return scene, scene.lay_cable(Cable(EA, law=law), [A, B], sleeve=True)
+    return scene, scene.lay_cable(Cable(EA, law=law), [A, B], hold="sleeve")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

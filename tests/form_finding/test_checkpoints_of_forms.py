@@ -46,14 +46,14 @@ def test_load(comm: MPI.Intracomm, form: FoundForm, tmp_path: Path) -> None:
     one.save(folder / "state")
     scene = tied(form)
     front, tie = scene.cable("front"), scene.bar("tie")
-    scene.lay_cable(Cable(EA=77.0), RIDGE[::-1], sleeve=True, name="ridge")
+    scene.lay_cable(Cable(EA=77.0), RIDGE[::-1], hold="sleeve", name="ridge")
     scene.lay_cable(STEEL, [(2.0, 4.0), (4.0, 8.0)], name="gone")
     other = Solver(scene)
     other.load(folder / "state")
     assert [cable.name for cable in scene.cables] == [*SIDES, "ridge"]
     assert front is scene.cable("front") and tie is scene.bar("tie")
     ridge = scene.cable("ridge")
-    assert (ridge.cable.EA, ridge.sleeve) == (5000.0, False)
+    assert (ridge.cable.EA, ridge.hold) == (5000.0, "outside")
     assert np.array_equal(scene.u.x.array, one.scene.u.x.array) and scene.factors == {"snow": 1.0}
     for solver in (one, other):
         solver.advance(load=0.5, L0={solver.scene.cable("ridge"): 0.995 * ridge.L0})

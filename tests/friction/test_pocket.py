@@ -102,5 +102,5 @@ def test_cable_on_the_membrane_is_not_pressed_by_its_turn_sideways(comm) -> None
     shape = scene.net.strip_shape()
     in_pocket = wrap_angles(cable, shape)
     assert in_pocket.sum() == pytest.approx(WRAP, rel=1e-12)
-    cable.update(in_edge=False)
+    cable.update(hold="sleeve")
     assert np.all(wrap_angles(cable, shape) < 1e-12)

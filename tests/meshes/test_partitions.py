@@ -104,7 +104,7 @@ def woven(ranks):
         warp=lambda x: np.stack([1.0 + 0 * x[0], 0.01 * x[0], 0 * x[0]]),
     )  # fmt: skip
     scene, solver = square(ranks, material)
-    cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 30.0), (SIDE, 38.0)], sleeve=True)
+    cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 30.0), (SIDE, 38.0)], hold="sleeve")
     solver.advance(L0={cable: 100.3})
     before = scene.energies, [cable.tension]
     scene.floor(-20.0)

@@ -308,7 +308,7 @@ def test_equidistant_nets_slide_unless_they_are_clamped(comm) -> None:
     for clamped in (True, False):
         scene = scene_of(meshes.spherical_cap(comm, 8.0, 6.0, 1.2))
         net = nets.equidistant(scene, 2.0, (0.1, 0.05))
-        scene.lay_net(net, Cable(EA=1e3), tension=1.0, sleeve=True, clamped=clamped)
+        scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve", clamped=clamped)
         solver = Solver(scene)
         solver.advance(pressure=0.6)
         scenes[clamped] = scene

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.output import History
 from crms_fenicsx.output.history import Value
-from crms_fenicsx.output.report.page import Table
+from crms_fenicsx.output.report.page import PageSection, Table, page
 from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -237,4 +237,4 @@ def test_texts_of_report_tables_are_no_formulas() -> None:
     cells = list(csv.reader(io.StringIO(table.csv(), newline="")))
     assert all(row[0][0] not in "=+-@\t\r" for row in cells)
     assert {row[1] for row in cells[1:]} == {"-1.5"}
-    assert "=1+1" in table.html()
+    assert "=1+1" in page("T", [], [PageSection("S", [table])])

@@ -14,7 +14,16 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.output.report import sections
-from crms_fenicsx.output.report.page import Table, bars, number, per_cent, place
+from crms_fenicsx.output.report.page import (
+    BarChart,
+    PagePart,
+    PageSection,
+    Table,
+    number,
+    page,
+    per_cent,
+    place,
+)
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
@@ -71,7 +80,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     page = Page(text)
     assert any("Tent <1> & roof" in word for word in page.words)
     assert sum("snow <&> ice" in word for word in page.words) > 5
-    assert len(page.images) == 1 + 2 * 2
+    assert len(page.images) == 2 + 2 + 2 * 2 + 2  # model, loads, cases, foundations
     for image in page.images:
         assert image["alt"]
         data = base64.b64decode((image["src"] or "").removeprefix("data:image/png;base64,"))
@@ -82,7 +91,8 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     assert names == {"tent.html"} | {
         f"tent_{table}.csv"
         for table in ("combinations", "overview", "membrane", "envelope", "cables",
-                      "cable_envelope", "supports", "anchors", "verification")
+                      "cable_envelope", "supports", "support_lines", "balance", "anchors",
+                      "foundation_points", "foundations", "foundation_envelope", "verification")
     }  # fmt: skip
     warp = "Membrane force along warp [kN/m]"
     rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
@@ -101,13 +111,17 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
         assert float(cable["Mean [kN]"]) == pytest.approx(tensions[cable["Combination"]], rel=1e-9)
     (cable,) = page.tables["Envelope of the cables' tensions"][1:]
     assert cable[0] == "ridge"
-    assert cable[5] == number(max(tensions.values()) / 40.0)
+    assert cable[5] == per_cent(max(tensions.values()) / 40.0)
     # the wall has no strengths, and no utilisation
     used = {row["Part"] for row in envelope if row["Result"] == "Utilisation"}
     assert used == {"whole membrane", "roof"}
     for case in read_csv(out / "tent_verification.csv"):
         assert case["Verdict"] == "passed", case
     assert any("passed all checks" in word for word in page.words)
+    cases = [row[:2] for row in page.tables["Inner pressure and factors of the loads"][1:]]
+    assert cases == [["LC0", "base state"], ["LC1", "snow <&> ice"], ["LC2", "storm"]]
+    for row in read_csv(out / "tent_balance.csv"):
+        assert not row["Sum of"].startswith("all") or row["Sum of"].endswith("to 1e-08)")
 
 
 def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:
@@ -117,7 +131,7 @@ def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> Non
     comm.barrier()
     page = Page((folder / "now.html").read_text(encoding="utf-8"))
     assert "Current state" in page.tables["Inner pressure and factors of the loads"][1]
-    assert any("Verified: the state" in word for word in page.words)
+    assert any("Verified: the state passed" in word for word in page.words)
     solver.scene.u.x.array[:] *= 1.01
     solver.report(folder / "now.html", pictures=[])
     comm.barrier()
@@ -126,7 +140,10 @@ def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> Non
 
 
 @pytest.mark.ranks
-def test_bad_reports_write_nothing(comm: MPI.Intracomm, folder: Path) -> None:
+def test_bad_reports_write_nothing(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CRMS_BROWSER", "no_such_browser")
     solver, other = tent(comm), tent(comm)
     found = other.combine({"snow": {"snow": 0.1}})
     page = folder / "tent.html"
@@ -149,6 +166,9 @@ def test_bad_reports_write_nothing(comm: MPI.Intracomm, folder: Path) -> None:
         ({"cable_strengths": 3.0}, "cable_strengths = 3.0"),
         ({"pictures": ["colour"]}, "'colour' is not known"),
         ({"pictures": "stress"}, "no list to use; write pictures="),
+        ({"strain_limit": 0.0}, "strain_limit = 0.0"),
+        ({"template": folder / "office.html"}, "no template .*office.html"),
+        ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
     ):
         with pytest.raises(InputError, match=words):
@@ -186,12 +206,12 @@ def test_pictures_that_do_not_fit_are_left_out(
     comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solver = tent(comm)
-    monkeypatch.setattr(sections, "LARGEST", 150_000)
+    monkeypatch.setattr(sections, "LARGEST", 260_000)
     solver.report(folder / "now.html")
     comm.barrier()
     text = (folder / "now.html").read_text(encoding="utf-8")
     page = Page(text)
-    assert len(text) < 150_000
+    assert len(text) < 260_000
     assert any("pictures are left out" in word for word in page.words)
 
 
@@ -206,26 +226,60 @@ def test_numbers_as_people_read_them() -> None:
     assert place((1.23456, -20.0, -1e-9), 40.0) == "1.2; \u221220.0; 0.0"
 
 
+def html(*parts: PagePart) -> str:
+    return page("T", [], [PageSection("S", parts)])
+
+
 def test_bars_are_as_long_as_their_values() -> None:
     rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
-    text = bars("Utilisation", rows, limit=1.0)
+    text = html(BarChart("Utilisation", rows, limit=1.0))
     Page(text)
     widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
     assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
     assert text.count('class="over"') == 1
     assert "0.5000 to 1.250</text>" in text
-    assert bars("nothing", []) == bars("slack", [("a", 0.0, 0.0)]) == ""
-    assert bars("many", rows * 30) == ""
+    nothing = [BarChart("nothing", []), BarChart("slack", [("a", 0.0, 0.0)])]
+    assert "<svg" not in html(*nothing, BarChart("many", rows * 30))
 
 
 def test_tables_group_rows_of_one_heading() -> None:
-    rows = [("a", "x", 1.0), ("a", "y", None), ("b", "x", 2)]
-    table = Table("T <1>", ("A", "B", "C"), rows, "t", headings=2)
-    page = Page(table.html())
-    assert page.tables["T <1>"] == [
+    rows = [("a", "x", 1.0, None), ("a", "y", None, ""), ("b", "x", 2, None)]
+    table = Table("T <1>", ("A", "B", "C", "of nothing"), rows, "t", headings=2)
+    assert Page(html(table)).tables["T <1>"] == [
         ["A", "B", "C"], ["a", "x", "1.000"], ["y", "\u2013"], ["b", "x", "2"],
     ]  # fmt: skip
-    assert 'rowspan="2"' in table.html()
-    assert table.csv() == "A,B,C\na,x,1.0\na,y,\nb,x,2\n"
-    many = Table("T", ("A",), [("a",)] * 1000, "t")
-    assert "1000 rows" in many.html()
+    assert 'rowspan="2"' in html(table)
+    assert table.csv() == "A,B,C,of nothing\na,x,1.0,\na,y,,\nb,x,2,\n"
+    assert "1000 rows" in html(Table("T", ("A",), [("a",)] * 1000, "t"))
+
+
+def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) -> None:
+    template = folder / "office.html"
+    if comm.rank == 0:
+        template.write_text(
+            '{% extends "report.html" %}{% block head %}<h1>Office & {{ title }}</h1>{% endblock %}'
+        )
+    comm.barrier()
+    tent(comm).report(folder / "now.html", pictures=[], template=template, title="<T>")
+    comm.barrier()
+    text = (folder / "now.html").read_text(encoding="utf-8")
+    assert "<h1>Office & &lt;T&gt;</h1>" in text
+    assert "<table" in text
+    assert 'class="about"' not in text.partition("</style>")[2]
+
+
+def test_a_browser_prints_the_page(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that only says what it was asked for."""
+    browser = folder / "browser"
+    if comm.rank == 0:
+        browser.write_text(
+            '#!/bin/sh\nfor x; do case $x in --print-to-pdf=*) echo "$x" >"${x#*=}";; esac; done\n'
+        )
+        browser.chmod(0o755)
+    comm.barrier()
+    monkeypatch.setenv("CRMS_BROWSER", str(browser))
+    tent(comm).report(folder / "now.html", pictures=[], pdf=True)
+    comm.barrier()
+    assert (folder / "now.pdf").read_text().startswith("--print-to-pdf=")

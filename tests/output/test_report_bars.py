@@ -13,6 +13,7 @@ from report_page import Page, read_csv
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output.report.case import case_of
 from crms_fenicsx.output.report.results_tables import families
+from crms_fenicsx.results.shape_change import shape_of
 
 SNOW, LAMP, WATER = 0.2, 0.5, 10.0
 SIDE = 8.0
@@ -71,7 +72,7 @@ def test_a_report_has_them_all(comm: MPI.Intracomm, tmp_path: Path) -> None:
     solver.report(folder / "tent.html", found, unit="m", force="kN", pictures=["tension"])
     comm.barrier()
     page = Page((folder / "tent.html").read_text(encoding="utf-8"))
-    assert len(page.images) == 3
+    assert len(page.images) == 2 + 2 + 2 + 2  # model, loads on the membrane, cases, foundations
     assert any(row[:2] == ["top", ""] for row in page.tables["Joints"])
     kinds = {row[0]: row[1] for row in page.tables["Loads at the factor 1"]}
     assert kinds["lamp"] == "on joints"
@@ -112,7 +113,7 @@ def test_a_report_has_them_all(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 def test_pictures_have_room_for_bars(comm: MPI.Intracomm) -> None:
     solver = braced(comm)
-    case = case_of(solver, "now")
+    case = case_of(solver, "now", shape_of(solver.scene))
     assert case.low[1] == pytest.approx(-5.0)
     assert case.low[2] == pytest.approx(-2.0)
     assert case.high[2] == pytest.approx(solver.scene.joint("top").position[2])

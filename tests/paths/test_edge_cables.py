@@ -32,13 +32,13 @@ def with_edge_cables(scene: Scene, **given: bool) -> Solver:
 def test_an_edge_cable_needs_no_word(comm: MPI.Intracomm, structured: bool) -> None:
     """The hypar under snow is the same as with sleeves, and cables stay on the edges."""
     found = []
-    for given in ({}, {"sleeve": True}):
+    for given in ({}, {"hold": "sleeve"}):
         scene = sail(comm, 3.0, structured)
         solver = with_edge_cables(scene, **given)
         solver.advance()
         scene.put_load((0.0, 0.0, -0.1), name="snow", per="plan")
         solver.advance(load={"snow": 1.0})
-        assert all(cable.sleeve for cable in scene.cables)
+        assert all(cable.hold == "pocket" for cable in scene.cables)
         for cable in scene.cables:
             before = cable.reference_positions
             before = before[np.isfinite(before[:, 0])]
@@ -62,8 +62,8 @@ def test_other_cables_can_lift_off(comm: MPI.Intracomm) -> None:
         "leaves": [(0.0, 0.0), (5.0, 0.0), (10.0, 3.3)],
     }
     for name, path in paths.items():
-        assert not scene.lay_cable(Cable(1000.0), path, name=name).sleeve, name
-    assert scene.lay_cable(Cable(1000.0), [(0.0, 0.0), (10.0, 0.0)], name="free").sleeve
+        assert scene.lay_cable(Cable(1000.0), path, name=name).hold == "outside", name
+    assert scene.lay_cable(Cable(1000.0), [(0.0, 0.0), (10.0, 0.0)], name="free").hold == "pocket"
 
 
 @pytest.mark.ranks
@@ -79,7 +79,7 @@ def test_an_edge_cable_to_masts(comm: MPI.Intracomm) -> None:
         Cable(1000.0), [(-2.0, -0.5, 0.0), (0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (12.0, -0.5, 0.0)],
         tension=12.0,
     )  # fmt: skip
-    assert cable.sleeve
+    assert cable.hold == "pocket"
     solver = Solver(scene)
     solver.advance()
     middle = cable.line[np.argmin(np.abs(cable.line[:, 0] - 5.0))]

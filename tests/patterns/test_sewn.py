@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
-from pattern_surfaces import FABRIC, cone, half_cylinder, hypar, quarter_sphere
+from pattern_surfaces import FABRIC, cone, half_cylinder, hypar
+from sewn_sphere import inflated_sphere
 
 from crms_fenicsx import (
     Cable,
@@ -16,6 +19,7 @@ from crms_fenicsx import (
     IsotropicMembrane,
     Scene,
     Solver,
+    UflMembrane,
     meshes,
     patterns,
 )
@@ -74,6 +78,31 @@ def test_hypar_in_three_strips(comm: MPI.Intracomm, wrinkling: bool) -> None:
     assert got.wrinkled == 0.0
 
 
+@pytest.mark.ranks
+def test_a_law_of_ones_own(comm: MPI.Intracomm) -> None:
+    """One that is the fabric's gives its forces; one that brings a prestress is refused by name."""
+    pattern = patterns.flatten(
+        pieces_of(hypar(comm, 4)), STIFF, shrink=patterns.shrink_for(STIFF, 2.0)
+    )
+    D = STIFF.stiffness
+
+    def psi(E: Any, slope: float = 0.0) -> Any:
+        e = ufl.as_vector([E[0, 0], E[1, 1], 2 * E[0, 1]])
+        return ufl.dot(e, ufl.dot(ufl.as_matrix(D.tolist()), e)) / 2 + slope * ufl.tr(E)
+
+    found = []
+    for material in (None, UflMembrane(psi)):
+        scene = patterns.sew(pattern, material)
+        scene.fix("boundary")
+        solver = Solver(scene)
+        solver.advance()
+        found.append(patterns.compare(solver, pattern, 2.0).whole)
+    for name in ("mean", "spread", "least", "largest", "deviation"):
+        np.testing.assert_allclose(*(getattr(one, name) for one in found), rtol=1e-6)
+    with pytest.raises(InputError, match="subtract it from psi"):
+        patterns.sew(pattern, UflMembrane(lambda E: psi(E, 1.0)))
+
+
 @pytest.mark.parametrize(("part", "forces"), [(None, (0.375, 0.181)), (0.01, (12.82, 10.76))])
 def test_wrong_compensation_is_seen(
     comm: MPI.Intracomm, part: float | None, forces: tuple[float, float]
@@ -116,7 +145,7 @@ def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
         scene.fix("boundary")
         if cable:
             ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
-            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, sleeve=True, measured_on="facets")
+            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, hold="sleeve", measured_on="facets")
         solver = Solver(scene)
         solver.advance()
         places.append(scene.positions())
@@ -125,35 +154,40 @@ def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(*places, atol=3e-4)
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("shrink", [None, patterns.Shrink(0.0118, 0.0124)])
+def test_compensation_is_adjusted_under_a_cable(
+    comm: MPI.Intracomm, shrink: patterns.Shrink | None
+) -> None:
+    """One that crosses both seams and folds cells beside them: from none, and from too much."""
+    pattern = patterns.flatten(pieces_of(hypar(comm, 6)), STIFF, shrink=shrink)
+
+    def build(pattern: patterns.Pattern) -> Solver:
+        scene = patterns.sew(pattern)
+        scene.fix("boundary")
+        ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
+        scene.lay_cable(Cable(EA=500.0), ends, tension=1.0, sleeve=True, measured_on="facets")
+        solver = Solver(scene)
+        solver.advance()
+        return solver
+
+    found = patterns.adjust(pattern, build, forces=2.0)
+    np.testing.assert_allclose(found.comparisons[-1].whole.mean, 2.0, rtol=1e-4)
+    assert len(found.errors) <= 4 and found.errors[0] > 0.5
+    folded = found.solver.results().folded
+    assert comm.allreduce(int(folded.sum())) > 30
+    assert found.solver.scene.cables[0].tension == pytest.approx(0.967, abs=2e-3)
+
+
 SPHERES = [
     (8, 9.555, 10.264, 1.438, 1.96, -4.3, 1.492, 0.27),
     (16, 9.918, 10.064, 1.497, 1.25, -2.1, 1.492, 0.15),
     pytest.param(32, 9.989, 10.012, 1.501, 0.60, -0.21, 1.498, 0.079, marks=pytest.mark.slow),
     pytest.param(64, 9.9987, 10.0015, 1.5002, 0.20, 0.93, 1.4995, 0.028, marks=pytest.mark.slow),
+    pytest.param(128, 9.9998, 10.0004, 1.5, 0.056, 1.34, 1.4999, 0.008, marks=pytest.mark.slow),
 ]
 """Gores, radii, and along warp mean, spread and least force, along weft mean and spread, by an
 independent program, with pressure .3 and wanted forces of 1.5, without wrinkling."""
-
-
-def sphere(comm: MPI.Intracomm, gores: int, wrinkling: bool, extra: float = 1.0) -> tuple[
-    Solver, patterns.Pattern, np.ndarray
-]:  # fmt: skip
-    """A sphere sewn of gores and inflated, and the radii of its vertices."""
-    film = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, wrinkling=wrinkling)
-    mesh = quarter_sphere(comm, gores, 8)
-    seams = [patterns.edge_line(mesh, name) for name in mesh.edges if name.startswith("seam")]
-    pattern = patterns.flatten(
-        patterns.cut(mesh, seams), film, shrink=patterns.shrink_for(film, 1.5)
-    ).adjusted({f"piece {k + 1}": (extra, extra) for k in range(gores // 4)})
-    scene = patterns.sew(pattern)
-    scene.fix("x0", "x")
-    scene.fix("y0", "y")
-    scene.fix(lambda x: np.abs(x[2]) < 1e-9, "z")
-    solver = Solver(scene)
-    solver.advance(pressure=0.3)
-    own = scene.V.dofmap.index_map.size_local
-    radii = comm.allgather(np.linalg.norm(scene.positions()[:own], axis=1))
-    return solver, pattern, np.concatenate(radii)
 
 
 @pytest.mark.parametrize(
@@ -163,26 +197,50 @@ def test_sphere_of_gores(  # type: ignore[no-untyped-def]
     comm: MPI.Intracomm, gores: int, low, high, warp, warp_sd, least, weft, weft_sd
 ) -> None:
     """Sewn back and inflated: radii, means, scatter; compression ends below the width told."""
-    solver, pattern, radii = sphere(comm, gores, wrinkling=False)
+    solver, pattern, radii = inflated_sphere(comm, gores, wrinkling=False)
     got = patterns.compare(solver, pattern, 1.5).whole
     np.testing.assert_allclose([radii.min(), radii.max()], [low, high], atol=6e-4)
     np.testing.assert_allclose([*got.mean], [warp, weft], atol=6e-4)
-    np.testing.assert_allclose([*got.spread], [warp_sd, weft_sd], rtol=0.02)
+    np.testing.assert_allclose([*got.spread], [warp_sd, weft_sd], rtol=0.02, atol=4e-4)
     np.testing.assert_allclose(got.least[0], least, rtol=0.02)
     width = 2 * np.pi * 10.0 / gores
     if got.least[0] < 0.0:
         assert width > patterns.largest_width(pattern.material, 1.5, 0.01)  # type: ignore[arg-type]
 
 
-def test_wrinkled_sphere_of_gores(comm: MPI.Intracomm) -> None:
-    """Wrinkles take the compression; 1 % less fabric makes it 1 % smaller with the same forces."""
+WRINKLED = [
+    (8, 1.482, 0.46),
+    (16, 1.500, 0.26),
+    (32, 1.501, 0.064),
+    pytest.param(64, 1.500, 0.0, marks=pytest.mark.slow),
+    pytest.param(128, 1.500, 0.0, marks=pytest.mark.slow),
+]
+"""Gores, mean force along the warp, and part of the area that is wrinkled."""
+
+
+@pytest.mark.parametrize(("gores", "mean", "part"), WRINKLED)
+def test_wrinkles_take_the_compression_of_gores(
+    comm: MPI.Intracomm, gores: int, mean: float, part: float
+) -> None:
+    """There is none, and no wrinkle in gores that are narrower than the width told."""
+    solver, pattern, radii = inflated_sphere(comm, gores, wrinkling=True)
+    got = patterns.compare(solver, pattern).whole
+    assert got.least.min() >= -1e-12
+    assert got.mean[0] == pytest.approx(mean, abs=1e-3)
+    assert got.wrinkled == pytest.approx(part, abs=0.01)
+    assert radii.mean() == pytest.approx(10.0, abs=0.6 / gores)
+    width = 2 * np.pi * 10.0 / gores
+    if width < patterns.largest_width(pattern.material, 1.5, 0.01):  # type: ignore[arg-type]
+        assert got.wrinkled == 0.0
+
+
+def test_tight_spheres_are_smaller(comm: MPI.Intracomm) -> None:
+    """1 % less fabric makes one 1 % smaller, with the same forces by its size."""
     found = []
     for extra in (1.0, 1.01):
-        solver, pattern, radii = sphere(comm, 16, wrinkling=True, extra=extra)
+        solver, pattern, radii = inflated_sphere(comm, 16, wrinkling=True, extra=extra)
         found.append((patterns.compare(solver, pattern).whole, radii.mean()))
     (right, radius), (tight, smaller) = found
-    assert right.least.min() >= 0.0 and 0.1 < right.wrinkled < 0.4
-    np.testing.assert_allclose(right.mean, 1.5, rtol=0.01)
     assert smaller / radius == pytest.approx(1 / 1.01, rel=1e-3)
     np.testing.assert_allclose(tight.mean / right.mean, 1 / 1.01, rtol=1e-3)
 

@@ -30,7 +30,7 @@ def sail(comm: MPI.Intracomm) -> Solver:
         scene.fix(corner)
     ends = {1: (0.0, 0.0, 0.0), 2: (SIDE, 0.0, 0.0), 3: (SIDE, SIDE, 0.0), 4: (0.0, SIDE, 0.0)}
     for name, a, b in (("south", 1, 2), ("east", 2, 3), ("north", 3, 4), ("west", 4, 1)):
-        scene.lay_cable(Cable(EA=2e3), [ends[a], ends[b]], sleeve=True, tension=10.0, name=name)
+        scene.lay_cable(Cable(EA=2e3), [ends[a], ends[b]], hold="sleeve", tension=10.0, name=name)
     foot, top = (-0.5, SIDE + 0.5, -5.0), "corner 4"
     scene.add_bar(Bar(EA=1e5), foot, top, name="mast")
     for k, place in enumerate([(-7.0, SIDE, -5.0), (0.0, SIDE + 7.0, -5.0)], 1):

@@ -1,6 +1,7 @@
 """Stresses, reactions, volume and surface of a state, against slow twins and exact values."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,6 +153,21 @@ def test_utilisation() -> None:
     np.testing.assert_allclose(results.utilisation((24.0, 2.0)), 1.0)
     found = results.utilisation({"left": (3.0, 8.0)})
     np.testing.assert_allclose(found, np.where(left, 2.0, np.nan))
+    scene.put_load((0.0, 0.0, -1.0), name="snow")
+    scene.put_pond(10.0, level=-1.0, name="water")
+    scene.set_strengths((12.0, 8.0), factors={"snow": 1.6, "water": 2.0})
+    np.testing.assert_allclose(Solver(scene).results().utilisation(), 0.5)  # nothing acts
+    scene.loads.replace_each(lambda load: replace(load, factor=0.1))
+    results = Solver(scene).results()
+    np.testing.assert_allclose(results.utilisation(), 1.0)
+    np.testing.assert_allclose(results.utilisation((12.0, 8.0)), 0.5)
+    assert Solver(scene).summary().strength_factor == 2.0
+    for factors, words in (
+        ({"rain": 1.5}, "no load 'rain'; there are 'snow', 'water'"),
+        ({"snow": 0.0}, "factor of 'snow' = 0.0"),
+    ):
+        with pytest.raises(InputError, match=words):
+            scene.set_strengths((12.0, 8.0), factors=factors)
     put(scene, lambda x: 0.5 * x)
     assert not Solver(scene).results().utilisation((12.0, 8.0)).any(), "slack"
     for bad, words in (

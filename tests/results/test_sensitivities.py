@@ -150,3 +150,21 @@ def test_bad_sensitivities_are_refused(comm) -> None:
     rubbed.advance(pressure=1.0)
     with pytest.raises(InputError, match="friction depends on the way here"):
         rubbed.sensitivities(["energy"], ["pressure"])
+
+
+@pytest.mark.ranks
+def test_one_solve_for_each_result_gives_the_same(comm) -> None:
+    """With fewer results than parameters, as with fewer parameters than results; bars as well."""
+    solver = crossed(comm)
+    scene = solver.scene
+    vertex = scene.vertex_at((0.0, 0.0, 0.0))
+    guy = scene.add_bar(Bar(200.0), (5.0, 5.0, 3.0), scene.vertex_at((10.0, 10.0, 0.0)), name="g")
+    solver.advance(pressure=2.0, load=0.1)
+    a, b = scene.cables
+    by = [a, b, guy, "pressure", "snow", ("EA", a), ("EA", b)]
+    of = [a, guy, "energy", b.end, "volume", (vertex, "z")]
+    forward = np.column_stack([solver.sensitivities(of, by[k : k + 2]).values for k in (0, 2, 4)])
+    for k, one in enumerate(of):
+        found = solver.sensitivities([one], by).values[0]
+        scale = np.abs(forward[k]).max(initial=1e-12)
+        np.testing.assert_allclose(found[:6], forward[k], atol=1e-7 * scale)

@@ -9,7 +9,10 @@ import pytest
 from mpi4py import MPI
 from vtu_file import read_vtu
 
+from crms_fenicsx import Solver
 from crms_fenicsx.output import History
+from crms_fenicsx.results.foundations import foundations
+from crms_fenicsx.results.summary import held_groups
 
 ROOT = Path(__file__).parents[2]
 PROMISED = {
@@ -63,7 +66,10 @@ def test_demo(
     folder = Path(comm.bcast(str(tmp_path)))
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", [f"{demo}.py", *arguments])
-    runpy.run_path(str(ROOT / "demos" / f"{demo}.py"), run_name="__main__")
+    left = runpy.run_path(str(ROOT / "demos" / f"{demo}.py"), run_name="__main__")
+    for solver in (one for one in left.values() if isinstance(one, Solver)):
+        groups = {name: dofs for name, (_, dofs) in held_groups(solver.scene.membrane).items()}
+        assert foundations(solver.system, groups).unbalanced < 1e-8
     said, errors = capfd.readouterr()
     lines = [line for line in said.splitlines() if line]
     assert errors == "" and len(set(lines)) == len(lines)

@@ -67,7 +67,7 @@ def script(
     given: dict[str, Any] = {
         "pressure": 0.01, "steps": 2, "move": (0.0, 0.0, -2.0), "L0": 0.995, "EA": 9000.0,
         "friction": 0.0, "along": 0.0, "path": [(0, 33), (100, 41)], "tension": 15.0,
-        "sleeve": False, "held": "x", "floor": -1.0, "snow": -1e-3, "rtol": 1e-9,
+        "hold": "outside", "held": "x", "floor": -1.0, "snow": -1e-3, "rtol": 1e-9,
         "name": "rough",
     } | changed  # fmt: skip
     scene = scene_of(comm, **({"strain": "step", "pressure": "step"} if laws == "step" else {}))
@@ -80,7 +80,7 @@ def script(
     friction = Friction(given["friction"], along=given["along"]) if laws == "total" else 0.0
     rough = scene.lay_cable(
         Cable(given["EA"], friction=friction, law=laws), given["path"], tension=given["tension"],
-        sleeve=given["sleeve"], name=given["name"],
+        hold=given["hold"], name=given["name"],
     )  # fmt: skip
     length = rough.L0
     solver.advance(move={rough.end: given["move"]}, load=1.0, steps=2)
@@ -175,7 +175,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "friction": (0.1, "call 2 .*scene, cables: 'rough', friction, mu = 0.0, and now 0.1"),
     "path": ([(0, 33), (100, 41.001)], "call 2 .*scene, cables: 'rough'"),
     "tension": (16.0, "call 2 .*scene, cables: 'rough', L0"),
-    "sleeve": (True, "call 2 .*scene, cables: 'rough', sleeve = False, and now True"),
+    "hold": ("sleeve", "call 2 .*scene, cables: 'rough', hold = outside, and now sleeve"),
     "name": ("smooth", "call 2 .*advance, move, end of the cable 'rough'"),
     "move": ((0.0, 0.0, -2.1), "call 2 .*advance, move, end of the cable 'rough' = .*-2.0"),
     "L0": (0.994, "call 3 .*advance, L0, cable 'rough'"),

@@ -307,4 +307,6 @@ def rigid(
     scene.fix(lambda x: np.full(x.shape[1], True))
     route = way.points[::16] if path is None else path  # chords of it are 1e-4 off the curve
     sleeve = way.surface.inside
-    return scene, scene.lay_cable(Cable(EA=EA, friction=friction), route, sleeve=sleeve)
+    return scene, scene.lay_cable(
+        Cable(EA=EA, friction=friction), route, hold="sleeve" if sleeve else "outside"
+    )

@@ -193,7 +193,7 @@ def test_reactions_after_a_branch_have_the_papers_pressure(
 
     solver, folder = inflated(), Path(comm.bcast(str(tmp_path))) / "point"
     solver.advance(pressure=0.01, steps=2)
-    solver.scene.lay_cable(Cable(9000.0), [(0.0, 43.0), (100.0, 52.0)], sleeve=True)
+    solver.scene.lay_cable(Cable(9000.0), [(0.0, 43.0), (100.0, 52.0)], hold="sleeve")
     solver.advance(steps=4)
     before = solver.reactions("boundary").total
     assert before[2] < -80.0

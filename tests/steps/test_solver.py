@@ -492,7 +492,7 @@ def test_a_floor_under_a_cable(free_mesh: meshes.MembraneMesh) -> None:
     scene = clamped(free_mesh)
     scene.floor(-4.0)
     solver = Solver(scene)
-    cable = scene.lay_cable(CABLE, ACROSS, L0=100.9, sleeve=True)  # the membrane hangs in it
+    cable = scene.lay_cable(CABLE, ACROSS, L0=100.9, hold="sleeve")  # the membrane hangs in it
     step = solver.advance(pressure=-0.02)
     assert step.halvings == 0 and cable.tension > 1.0
     assert cable.positions[:, 2].min() == pytest.approx(-4.0, abs=1e-9)

@@ -184,6 +184,16 @@ def test_crossing_cables_apart_are_found(comm: MPI.Intracomm, name: str) -> None
     assert "crossing cables apart" in names(checked(solver, spoil))
 
 
+def test_clamps_that_hold_nothing_are_found(comm: MPI.Intracomm) -> None:
+    solver = cabled(comm, "weak cable", crossed=True)
+    cables = solver.scene.cables[:2]
+    solver.scene.clamp(*cables)
+    solver.advance()
+    assert alarms(solver) == set()
+    found = checked(solver, lambda: cables[0].update(parts=None))
+    assert "clamps that hold nothing" in names(found)
+
+
 @pytest.mark.parametrize(("name", "EA"), [("stiff membrane", 0.03), ("weak cable", 0.03)])
 def test_cables_held_by_edges_that_the_pressure_bulges_are_found(
     comm: MPI.Intracomm, name: str, EA: float

@@ -17,10 +17,11 @@ from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
 from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.output.figures.plots import units_of_results
+from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.views.view_data import (
@@ -40,6 +41,9 @@ MOST_CELLS = 500_000
 """Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
 20 s and 0.7 GB for a million; and in a picture of a million points nobody would see so many."""
 
+MOST_STROKES = 12
+"""So many principal directions are shown along the size of a surface."""
+
 SIGNED = "RdYlBu_r"
 """Colours of tensions and compressions."""
 
@@ -51,8 +55,14 @@ COLOURS = ("height", "displacement", *QUANTITY_OF)
 """What `draw` can colour the membrane by."""
 
 
+LOAD = "load "
+"""What the colours of loads begin with, before the load's name."""
+
+
 def label_of(colour: str) -> tuple[str, str]:
     """Label of a colour, and the kind of its unit."""
+    if colour == "displacement":
+        return "deflection", "length"
     if colour not in QUANTITY_OF:
         return colour, "length"
     one = QUANTITIES[QUANTITY_OF[colour]]
@@ -79,6 +89,7 @@ def draw(
     force: str = "",
     ghost: bool = False,
     tensions: bool = True,
+    directions: bool = False,
     **options: Any,
 ) -> Figure | None:
     """Draw a solver's scene in its current state, with the tensions of cables and bars. Collective.
@@ -96,13 +107,16 @@ def draw(
         What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
         and smaller principal true section force), "warp", "weft" and "shear" (true section
         forces), "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the
-        strengths of `Scene.set_strengths`); None: plain fabric.
+        strengths of `Scene.set_strengths`), "load snow" (force per area of the load of that name at
+        the factor 1, of wind its pressure coefficients c_p); None: plain fabric.
     unit, force
         Names of the units of length and force, for labels.
     ghost
         Whether to show the stress-free shape, faintly.
     tensions
         Whether to colour the cables by their tensions, which takes a colour bar of its own.
+    directions
+        Whether to show directions of the larger principal section force by strokes.
     **options
         As `ShapeOptions`: ``view``, ``box``, ``title``, ``limits`` ...
 
@@ -125,9 +139,10 @@ def draw(
         raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
     checks.same(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
-        tensions=tensions, **options,
+        tensions=tensions, directions=directions, **options,
     )  # fmt: skip
-    checks.one_of("draw: colour", colour, (None, *COLOURS))
+    loads = [f"{LOAD}{name}" for name in solver.system.scene.loads.factors]
+    checks.one_of("draw: colour", colour, (None, *COLOURS, *loads))
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
     if taken:
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
@@ -137,10 +152,16 @@ def draw(
         return None
     shape = current_surface(scene.net)
     fields: dict[str, Array] = {}
+    if colour in loads:
+        fields["values"] = load_values(scene, str(colour).removeprefix(LOAD))
     if colour in QUANTITY_OF:
         fields["values"] = membrane_results(system).values(QUANTITY_OF[colour])
+    if directions:
+        options["strokes"] = _principal_strokes(system)
     if colour is not None:
-        label, kind = label_of(colour)
+        label, kind = (
+            load_label(scene, colour[len(LOAD) :]) if colour in loads else label_of(colour)
+        )
         named = units_of_results(unit, force).get(kind, "")
         options.setdefault("label", with_unit(label, named))
     if colour == "state":
@@ -170,6 +191,32 @@ def draw(
                 ghost=None if free is None else (free.points, free.triangles), **options,
             )  # fmt: skip
     return None
+
+
+def _principal_strokes(system: System) -> Array:
+    """Strokes along the larger principal force of cells spread over all ranks' surface.
+    Collective."""
+    results, scene = membrane_results(system), system.scene
+    n = len(results.state)
+    centres = scene.positions()[scene.V.dofmap.list[:n]].mean(axis=1)
+    taut = results.state > 0
+    pieces = scene.comm.allgather((centres[taut], results.true_directions[taut, 0]))
+    places, ways = (np.concatenate([one[k] for one in pieces]) for k in (0, 1))
+    if not len(places):
+        return np.zeros((0, 2, 3))
+    size = float(np.ptp(places, axis=0).max()) or 1.0
+    chosen = spread(places, size / MOST_STROKES)
+    half = 0.35 * size / MOST_STROKES * ways[chosen]
+    return np.stack([places[chosen] - half, places[chosen] + half], axis=1)
+
+
+def spread(places: Array, step: float) -> Integers:
+    """Numbers of places (n, 3), one in each cube of a size, that in its middle."""
+    cubes = np.floor(places / step)
+    off = np.linalg.norm(places / step - cubes - 0.5, axis=1)
+    order = np.lexsort((*places.T, off))
+    _, first = np.unique(cubes[order], axis=0, return_index=True)
+    return np.asarray(order[first])
 
 
 def _signed_colours(scene: Scene) -> dict[str, Any]:

@@ -71,6 +71,8 @@ class ShapeOptions:
         Mild perspective; otherwise parallel projection.
     ghost : (points, triangles), optional
         A second shape, such as the reference, drawn faintly.
+    strokes : (k, 2, 3) array of length, optional
+        Ends of short lines on the surface, such as principal directions.
     edges : bool
         Draw the edges of the triangles where these are large enough.
     hidden : (h, 2) array of int, optional
@@ -99,6 +101,7 @@ class ShapeOptions:
     view: tuple[float, float] = (-60.0, 30.0)
     perspective: bool = True
     ghost: tuple[ArrayLike, ArrayLike] | None = None
+    strokes: ArrayLike | None = None
     edges: bool = True
     hidden: ArrayLike | None = None
     box: bool | tuple[ArrayLike, ArrayLike] = True
@@ -188,6 +191,8 @@ def draw_shape(
     _paint_outline(axes3d, surface, flat, tolerance, INK)
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
+    if how.strokes is not None and np.size(how.strokes):
+        _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
@@ -298,15 +303,26 @@ def _paint_outline(
     axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
 ) -> None:
     """Paint what is seen of a surface's border; `flat` are the triangles that may hide it."""
+    outline = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
+    _paint_seen(axes3d, outline, flat, tolerance, colour)
+
+
+def _paint_seen(
+    axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
+) -> None:
+    """Paint short lines (k, 2, 3) where no triangle hides them."""
     from matplotlib.collections import LineCollection
 
-    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
-    if len(outline):
-        ends = axes3d.camera.project(outline)
+    if len(strokes):
+        ends = axes3d.camera.project(strokes)
         seen = visible(ends.mean(axis=1), flat, tolerance)
         axes3d.axes.add_collection(
             LineCollection(
-                list(ends[seen, :, :2]), colors=[colour], linewidths=0.8, capstyle="round", zorder=2
+                list(ends[seen, :, :2]),
+                colors=[colour],
+                linewidths=thick,
+                capstyle="round",
+                zorder=2,
             )
         )
 
@@ -320,7 +336,7 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
     return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
 
 
-def _outline(points: Array, triangles: Integers) -> Array:
+def outline_of(points: Array, triangles: Integers) -> Array:
     """Ends (b, 2, 3) of edges of one triangle only; vertices at one place count as one."""
     if len(triangles) == 0:
         return np.empty((0, 2, 3))

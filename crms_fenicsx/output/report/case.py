@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,31 +14,23 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, SIGNED, HasSystem, draw, label_of
-from crms_fenicsx.results.summary import SUMMED_UP, Summary, summary
+from crms_fenicsx.output.report.page import Figure
+from crms_fenicsx.results.foundations import Foundations, foundations
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.shape_change import Shape, ShapeChange, shape_change
+from crms_fenicsx.results.summary import SUMMED_UP, Summary, held_groups, summary
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
 """Pixels per inch of pictures: of up to so many of them, and at least."""
+FAINT = 0.25
+"""Part of the common scale below which a picture has a scale of its own."""
 WIDTH = 6.0
 """Of a picture, in inches."""
 
 
 Corner = tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture of a case: what colours the membrane, and the bytes of a PNG file."""
-
-    colour: str
-    png: bytes
-
-    @property
-    def label(self) -> str:
-        """The quantity that it shows."""
-        colour = self.colour
-        return "axial forces of cables and bars" if colour == TENSION else label_of(colour)[0]
 
 
 @dataclass(frozen=True)
@@ -49,21 +41,45 @@ class Case:
     summary: Summary  # its extremes
     # what checks of this very state say; None if it was not verified in this run
     verification: Verification | None
+    foundations: Foundations  # what its supports bear
+    change: ShapeChange  # since its base state
+    # largest values of cells, smoothed with those around, by part and by quantity
+    recovered: Mapping[str, Mapping[str, float]]
     # low, high: corners of the box around membrane, cables and bars (length)
     low: Corner
     high: Corner
-    pictures: tuple[Picture, ...] = ()  # on the first rank
+    pictures: tuple[Figure, ...] = ()  # on the first rank
 
 
-def case_of(solver: HasSystem, name: str) -> Case:
-    """Take down the current state of a solver's scene. Collective."""
+def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
+    """Take down the current state of a solver's scene, which had a shape before. Collective."""
     system = solver.system
     found, scene, comm = summary(system), system.scene, solver.comm
     places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables),
                              *(bar.points for bar in scene.bars)])  # fmt: skip
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
-    return Case(name, found, checked, *box(comm, places))
+    groups = {key: dofs for key, (_, dofs) in held_groups(scene.membrane).items()}
+    return Case(
+        name, found, checked, foundations(system, groups), shape_change(before, scene),
+        recovered(membrane_results(system), found), *box(comm, places),
+    )  # fmt: skip
+
+
+def recovered(results: MembraneResults, found: Summary) -> dict[str, dict[str, float]]:
+    """Largest smoothed values of cells, by part and by quantity. Collective.
+
+    That of a cell is the mean over its vertices of the means over the cells around these.
+    """
+    values: dict[str, dict[str, float]] = {part: {} for part in found.parts}
+    for name in found.membrane.largest:
+        nodal = results.function(name, smooth=True)
+        at = nodal.x.array[nodal.function_space.dofmap.list[: len(results.state)]].mean(axis=1)
+        for part in found.parts:
+            own = at[results.parts[part]] if part else at
+            most = float(np.max(own[np.isfinite(own)], initial=-np.inf))
+            values[part][name] = results.comm.allreduce(most, op=MPI.MAX)
+    return values
 
 
 def box(comm: MPI.Intracomm, places: Array) -> tuple[Corner, Corner]:
@@ -86,10 +102,23 @@ def with_pictures(
     pictures = []
     for colour in colours:  # one colour bar each, or the shape would be small beside them
         fabric = None if colour == TENSION else colour
-        options |= {"colour": fabric, "tensions": fabric is None}
-        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        options |= {
+            "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
+            "directions": forces, "loose": "lifted" if fabric is None else None,
+        }  # fmt: skip
+        limits, own = _limits(every, colour), _limits([case], colour)
+        faint = (
+            limits is not None
+            and own is not None
+            and max(map(abs, own)) < FAINT * max(map(abs, limits))
+        )
+        png = draw_png(solver, dpi=dpi, limits=own if faint else limits, **options)
         if png:
-            pictures.append(Picture(colour, png))
+            label = LINES if fabric is None else label_of(colour)[0]
+            label += "; strokes: larger principal force" if forces else ""
+            label += " (a scale of its own)" if faint else ""
+            pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
 
 
@@ -124,8 +153,8 @@ def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, fl
     return box, (low, high) if any(forces) else None
 
 
-TENSION = "tension"
-"""Name of the picture with plain fabric and the forces of cables and bars."""
+TENSION, LINES = "tension", "axial forces of cables and bars"
+"""Name of the picture with plain fabric and the forces of cables and bars, and what it shows."""
 
 
 def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
 
@@ -22,8 +22,9 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.output.report.case import box
-from crms_fenicsx.output.report.page import Cell, Table, number, shown
+from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
 from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
+from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 from crms_fenicsx.runtime.arrays import Array, floats
@@ -33,13 +34,16 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class Model:
-    """A scene as tables, the same on all ranks, and a PNG of it; empty without one."""
+    """A scene as tables, the same on all ranks, and pictures of it."""
 
     size: float  # largest extent of the stress-free surface (length)
     ranks: int
     tables: dict[str, Table]  # by what they list
-    picture: bytes = b""  # on the first rank
-    caption: str = ""  # what the picture shows
+    pictures: Sequence[Figure] = ()  # of the model and of its loads, on the first rank
+    loads: Sequence[Figure] = ()
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))  # in the base state
+    pressure: float = 0.0  # (force per area), and
+    factors: Mapping[str, float] = field(default_factory=dict)  # of loads, in the base state
 
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
@@ -52,7 +56,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
     ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
-        "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas)),
+        "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
         "strengths": ("Strengths", "Part|Warp{stress}|Weft{stress}", strengths),
         "supports": (
             "Supports of the membrane",
@@ -72,7 +76,10 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         "joints": (
             "Joints",
             "Joint|Held directions|x{length}|y{length}|z{length}",
-            [(joint.name, _held(joint), *floats(joint.position)) for joint in scene.joints],
+            [
+                (joint.name, _held(joint), *clean(floats(joint.position), max(extents), 1e-4))
+                for joint in scene.joints
+            ],
         ),
         "loads": (
             "Loads at the factor 1",
@@ -84,7 +91,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         name: Table(caption, units.headings(columns), rows)
         for name, (caption, columns, rows) in listed.items()
     }
-    return Model(max(extents), scene.comm.size, tables)
+    return Model(
+        max(extents), scene.comm.size, tables, pressure=scene.pressure, factors=scene.factors
+    )
 
 
 STATE = {
@@ -154,22 +163,32 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
     return [(name, shown(value)) for name, value in rows]
 
 
-def _materials(scene: Scene, areas: Array) -> list[Row]:
+def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
     membrane, rows = scene.membrane, list[Row]()
     for k, material in membrane.materials.items():
         tags = membrane.cell_tags
         own = areas if tags is None else areas[tags.values == k]
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
-        rows.append((part, area, type(material).__name__, _data(material)))
+        rows.append((part, area, type(material).__name__, _data(material, units)))
     return rows
 
 
-def _data(thing: Any) -> str:
-    """The fields of a dataclass as text."""
+KINDS = dict.fromkeys(("E", "E1", "E2", "G12"), "pressure")
+KINDS |= {"thickness": "length", "prestress": "stress"}
+"""Kinds of the units of a material's data."""
+
+
+def _data(thing: Any, units: Units | None = None) -> str:
+    """The fields of a dataclass as text, with units."""
     if not is_dataclass(thing):
         return ""
-    return ", ".join(f"{one.name} = {_text(getattr(thing, one.name))}" for one in fields(thing))
+    return ", ".join(
+        f"{one.name} = {_text(getattr(thing, one.name))}"
+        + (units.plain(KINDS[one.name])
+           if units is not None and one.name in KINDS else "")
+        for one in fields(thing)
+    )  # fmt: skip
 
 
 def _text(value: Any) -> str:
@@ -185,7 +204,11 @@ def _text(value: Any) -> str:
 def _supports(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     own, comm = scene.V.dofmap.index_map.size_local, scene.comm
-    for name, (directions, dofs) in held_groups(scene.membrane).items():
+    groups = held_groups(scene.membrane)
+    for name in partition(scene, {key: dofs for key, (_, dofs) in groups.items()}):
+        if name not in groups:
+            continue
+        directions, dofs = groups[name]
         length = None
         if name in scene.mesh.edges:
             lengths = held_lengths(scene.membrane, name)[:own]
@@ -200,7 +223,7 @@ def _cable(cable: LaidCable) -> Row:
     friction = cable.cable.friction
     data = _data(friction) if isinstance(friction, Friction) else f"mu = {friction:g}"
     free = cable.slides_freely and cable.cable.along == 0.0
-    lies = "in the edge's sleeve" if cable.in_edge else "in a sleeve" if cable.sleeve else "loose"
+    lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.joints, strict=True)
@@ -227,7 +250,7 @@ def _loads(scene: Scene) -> list[Row]:
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
-        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-9)))
+        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-4)))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"

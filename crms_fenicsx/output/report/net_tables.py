@@ -1,16 +1,11 @@
-"""Tables of clamps, anchors and foundations, and of the lengths to which cables are made."""
+"""Tables of clamps and anchors, and of the lengths to which cables are made."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-
+from crms_fenicsx.output.report.foundation_tables import DIRECTION, inclined
 from crms_fenicsx.output.report.page import Table
 from crms_fenicsx.output.report.results_tables import ResultTables, Row, Units, with_size
 from crms_fenicsx.results.cable_order import Order
-
-DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
-"""Headings of a force's horizontal part and of its angles."""
 
 
 def clamps(results: ResultTables) -> Table:
@@ -30,7 +25,7 @@ def anchors(results: ResultTables) -> Table:
     """Forces of the anchors on the cables' ends."""
     cases = results.cases
     rows: list[Row] = [
-        (name, which, case.name, *with_size(force), *_inclined(force))
+        (name, which, case.name, *with_size(force), *inclined(force))
         for name in results.names("cables") for which in ("start", "end") for case in cases
         if (force := getattr(case.summary.cables.get(name), which, None)) is not None
     ]  # fmt: skip
@@ -38,35 +33,6 @@ def anchors(results: ResultTables) -> Table:
         "Cable|End|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}|" + DIRECTION
     )
     return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
-
-
-def foundations(results: ResultTables, carried: Mapping[str, Sequence[str]]) -> Table:
-    """Sums of what cables' ends and joints exert on each foundation: reactions with other signs."""
-    rows: list[Row] = []
-    for name, members in carried.items():
-        for case in results.cases:
-            ends = {
-                f"{cable.name} {which}": force
-                for cable in case.summary.cables.values()
-                for which in ("start", "end")
-                if (force := getattr(cable, which)) is not None
-            }
-            known = {**case.summary.joints, **ends}
-            forces = [known[member] for member in members if member in known]
-            total = [-sum(force[i] for force in forces) for i in range(3)]
-            rows.append((name, case.name, *with_size(total), *_inclined(total)))
-    columns = results.units.headings(
-        "Foundation|Combination|Fx{force}|Fy{force}|Fz{force}|Size{force}|" + DIRECTION
-    )
-    return Table("Foundations: forces on them", columns, rows, "foundations", headings=2)
-
-
-def _inclined(force: Sequence[float]) -> tuple[float, float, float]:
-    """Horizontal part of a force, its direction in plan from the x axis, and its angle with the
-    plan (degrees)."""
-    x, y, z = force
-    flat = math.hypot(x, y)
-    return flat, math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, flat))
 
 
 def order(cables: Order, units: Units) -> Table:

@@ -15,18 +15,26 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.figures.axes3d import check_view
 from crms_fenicsx.output.figures.draw_scene import COLOURS, HasSystem
 from crms_fenicsx.output.report.case import (
-    SHARPEST,
     TENSION,
     Case,
     case_of,
-    draw_png,
     with_pictures,
 )
+from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.output.report.page import PageSection
+from crms_fenicsx.output.report.pictures import (
+    force_figures,
+    load_figures,
+    model_figures,
+    outline_in_plan,
+)
+from crms_fenicsx.output.report.printing import browser, print_page
 from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
+from crms_fenicsx.output.report.verdict import Limits
 from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.shape_change import Shape, shape_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
@@ -35,8 +43,6 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.load_cases import Combination
 
-MOST_NAMES = 12
-"""Up to so many cables and bars have their names in the picture of the model."""
 NOW = "Current state"
 """Name of the case of a report without combinations."""
 
@@ -70,6 +76,9 @@ class Plan:
     order: Order | None = None  # lengths of the cables to be made
     # names of joints, or of cables with "start" or "end", by the names of foundations
     foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    strain_limit: float = 0.1  # of the membrane's larger principal strain
+    template: str | Path | None = None  # of jinja2, for the page
+    pdf: bool = False  # whether to print the page to a PDF file as well
 
     @property
     def units(self) -> Units:
@@ -109,6 +118,8 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     foundations = _checked_foundations(scene, plan.foundations)
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
+    checks.positive("report: strain_limit", plan.strain_limit)
+    checks.of_type("report: pdf", plan.pdf, bool)
     path = absolute(checks.file("report: filename", filename), comm)
     with raised_together(comm):  # last, as it makes the folder
         if comm.rank == 0:
@@ -119,9 +130,17 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
             if path.is_dir():
                 raise InputError(f"report: {path} is a folder; give the name of a file in it.")
             make_writable(path.parent)
+            if plan.pdf:
+                browser()
+            if plan.template is not None and not Path(plan.template).is_file():
+                raise InputError(
+                    f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
+                    'which may begin with {% extends "report.html" %}.'
+                )
     return replace(
-        plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations
-    )
+        plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
+        template=None if plan.template is None else Path(plan.template).absolute(),
+    )  # fmt: skip
 
 
 def _checked_foundations(
@@ -187,13 +206,21 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
 
 def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
     """Results of combinations, or of the current state if there are none. Collective."""
+    cases = list[Case]()
     if not states:
-        return [case_of(solver, NOW)]
-    cases = []
+        with back_to_now(solver):
+            if solver.base is not None:
+                solver.restore(solver.base)
+            before = shape_of(solver.scene)
+        return [case_of(solver, NOW, before)]
+    shapes = dict[int, Shape]()
     with back_to_now(solver):
         for name, one in states.items():
+            if id(one.base) not in shapes:
+                solver.restore(one.base)
+                shapes[id(one.base)] = shape_of(solver.scene)
             solver.restore(one.snapshot)
-            cases.append(case_of(solver, name))
+            cases.append(case_of(solver, name, shapes[id(one.base)]))
     return cases
 
 
@@ -240,13 +267,13 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
 
 
 def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
-    """A model with a picture of the scene's present state. Collective."""
+    """A model with pictures of the scene's present state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
-    names = len(scene.cables) + len(scene.bars) <= MOST_NAMES
-    png = draw_png(solver, dpi=SHARPEST, show_names=names, **plan.look)
-    return replace(model, picture=png, caption=caption)
+    figures = model_figures(solver, caption, plan.unit, plan.look)
+    loads = load_figures(solver, plan.units, plan.look)
+    return replace(model, pictures=figures, loads=loads, outline=outline_in_plan(scene))
 
 
 def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
@@ -255,9 +282,12 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
             about, path = [*plan.about.items()], plan.path
+            limits = Limits(plan.strain_limit, plan.cable_strengths)
+            held = FoundationTables(cases, plan.units, plan.foundations)
             report = Report(
-                plan.title, about, model, results, plan.sections,
-                order=plan.order, foundations=plan.foundations,
+                plan.title, about, model, results, held, limits, plan.sections,
+                order=plan.order, template=Path(plan.template) if plan.template else None,
+                plans=force_figures(held, model.outline),
             )  # fmt: skip
             texts = {path: report.html()}
             for table in report.tables():
@@ -265,6 +295,9 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
             with ExitStack() as files:
                 for file, text in texts.items():
                     files.enter_context(replaced(file)).write_text(text, encoding="utf-8")
+                if plan.pdf:
+                    pdf = files.enter_context(replaced(path.with_suffix(".pdf")))
+                    print_page(texts[path], pdf)
 
 
 @contextmanager

@@ -22,6 +22,10 @@ TOTAL = "all that meets there"
 Row = tuple[Cell, ...]
 NOISE = 1e-6
 """Components of a force below this part of the largest one are rounding."""
+FINE = 1e-3
+"""Least values below this part of the largest one are no figures to design by."""
+PEAK = 1.25
+"""Ratio of a cell's largest value to the smoothed one from which on it is a peak."""
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""
 
@@ -37,6 +41,10 @@ class Units:
         """The unit of a kind in brackets after a blank; "" where not known."""
         unit = units_of_results(self.length, self.force).get(kind)
         return f" [{unit}]" if unit else ""
+
+    def plain(self, kind: str) -> str:
+        """The unit of a kind after a blank, without brackets."""
+        return self[kind].replace("[", "").replace("]", "")
 
     def headings(self, text: str) -> list[str]:
         """Headings from texts between "|" that name kinds of units, as "Length{length}"."""
@@ -73,15 +81,29 @@ class ResultTables:
                 label += self.units[one.unit] if one.unit else ""
                 yield part, name, label, found.least[name], found.largest[name]
 
-    def factors(self) -> Table:
-        """Pressure and factors of the loads."""
-        loads = self.names("factors")
+    def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
+        """Pressure and factors of the loads, also in the base state."""
+        every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
+        divided = {case.name: case.summary.strength_factor for case in self.cases}
+        reduced = any(x != 1.0 for x in divided.values())
+        base = [one for one in every if one[1] == pressure and one[2] == factors]
+        if not base:
+            base = [("base state", pressure, factors)]
+        every = base + [one for one in every if one not in base]
+        loads = list(dict.fromkeys(load for _, _, known in every for load in known))
+        first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
         rows: list[Row] = [
-            (case.name, case.summary.pressure, *(case.summary.factors.get(load) for load in loads))
-            for case in self.cases
+            (
+                f"LC{k}",
+                name,
+                p,
+                *(known.get(load) for load in loads),
+                divided.get(name) if reduced else None,
+            )
+            for k, (name, p, known) in enumerate(every, first)
         ]
-        columns = self.units.headings("Combination|Inner pressure{pressure}")
-        columns += [f"Factor of {load}" for load in loads]
+        columns = self.units.headings("Case|Combination|Inner pressure{pressure}")
+        columns += [*(f"Factor of {load}" for load in loads), "Strengths divided by"]
         return Table("Inner pressure and factors of the loads", columns, rows, "combinations")
 
     def overview(self) -> Table:
@@ -101,12 +123,16 @@ class ResultTables:
 
     def of_case(self, case: Case) -> Table:
         """Membrane forces of a case, by parts of the membrane."""
-        rows: list[Row] = [
-            (part_name(part), label, *clean([low.value], abs(high.value)),
-             place(low.at, self.size), high.value, place(high.at, self.size))
-            for part, _, label, low, high in self._extremes(case)
-        ]  # fmt: skip
+        rows: list[Row] = []
+        for part, name, label, low, high in self._extremes(case):
+            nodal = case.recovered[part][name]
+            peak = "single-cell peak" if high.value > PEAK * max(nodal, 0.0) else ""
+            rows.append((
+                part_name(part), label, *clean([low.value], abs(high.value), FINE),
+                place(low.at, self.size), high.value, place(high.at, self.size), nodal, peak,
+            ))  # fmt: skip
         columns = "Part|Result|Least|at x; y; z{length}|Largest|at x; y; z{length}"
+        columns += "|Largest, smoothed|Remark"
         table = Table(f"Membrane, {case.name}", self.units.headings(columns), rows, headings=2)
         return _without_one_part(table)
 
@@ -131,7 +157,7 @@ class ResultTables:
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
             at = place(high.at, self.size)
-            (small,) = clean([low.value], abs(high.value))
+            (small,) = clean([low.value], abs(high.value), FINE)
             rows.append((part_name(part), label, small, least, high.value, largest, at))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
@@ -162,7 +188,8 @@ class ResultTables:
             found = [(case, one) for own, case, one in self.each("cables") if own == name]
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
-            used = [high.largest / self.strengths[name] if name in self.strengths else None]
+            share = high.largest / self.strengths[name] if name in self.strengths else None
+            used = [None if share is None else per_cent(share)]
             used = used if self.strengths else []
             rows.append((name, low.least, least, high.largest, largest, *used))
         columns = self.units.headings(
@@ -189,8 +216,10 @@ class ResultTables:
                 own = (bar for name, bar in found if name == case)
                 one = max(own, key=lambda bar: abs(bar.force))
                 state = "slack" if one.slack else "tension" if one.force > 0.0 else "compression"
-                rows.append((label, case, one.force, state, one.length, one.L0))
+                used = None if one.utilisation is None else per_cent(one.utilisation)
+                rows.append((label, case, one.force, state, one.length, one.L0, one.buckling, used))
         columns = "Bar|Combination|Force{force}|State|Length{length}|Unstressed{length}"
+        columns += "|Buckling load{force}|Utilisation"
         return Table("Bars", self.units.headings(columns), rows, "bars", headings=2)
 
     def bar_envelope(self, *, every: bool = True) -> Table:
@@ -199,9 +228,13 @@ class ResultTables:
         for label, found in self._bars(every):
             least, low = min(found, key=lambda one: one[1].force)
             largest, high = max(found, key=lambda one: one[1].force)
-            rows.append((label, low.force, least, high.force, largest))
+            most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
+                       key=_share, default=None)  # fmt: skip
+            used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
+            rows.append((label, low.force, least, high.force, largest, *used))
         columns = self.units.headings(
             "Bar|Least force{force}|Governs least|Largest force{force}|Governs largest"
+            "|Utilisation|Governs utilisation"
         )
         return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
 
@@ -293,8 +326,9 @@ class ResultTables:
                 ((case, check) for case, check in known if check.name == name),
                 key=lambda one: (not one[1].passed, one[1].value / (one[1].limit or 1.0)),
             )
-            rows.append((name, check.value, check.limit, case.name, check.where or None))
-        columns = ("Check", "Value", "Limit", "Combination", "Cable")
+            part = check.value / check.limit if check.limit > 0.0 else 0.0
+            rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
+        columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
         return Table("Checks, where they are nearest to their limits", columns, rows)
 
 
@@ -324,9 +358,13 @@ def _value(one: tuple[str, Extreme]) -> float:
     return one[1].value
 
 
-def with_size(force: Sequence[float]) -> list[float]:
+def _share(one: tuple[str, float | None]) -> float:
+    return one[1] or 0.0
+
+
+def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:
     size = sum(x * x for x in force) ** 0.5
-    return [*clean(force, size), size]
+    return [*clean(force, size, part), size]
 
 
 def _without_one_part(table: Table) -> Table:

@@ -3,42 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from crms_fenicsx.output.report import net_tables
 from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
+    BarChart,
+    Figure,
+    Figures,
+    KeyFigures,
+    PagePart,
     PageSection,
+    Paragraph,
     Table,
-    bars,
-    figure,
-    figures,
-    key_figures,
     number,
     page,
-    paragraph,
     per_cent,
 )
 from crms_fenicsx.output.report.results_tables import ResultTables
+from crms_fenicsx.output.report.verdict import Limits, verdict_on
 from crms_fenicsx.results.cable_order import Order
 
+FORCES_ON = (
+    "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
+    "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
+    "points that meet at one place are summed up. Lines of held edges bear the membrane's forces "
+    "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
+    "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
+    "of them have one scale. Orange is uplift, blue is downward."
+)
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
     "it, shear belongs to these two. Each triangle has one value, so that largest values at "
-    "corners, anchors and cables grow as the mesh becomes finer.",
+    "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
+    "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
     "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, which must contain all partial factors. Shear is not part of it.",
+    "given for them, which must contain all partial factors, divided by the largest factor of the "
+    "loads that act where such factors are given. Shear is not part of it. That of bars in "
+    "compression is by the smaller one of their strength and Euler's load between hinges.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Deflections are displacements from the stress-free shape. Reactions are forces that supports "
-    "exert on all that meets there: on the membrane, and on ends of cables and bars. Per length "
-    "they are forces on the membrane over the length of held edges that belongs to each vertex; "
-    "they contain what cables hand on there that pass over. Groups may share vertices.",
+    "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
+    "those of each vertex over the length of held edges that belongs to it; they contain what "
+    "cables hand on there that pass over.",
+    "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
+    "wind and inner pressure stay normal to the surface.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
@@ -59,11 +75,13 @@ class Report:
     about: Sequence[tuple[str, str]]
     model: Model  # what was computed, with its picture
     results: ResultTables
+    held: FoundationTables
+    limits: Limits
     further: Sequence[PageSection] = ()  # about other things than equilibria
+    plans: Sequence[Figure] = ()  # of the forces on foundations
     left_out: int = 0  # how many pictures there is no room for
     order: Order | None = None  # lengths of the cables to be made
-    # ends of cables and joints that foundations carry, by the names of these
-    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    template: Path | None = None  # of jinja2; None: the package's
 
     @property
     def cases(self) -> Sequence[Case]:
@@ -93,64 +111,44 @@ class Report:
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
         about += versions(self.model.ranks)
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
-        verdict: str | Table = self._verdict()
+        verdict = verdict_on(self.cases, self.limits, results.size)
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
-        chart = bars("Largest utilisation of the membrane", used, limit=1.0)
+        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
         sections = [
-            PageSection("Summary", [verdict, key_figures(self._cards()), chart]),
+            PageSection("Summary", [verdict, KeyFigures(self._cards()), chart]),
             *self._model(),
-            PageSection("Combinations", [paragraph(text), results.factors(), results.overview()]),
             *self._results(),
             *self._forces(),
             *self.further,
-            PageSection("Verification", [verdict, results.verdicts(), results.nearest_to_limits()]),
-            PageSection("Notes", [*map(paragraph, NOTES)]),
+            PageSection("Verification", [results.verdicts(), results.nearest_to_limits()]),
+            PageSection("Notes", [*map(Paragraph, NOTES)]),
         ]
-        return page(self.title, about, sections)
+        return page(self.title, about, sections, self.template)
 
     def tables(self) -> list[Table]:
         """The tables that become CSV files."""
         of = self.results
-        found = [of.factors(), of.overview(), of.membrane(), of.envelope(), of.supports()]
+        found = [
+            of.factors(self.model.pressure, self.model.factors),
+            of.overview(),
+            of.membrane(),
+            of.envelope(),
+            of.supports(),
+        ]
+        found += [self.held.lines(), self.held.balance()]
         found.append(of.verification())
         if of.names("cables"):
             found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
         more = [net_tables.clamps(of), of.joints(), of.ponds()]
-        more += [net_tables.foundations(of, self.foundations)]
+        more += [self.held.places(), self.held.forces(), self.held.envelope()]
         if self.order is not None:
             more.append(net_tables.order(self.order, of.units))
         more += [part for one in self.further for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
-
-    def _verdict(self) -> str:
-        known = {case.name: case.verification for case in self.cases}
-        moved = [case.name for case in self.cases if not case.summary.in_equilibrium]
-        failed = [name for name, one in known.items() if one is not None and not one.passed]
-        missing = [name for name, one in known.items() if one is None]
-        doubtful = [name for name, one in known.items() if one is not None and one.doubtful]
-        warned = [f"{case.name}: {one}" for case in self.cases for one in case.summary.warnings]
-        count = f"{len(known)} combinations" if len(known) > 1 else "the state"
-        kind, text = "verdict failed", ""
-        if moved:
-            why = "the scene has been changed since its last load step, or there was none"
-            text = f"Not in equilibrium: {', '.join(moved)}; {why}."
-        elif failed:
-            text = f"Not verified: {', '.join(failed)} failed a check."
-        elif warned:
-            text = f"Equilibrium, but {'; '.join(warned)}"
-        elif missing:
-            kind, text = "verdict doubtful", f"Not verified in this run: {', '.join(missing)}."
-        elif doubtful:
-            kind, places = "verdict doubtful", ", ".join(doubtful)
-            text = f"The equilibrium of {count} is verified; crude in places: {places}."
-        else:
-            kind, text = "verdict", f"Verified: {count} passed all checks of equilibrium."
-        return paragraph(text, kind)
 
     def _cards(self) -> list[tuple[str, str, str]]:
         """Key figures: what, its value, and the case or cable that it is of."""
@@ -183,42 +181,53 @@ class Report:
         card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
         return cards
 
-    def _tensions(self) -> str:
+    def _tensions(self) -> BarChart:
         """Chart of the cables' tensions over all combinations."""
         found = []
         for name in self.results.names("cables"):
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
-        return bars(f"Least to largest tension{where}{self.results.units['force']}", found)
+        return BarChart(f"Least to largest tension{where}{self.results.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
         model = self.model
-        picture = [figure(model.picture, model.caption, "model")] if model.picture else []
         tables = {name: one for name, one in model.tables.items() if one.rows}
         if "bars" in tables:
             tables["bars"] = in_families(tables["bars"])
-        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints", "loads")
+        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
         return [
-            PageSection("Model", [*picture, tables["mesh"]]),
+            PageSection("Model", [*model.pictures, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
-            PageSection("Supports, cables, bars and loads", below, 3),
-        ]
+            PageSection("Supports, cables and bars", below, 3),
+            PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
+                                  Figures(model.loads), *self._combinations()]),
+        ]  # fmt: skip
+
+    def _combinations(self) -> list[PagePart]:
+        """What acts in each load case, and in the base state."""
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
+        return [Paragraph(text), self.results.factors(self.model.pressure, self.model.factors)]
 
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
         if several:
             text = "Least and largest values over all combinations, and which of them governs."
-            body: list[str | Table] = [paragraph(text), self.results.envelope()]
+            body: list[PagePart] = [Paragraph(text), self.results.envelope()]
+            body.append(self.results.overview())
             found.append(PageSection("Envelope of the membrane", body))
             same = "Colours have the same scale in all combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
-        found.append(PageSection("Membrane by combination", [paragraph(same)] if same else []))
+        body = [
+            *([Paragraph(same)] if same else []),
+            *([] if several else [self.results.overview()]),
+        ]
+        found.append(PageSection("Membrane by combination", body))
         for case in self.cases:
-            shown = [figure(one.png, f"{case.name}: {one.label}") for one in case.pictures]
-            found.append(PageSection(case.name, [figures(shown), self.results.of_case(case)], 3))
+            body = [Figures(case.pictures), self.results.of_case(case)]
+            found.append(PageSection(case.name, body, 3))
         return found
 
     def _forces(self) -> list[PageSection]:
@@ -233,9 +242,12 @@ class Report:
             found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
         if of.names("ponds"):
             found.append(PageSection("Ponds", [of.ponds()]))
-        more = [net_tables.anchors(of), of.joints(), net_tables.foundations(of, self.foundations)]
-        held = [table for table in more if table.rows]
-        found.append(PageSection("Supports and anchors", [of.supports(every=False), *held]))
+        held = self.held
+        tables = [held.forces(), held.lines(), held.places(), held.balance()]
+        body: list[PagePart] = [Paragraph(FORCES_ON)]
+        body += [table for table in [held.envelope()] if table.rows]
+        body += [Figures(self.plans), *(table for table in tables if table.rows)]
+        found.append(PageSection("Foundations and anchors", body))
         if self.order is not None:
             found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
         return found

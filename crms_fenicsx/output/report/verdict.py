@@ -1,0 +1,99 @@
+"""What the first page says of a structure, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.output.report.page import Verdict, per_cent, place
+from crms_fenicsx.output.report.results_tables import PEAK
+
+COLLAPSED, TURNED = 0.5, 0.01
+"""Share of the base state's volume below which a roof has collapsed; share of the area from which
+on one has turned over."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What must not be exceeded."""
+
+    strain: float = 0.1  # largest principal strain of the membrane
+    cables: Mapping[str, float] = field(default_factory=dict)  # strengths of cables, by name
+
+
+def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
+    """The verdict with all reasons that speak against the structure or its results."""
+    reasons, count = [], f"All {len(cases)} combinations" if len(cases) > 1 else "The state"
+    for case in cases:
+        reasons += [f"{case.name}: {reason}" for reason in (*_doubts(case), *_excess(case, limits))]
+        reasons += [f"{case.name}: {reason}" for reason in _used_fabric(case, size)]
+    missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
+    if reasons:
+        moved = [case.name for case in cases if not case.summary.in_equilibrium]
+        text = f"Not in equilibrium: {', '.join(moved)}" if moved else (
+            "Not acceptable as it stands, for the reasons below"
+        )  # fmt: skip
+        return Verdict(text, reasons, "failed")
+    if missing:
+        return Verdict(f"Not verified in this run: {', '.join(missing)}", (), "doubtful")
+    used = any("utilisation" in case.summary.membrane.largest for case in cases)
+    what = "no strain or utilisation" if used else "no strain"
+    text = f"Verified: {count[:1].lower() + count[1:]} passed all checks of equilibrium, and {what}"
+    return Verdict(f"{text} is beyond its limit", () if used else (
+        "Strengths of the membrane were not given: its utilisation is not checked.",
+    ))  # fmt: skip
+
+
+def _doubts(case: Case) -> Iterator[str]:
+    """Why a state is no result to build on."""
+    summary, checked, change = case.summary, case.verification, case.change
+    if not summary.in_equilibrium:
+        yield "the scene has been changed since its last load step, or there was none."
+    for one in () if checked is None else checked.failed:
+        yield f"no verified equilibrium: the check of {_check(one)}."
+    for warning in summary.warnings:
+        yield f"{warning}."
+    if change.volume is not None and change.volume < 0.0:
+        yield "the roof has turned inside out: it lies on the other side of its supports."
+    elif change.volume is not None and change.volume < COLLAPSED:
+        yield f"the roof has collapsed: of its inner volume {per_cent(change.volume)} are left."
+    elif change.turned > TURNED:
+        yield f"{per_cent(change.turned)} of the membrane have turned over."
+    for one in () if checked is None else checked.doubtful:
+        yield f"an equilibrium, but crude: the check of {_check(one)}."
+
+
+def _check(one: object) -> str:
+    name, value, limit, where = (getattr(one, x) for x in ("name", "value", "limit", "where"))
+    return f"{name}{f' at {where}' if where else ''} is {value:.2g}, its limit {limit:.2g}"
+
+
+def _excess(case: Case, limits: Limits) -> Iterator[str]:
+    """Strains, cables and bars beyond their limits."""
+    strain = case.summary.membrane.largest["strain 1"].value
+    if strain > limits.strain:
+        yield f"the membrane is strained to {per_cent(strain)}, limit {per_cent(limits.strain)}."
+    for name, cable in case.summary.cables.items():
+        if cable.largest > limits.cables.get(name, float("inf")):
+            share = cable.largest / limits.cables[name]
+            yield f"the cable {name} is used to {per_cent(share)} of its strength."
+    for name, bar in case.summary.bars.items():
+        if bar.utilisation is not None and bar.utilisation > 1.0:
+            how = "tension" if bar.force > 0.0 else "compression"
+            yield f"the bar {name} is used to {per_cent(bar.utilisation)} in {how}."
+
+
+def _used_fabric(case: Case, size: float) -> Iterator[str]:
+    """Parts of the membrane beyond their strengths."""
+    parts = case.summary.parts
+    for name, part in parts.items():
+        one = part.largest.get("utilisation")
+        if one is not None and one.value > 1.0 and (name or len(parts) == 1):
+            nodal = case.recovered[name]["utilisation"]
+            peak = f", in a single cell: {per_cent(nodal)} smoothed with the cells around"
+            of = f"its part {name}" if name else "the membrane"
+            yield (
+                f"{of} is used to {per_cent(one.value)} of its strength at x; y; z = "
+                f"{place(one.at, size)}{peak if one.value > PEAK * nodal else ''}."
+            )

@@ -1,0 +1,214 @@
+"""What foundations bear: points at which ends and held points meet, and lines of held edges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain
+
+import numpy as np
+from dolfinx import fem
+
+from crms_fenicsx.dofs.layout import edge_ends
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.results.cable_and_bar_results import Force, triple
+from crms_fenicsx.results.reactions import (
+    AT,
+    HeldEnd,
+    held_ends,
+    held_lengths,
+    hung_bars,
+    nodal_forces,
+    pressed_facets,
+    support_forces,
+)
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.scene import Scene
+
+
+@dataclass(frozen=True)
+class FoundationPoint:
+    """A point at which cables, bars and held points of the membrane meet."""
+
+    members: tuple[str, ...]  # names of what meets there
+    at: Force  # where it is (length)
+    force: Force  # that they exert on the foundation, all summed up (force)
+    joints: tuple[str, ...] = ()  # names of held joints that are there
+
+
+@dataclass(frozen=True)
+class FoundationLine:
+    """Held edges or vertices of a group that no larger group has."""
+
+    name: str  # of the group; "other supports" of vertices in none
+    force: Force  # that the membrane exerts on them, without ends of cables and bars (force)
+    length: float  # of the edges (length); 0 of points
+    mean: float  # size of the force per length, mean and largest one at a vertex (force per length)
+    largest: float
+
+
+@dataclass(frozen=True)
+class Foundations:
+    """All that holds a scene. Forces are those on the foundations: reactions with other signs."""
+
+    points: tuple[FoundationPoint, ...]
+    lines: tuple[FoundationLine, ...]
+    loads: Mapping[str, Force]  # resultants of what acts, by the names of loads, and "pressure"
+    rim: Array  # (k, 2, 3) ends of held edges where they are now (length), on all ranks
+    per_length: Array  # (k, 2, 3) forces at these per length (force per length)
+
+    @property
+    def _forces(self) -> list[Force]:
+        return [one.force for one in self.points] + [one.force for one in self.lines]
+
+    @property
+    def total(self) -> Force:
+        """Sum of the forces on all foundations (force)."""
+        return triple(np.sum([(0.0, 0.0, 0.0), *self._forces], axis=0))
+
+    @property
+    def unbalanced(self) -> float:
+        """How far they are from the loads' sum, relative to the largest of all these forces."""
+        loads = [*self.loads.values()]
+        sizes = np.abs([*loads, *self._forces])
+        gap = np.abs(np.subtract(self.total, np.sum(loads, axis=0) if loads else 0.0))
+        return float(gap.max() / (sizes.max(initial=0.0) or 1.0))
+
+
+ROUNDED = 1e-10
+"""Part of the largest resultant below which another one, as of forces within, is none."""
+OTHERS = "other supports"
+"""Held vertices in no group that is held as a whole."""
+
+
+def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
+    """Forces on all foundations, by groups of held vertices with ghosts. Collective."""
+    scene, forces = system.scene, support_forces(system)
+    membrane, comm, n = scene.membrane, scene.comm, len(forces)
+    hung = hung_bars(scene)
+    for dof, end in hung:
+        forces[dof] -= end.force
+    every = [*held_ends(scene), *chain.from_iterable(comm.allgather([end for _, end in hung]))]
+    lengths = held_lengths(membrane)
+    line = np.where(lengths[:n] > 0.0, forces / np.where(lengths[:n] > 0.0, lengths[:n], 1.0), 0.0)
+    sizes, lines = np.linalg.norm(line, axis=1), []
+    for name, dofs in partition(scene, groups).items():
+        own = lengths[dofs].max(axis=1, initial=0.0)
+        total = triple(comm.allreduce(forces[dofs].sum(axis=0)))
+        if name in membrane.mesh.points and not comm.allreduce(float(own.sum())):
+            places = [x for x in comm.allgather(scene.positions()[dofs]) if len(x)]
+            every.append(HeldEnd(name, places[0][0], np.array(total)))
+            continue
+        length, loaded = comm.allreduce(np.array([own.sum(), (own * sizes[dofs]).sum()])).tolist()
+        largest = max(comm.allgather(float(sizes[dofs].max(initial=0.0))))
+        lines.append(
+            FoundationLine(name, _reversed(total), length, loaded / (length or 1.0), largest)
+        )
+    return Foundations(
+        tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system),
+        held_rim(scene), _along_rim(scene, line),
+    )  # fmt: skip
+
+
+def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]:
+    """This rank's owned held vertices by the largest group that has them. Collective."""
+    n, comm = scene.V.dofmap.index_map.size_local, scene.comm
+    left: Booleans = np.any(scene.held[:n], axis=1)
+    counts = {name: comm.allreduce(int(np.count_nonzero(x < n))) for name, x in groups.items()}
+    found = dict[str, Indices]()
+    for name in sorted(groups, key=lambda one: (-counts[one], one)):
+        own = groups[name][groups[name] < n]
+        own = own[left[own]]
+        left[own] = False
+        if comm.allreduce(len(own)):
+            found[name] = own
+    if comm.allreduce(int(left.sum())):
+        found[OTHERS] = np.flatnonzero(left).astype(np.int32)
+    return found
+
+
+def resultants(system: System) -> dict[str, Force]:
+    """Sums of the forces of all that acts on membrane and joints but supports. Collective."""
+    scene, found = system.scene, dict[str, Array]()
+    for load in scene.loads:
+        if load.factor != 0.0:
+            own = load.forces.sum(axis=0)
+            joints = np.sum([(0.0, 0.0, 0.0), *load.joints.values()], axis=0)
+            found[load.name] = load.factor * (scene.comm.allreduce(own) + joints)
+    if scene.pressure != 0.0:
+        vectors = pressed_facets(system)[1].sum(axis=0)
+        found["pressure"] = scene.pressure * scene.comm.allreduce(vectors)
+    potential, ponds = system.potential, system.ponds
+    if ponds is not None:
+        found["water"] = _sum(system, lambda g: ponds.add_pressure(potential, g, -1.0))
+    potential.sum_up()
+    for term in scene.terms:  # the user's own, such as springs to the ground
+        sums = potential.sums_of(term)
+        found[term.name] = _sum(system, partial(term.add_gradient, potential.x, sums))
+    if scene.floor_level is not None:
+        free = nodal_forces(system)[: system.unknowns.n_vertices]
+        up = np.where(scene.held[: len(free), 2], 0.0, free[:, 2]).sum()
+        found["floor"] = np.array([0.0, 0.0, scene.comm.allreduce(float(up))])
+    nothing = ROUNDED * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
+    return {
+        name: triple(np.asarray(force)) for name, force in found.items()
+        if np.abs(force).max() > nothing
+    }  # fmt: skip
+
+
+def _sum(system: System, add: Callable[[Array], object]) -> Array:
+    """Sum of the forces whose opposite a function adds to those on all blocks. Collective."""
+    vector, g = system.unknowns.vector()
+    add(g)
+    system.unknowns.gather_forces(vector, g)
+    vector.destroy()
+    return -np.asarray(system.scene.comm.allreduce(g[: system.unknowns.n_owned].sum(axis=0)))
+
+
+def _points(ends: Iterable[HeldEnd], near: float) -> list[FoundationPoint]:
+    """Ends, summed up where they are at one place."""
+    places = list[tuple[Array, list[HeldEnd]]]()
+    for end in ends:
+        for at, members in places:
+            if np.linalg.norm(at - end.place) <= near:
+                members.append(end)
+                break
+        else:
+            places.append((end.place, [end]))
+    return [
+        FoundationPoint(
+            tuple(end.name for end in members), triple(at),
+            _reversed(np.sum([end.force for end in members], axis=0)),
+            tuple(dict.fromkeys(end.joint for end in members if end.joint)),
+        )
+        for at, members in places
+    ]  # fmt: skip
+
+
+def held_edges(scene: Scene) -> Integers:
+    """Ends of this rank's edges with a name that are held in some direction, (k, 2)."""
+    membrane = scene.membrane
+    own = membrane.mesh.mesh.topology.index_map(1).size_local
+    named = np.unique(np.concatenate([np.zeros(0, np.int32), *membrane.mesh.edges.values()]))
+    ends = edge_ends(membrane.V)[named[named < own]]
+    return np.asarray(ends[membrane.held[ends].all(axis=1).any(axis=1)])
+
+
+def held_rim(scene: Scene) -> Array:
+    """Ends of all ranks' held edges with a name, (k, 2, 3) (length). Collective."""
+    return np.concatenate(scene.comm.allgather(scene.positions()[held_edges(scene)]))
+
+
+def _along_rim(scene: Scene, line: Array) -> Array:
+    """The membrane's forces on `held_rim` per length, by those on its supports. Collective."""
+    function = fem.Function(scene.V)
+    values = function.x.array.reshape(-1, 3)
+    values[: len(line)] = -line
+    function.x.scatter_forward()
+    return np.concatenate(scene.comm.allgather(values[held_edges(scene)]))
+
+
+def _reversed(force: Sequence[float] | Array) -> Force:
+    """The force on what a force comes from; no negative zeros."""
+    return triple(0.0 - np.asarray(force))

@@ -1,0 +1,57 @@
+"""Whether a roof has collapsed or turned over since another state of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.scene import Scene
+
+ENCLOSES = 0.02
+"""Volume between a roof and its rim, relative to area to 3/2, from which on it has an inside."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of this rank's cells in a state of a scene."""
+
+    apex: Array  # (3,) mean of the held vertices in the first state (length)
+    vectors: Array  # (m, 3) areas times unit normals (length squared)
+    volume: float  # between all cells and the apex, that is the cone over the rim (length cubed)
+    area: float  # of all cells (length squared)
+
+
+@dataclass(frozen=True)
+class ShapeChange:
+    """How a shape has changed."""
+
+    # volume between roof and rim, relative to that before; None of a roof that enclosed none
+    volume: float | None
+    turned: float  # share of the area before that has turned over, by more than 90 degrees
+
+
+def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
+    """The present shape, its volume about the held vertices' mean or another apex. Collective."""
+    comm, own = scene.comm, scene.mesh.mesh.topology.index_map(2).size_local
+    places, n = scene.positions(), scene.V.dofmap.index_map.size_local
+    if apex is None:
+        held = scene.held[:n].any(axis=1)
+        held = held if comm.allreduce(int(held.sum())) else np.ones(n, dtype=bool)
+        apex = comm.allreduce(places[:n][held].sum(axis=0)) / comm.allreduce(int(held.sum()))
+    corners = places[scene.V.dofmap.list[:own]]
+    vectors = double_areas(corners) / 2
+    volume = float(((corners.mean(axis=1) - apex) * vectors).sum()) / 3
+    volume, area = comm.allreduce(np.array([volume, norm(vectors).sum()])).tolist()
+    return Shape(apex, vectors, volume, area)
+
+
+def shape_change(before: Shape, scene: Scene) -> ShapeChange:
+    """What has become of a shape. Collective."""
+    now = shape_of(scene, before.apex)
+    turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
+    share = scene.comm.allreduce(float(norm(before.vectors)[turned].sum())) / before.area
+    encloses = abs(before.volume) > ENCLOSES * before.area**1.5
+    return ShapeChange(now.volume / before.volume if encloses else None, share)

@@ -1,0 +1,80 @@
+"""The verdict of a report: red with its reasons, or green."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output.report.case import Case, case_of
+from crms_fenicsx.output.report.verdict import Limits, verdict_on
+from crms_fenicsx.results.shape_change import ShapeChange, shape_of
+from crms_fenicsx.verification.report import Check
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    """A square under snow with a cable and a prop, both known by their strengths."""
+    mesh = meshes.rectangle(MPI.COMM_WORLD, 8.0, 8.0, 2.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
+    scene.fix("boundary")
+    scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (8.0, 4.0)], tension=3.0, name="ridge")
+    prop = Bar(EA=1e3, EI=1.0, strength=50.0)
+    scene.add_bar(prop, scene.vertex_at((4.0, 6.0, 0.0)), (4.0, 6.0, -2.0), name="prop")
+    scene.put_load((0.0, 0.0, -0.5), name="snow", per="plan")
+    scene.set_strengths((40.0, 40.0))
+    solver = Solver(scene)
+    before = shape_of(scene)
+    solver.advance(load=1.0)
+    return case_of(solver, "snow", before)
+
+
+def reasons(case: Case, **limits: Any) -> str:
+    verdict = verdict_on([case], Limits(**limits), 8.0)
+    assert (verdict.look == "failed") == bool(verdict.reasons)
+    return " ".join(verdict.reasons)
+
+
+def test_reasons_in_plain_words(case: Case) -> None:
+    assert case.summary.bars["prop"].force < 0.0
+    good = replace(case, summary=replace(case.summary, bars={}))
+    verdict = verdict_on([good], Limits(), 8.0)
+    assert (verdict.look, verdict.reasons) == ("", ())
+    assert verdict.text.startswith("Verified: the state passed all checks")
+    for changed, words in (
+        (replace(good, change=ShapeChange(-0.9, 0.0)), "turned inside out"),
+        (replace(good, change=ShapeChange(0.3, 0.0)), "collapsed: of its inner volume 30.0 %"),
+        (replace(good, change=ShapeChange(None, 0.2)), "20.0 % of the membrane have turned over"),
+        (case, "the bar prop is used to"),
+    ):
+        assert words in reasons(changed)
+    assert "limit 0.1 %" in reasons(good, strain=1e-3)
+    assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
+
+
+def test_utilisation_and_its_peaks(case: Case) -> None:
+    membrane = case.summary.membrane
+    used = membrane.largest["utilisation"]
+    part = replace(membrane, largest={**membrane.largest, "utilisation": replace(used, value=1.2)})
+    over = replace(case, summary=replace(case.summary, bars={}, parts={"": part}))
+    assert "the membrane is used to 120.0 % of its strength" in reasons(over)
+    single = replace(over, recovered={"": {"utilisation": 0.8}})
+    assert "in a single cell: 80.0 % smoothed" in reasons(single)
+    broad = replace(over, recovered={"": {"utilisation": 1.1}})
+    assert "single cell" not in reasons(broad)
+
+
+def test_doubtful_and_failed_checks(case: Case) -> None:
+    assert case.verification is not None
+    good = replace(case, summary=replace(case.summary, bars={}))
+    for binding, words in ((True, "no verified equilibrium"), (False, "but crude")):
+        bad = replace(case.verification, checks=(Check("lean", 2.0, 1.0, "A1", binding),))
+        text = reasons(replace(good, verification=bad))
+        assert f"{words}: the check of lean at A1 is 2, its limit 1" in text
+    moved = replace(good, summary=replace(good.summary, in_equilibrium=False))
+    assert "changed since its last load step" in reasons(moved)
+    unknown = verdict_on([replace(good, verification=None)], Limits(), 8.0)
+    assert (unknown.look, unknown.text) == ("doubtful", "Not verified in this run: snow")

@@ -1,0 +1,27 @@
+"""Loads as forces per area of cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.results.load_values import load_values
+
+pytestmark = pytest.mark.ranks
+
+
+def test_loads_per_area(comm: MPI.Intracomm) -> None:
+    mesh = meshes.rectangle(comm, 4.0, 4.0, 0.5, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.3, -0.4), name="snow", per="plan")
+    scene.put_wind(0.5, lambda x, n: np.where(x[0] < 2.0, 0.7, -0.9))
+    scene.put_pond(10.0, level=0.1, name="water")
+    np.testing.assert_allclose(load_values(scene, "snow"), 0.5, rtol=1e-12)
+    wind = load_values(scene, "wind")
+    assert {*np.concatenate(comm.allgather(wind)).round(12)} == {0.7, -0.9}
+    np.testing.assert_allclose(load_values(scene, "water"), 1.0, rtol=1e-12)
+    with pytest.raises(InputError, match="'load hail' is not known"):
+        Solver(scene).draw(None, colour="load hail")
