@@ -12,7 +12,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "loads", "codes", "rain", "bars", "nets", "patterns", "results",
+    "mesh", "form_finding", "loads", "codes", "rain", "bars", "nets", "patterns", "results", "files",
     "error", "pictures", "own_term", "coupling",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")

@@ -95,4 +95,6 @@ def to_vertices_and_faces(
     whole = whole_surface(scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {}))
     if whole is None:
         return None
-    return np.asarray(whole.points).tolist(), np.asarray(whole.triangles).tolist()
+    vertices: list[list[float]] = np.asarray(whole.points).tolist()  # type: ignore[assignment]
+    faces: list[list[int]] = np.asarray(whole.triangles).tolist()  # type: ignore[assignment]
+    return vertices, faces

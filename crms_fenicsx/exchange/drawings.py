@@ -42,8 +42,8 @@ def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]
     """Read outlines, lines and points of a DXF drawing, by layers.
 
     Lines, polylines, circles, arcs, ellipses, splines and points of the model space are read;
-    blocks, texts and hatches are not. It is not collective: with several ranks read on one and hand on,
-    or on all.
+    blocks, texts and hatches are not. It is not collective: with several ranks read on one and hand
+    on, or on all.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]
     if not file.is_file():
         raise InputError(f"read_dxf: there is no file '{file}' (in {Path.cwd()}); check the path.")
     try:
-        document = ezdxf.readfile(file)  # type: ignore[attr-defined]
-    except (OSError, ezdxf.DXFError, UnicodeError, ValueError) as error:  # type: ignore[attr-defined]
+        document = ezdxf.readfile(file)
+    except (OSError, ezdxf.DXFError, UnicodeError, ValueError) as error:
         raise InputError(f"read_dxf: '{file}' cannot be read as DXF: {error}") from None
     scale = UNITS.get(int(document.units), 1.0) if unit is None else unit
     found: dict[str, Lines] = {}

@@ -87,7 +87,7 @@ def _document(scene: Scene, surface: Surface, held: Any, unit: str) -> Any:
             "write_shape needs ezdxf for .dxf: install it (pip install ezdxf; Debian: "
             "python3-ezdxf), or write .obj, .stl or .ply."
         ) from None
-    document = ezdxf.new("R2010", units=UNITS[unit])  # type: ignore[attr-defined]
+    document = ezdxf.new("R2010", units=UNITS[unit])
     space = document.modelspace()
 
     def layer(name: str, colour: int) -> dict[str, str]:

@@ -50,7 +50,7 @@ def read_isolated(
             os.fspath(file.resolve()),
             str(seconds),
             *options,
-        ],  # fmt: skip
+        ],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
