@@ -75,7 +75,9 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
                     np.asarray(whole.points), [("triangle", np.asarray(whole.triangles))]
                 )
                 with replaced(path) as partial:
-                    mesh.write(partial)
+                    mesh.write(
+                        partial, **({"binary": True} if path.suffix.lower() == ".stl" else {})
+                    )
 
 
 def _document(scene: Scene, surface: Surface, held: Any, unit: str) -> Any:

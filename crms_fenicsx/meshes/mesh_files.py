@@ -143,8 +143,8 @@ def from_step(
     """Mesh the faces of a STEP file, read by gmsh's OpenCASCADE.
 
     Each face is a part, "face 1" and so on in the file's order, and each curve that bounds one face
-    a group of edges, "edge 1" and so on. Faces that share a curve share its vertices; others
-    are not joined. The file is read as others are in `from_file`.
+    a group of edges, "edge 1" and so on. Faces that touch share vertices. The file is read as
+    others are in `from_file`.
 
     Parameters
     ----------

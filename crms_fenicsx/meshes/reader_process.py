@@ -60,6 +60,7 @@ def read_step(file: Path, size: str, unit: str) -> Arrays:
     for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
         gmsh.option.setNumber(name, float(size))
     gmsh.model.occ.importShapes(os.fspath(file), highestDimOnly=False)
+    gmsh.model.occ.removeAllDuplicates()  # faces that touch share their curves
     gmsh.model.occ.synchronize()
     faces = [tag for _, tag in gmsh.model.getEntities(2)]
     if not faces:
