@@ -50,8 +50,6 @@ from crms_fenicsx.steps.load_step import (
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.movements import Move
 from crms_fenicsx.steps.options import checked_options
-from crms_fenicsx.steps.rain import NAME as RAIN
-from crms_fenicsx.steps.rain import PondingCheck, Rain
 from crms_fenicsx.steps.snap_through import SnapThroughSearch
 
 if TYPE_CHECKING:
@@ -59,6 +57,7 @@ if TYPE_CHECKING:
 
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.steps.rain import PondingCheck
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -497,13 +496,15 @@ class Solver:
         checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
         checks.positive("check_ponding: rain", rain)
         checks.positive("check_ponding: weight", weight)
+        from crms_fenicsx.steps.rain import NAME, Rain
+
         water, why = Rain(self.scene, rain, weight), ""
         before = self.snapshot()
-        with nullcontext() if self.case else self.branch(RAIN):
+        with nullcontext() if self.case else self.branch(NAME):
             try:
                 water.put()
                 while water.fill():
-                    self.advance(load={RAIN: 1.0})
+                    self.advance(load={NAME: 1.0})
             except ConvergenceError as error:
                 why = f"there is no equilibrium with it ({error})"
             finally:

@@ -10,7 +10,6 @@ from scipy.sparse import coo_array, csgraph
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import current_surface
-from crms_fenicsx.energies.ponding import water_sums
 from crms_fenicsx.meshes.surface import BOUNDARY
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
@@ -112,16 +111,30 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
         level = float(fill[lowest])
         if level - z[lowest] <= shallow:
             continue
-        own, sums = up[np.isin(up, inside).any(axis=1)], np.zeros(3)
-        weights = np.full(len(own), float(side))
-        water_sums(np.zeros_like(points), points, own.astype(np.int32), weights, level, sums)
+        own = up[np.isin(up, inside).any(axis=1)]
+        volume, area = _water(points[own], level)
         x, y, bottom = points[lowest].tolist()
-        hollow = Hollow((x, y, bottom), level - bottom, level, float(sums[1]), float(sums[2]))
+        hollow = Hollow((x, y, bottom), level - bottom, level, volume, area)
         found.append((hollow, inside))
     found.sort(key=lambda one: (-one[0].depth, one[0].at))
     for k, (_, inside) in enumerate(found):
         of_points[inside] = k
     return Hollows(tuple(hollow for hollow, _ in found), of_points, plan)
+
+
+def _water(corners: Array, level: float) -> tuple[float, float]:
+    """Volume of the water up to a level over triangles, corners (n, 3, 3), and its surface's area;
+    over a corner that alone is wet, or dry, the depths are those of a smaller triangle."""
+    plan = np.abs(double_areas(corners)[:, 2]) / 2
+    h = np.sort(level - corners[:, :, 2], axis=1)
+    wet, volume, area = (h > 0.0).sum(axis=1), np.zeros(len(h)), np.zeros(len(h))
+    for alone, others, sign in ((2, (0, 1), wet == 1), (0, (1, 2), wet == 2)):
+        a, b, c = h[sign, alone], h[sign, others[0]], h[sign, others[1]]
+        part = a * a / ((a - b) * (a - c))
+        area[sign], volume[sign] = part, part * a / 3
+    area[wet == 2], volume[wet == 2] = 1 - area[wet == 2], (h.sum(axis=1) / 3 - volume)[wet == 2]
+    area[wet == 3], volume[wet == 3] = 1.0, h[wet == 3].sum(axis=1) / 3
+    return float(plan @ volume), float(plan @ area)
 
 
 def _edges(triangles: Integers) -> tuple[Integers, Integers]:
