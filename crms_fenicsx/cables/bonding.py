@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.energies.held_line import HeldPoints
 from crms_fenicsx.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.hold import Bonds
@@ -16,6 +15,10 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.surface.points import EdgePoint
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.numbering import CableNumbering
+    from crms_fenicsx.energies.held_line import HeldPoints
 
 HOLDING = 1e2
 """Stiffness with which points are held on their edges, relative to that of the fabric: it gives way
@@ -64,6 +67,8 @@ def held_points(
     numbering: CableNumbering, shape: StripShape, materials: Iterable[MembraneMaterial]
 ) -> HeldPoints:
     """The points of cables in tension that are held on their edges."""
+    from crms_fenicsx.energies.held_line import HeldPoints
+
     fabric = max(m.reference_modulus + float(np.abs(m.prestress_vector).max()) for m in materials)
     rows, rest, lengths = [], [], []
     for c, cable in enumerate(numbering.cables):

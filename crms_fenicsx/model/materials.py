@@ -8,7 +8,7 @@ that energies are per area of the stress-free surface.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +49,19 @@ def checked_strengths(
             f"{call}: strengths = {strengths!r} names no part; give those of one or more."
         )
     return found
+
+
+def checked_factors(
+    call: str, factors: Mapping[str, float] | None, loads: Iterable[str]
+) -> dict[str, float]:
+    """By what strengths are divided while loads act, by their names."""
+    given = {} if factors is None else factors
+    checks.collection(f"{call}: factors", given, Mapping, '{"snow": 1.6}')
+    known = {name: name for name in loads}
+    return {
+        checks.named("load", known, name): checks.positive(f"{call}: factor of {name!r}", value)
+        for name, value in given.items()
+    }
 
 
 Direction = tuple[float, float, float] | Callable[[Array], Array]

@@ -19,7 +19,12 @@ from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
+from crms_fenicsx.model.materials import (
+    MembraneMaterial,
+    Strengths,
+    checked_factors,
+    checked_strengths,
+)
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
@@ -724,13 +729,7 @@ class Scene:
         >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
         """
         checks.same(self.comm, "set_strengths", strengths=strengths, factors=factors)
-        factors = {} if factors is None else factors
-        checks.collection("set_strengths: factors", factors, Mapping, '{"snow": 1.6}')
-        divided = {
-            checks.named("load", {x: x for x in self.factors}, name):
-            checks.positive(f"set_strengths: factor of {name!r}", value)
-            for name, value in factors.items()
-        }  # fmt: skip
+        divided = checked_factors("set_strengths", factors, self.factors)
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)
         found = checked_strengths("set_strengths", strengths, self.membrane.mesh)

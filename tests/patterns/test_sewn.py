@@ -166,7 +166,7 @@ def test_compensation_is_adjusted_under_a_cable(
         scene = patterns.sew(pattern)
         scene.fix("boundary")
         ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
-        scene.lay_cable(Cable(EA=500.0), ends, tension=1.0, sleeve=True, measured_on="facets")
+        scene.lay_cable(Cable(EA=500.0), ends, tension=1.0, hold="sleeve", measured_on="facets")
         solver = Solver(scene)
         solver.advance()
         return solver

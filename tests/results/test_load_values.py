@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.load_values import load_values
+from crms_fenicsx.results.load_values import load_label, load_values
 
 pytestmark = pytest.mark.ranks
 
@@ -25,3 +25,12 @@ def test_loads_per_area(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(load_values(scene, "water"), 1.0, rtol=1e-12)
     with pytest.raises(InputError, match="'load hail' is not known"):
         Solver(scene).draw(None, colour="load hail")
+    labels = [load_label(scene, name) for name in ("snow", "wind", "water")]
+    assert labels == [
+        ("snow per area", "pressure"), ("c_p of wind", ""), ("water per area", "pressure"),
+    ]  # fmt: skip
+    scene.u.x.array[2::3] = 0.01 * scene.V.tabulate_dof_coordinates()[:, 0]
+    figure = Solver(scene).draw(None, colour="load wind", directions=True)
+    assert (figure is not None) == (comm.rank == 0)
+    if figure is not None:
+        assert [axes.get_ylabel() for axes in figure.axes[1:]] == ["c_p of wind"]

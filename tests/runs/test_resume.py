@@ -175,7 +175,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "friction": (0.1, "call 2 .*scene, cables: 'rough', friction, mu = 0.0, and now 0.1"),
     "path": ([(0, 33), (100, 41.001)], "call 2 .*scene, cables: 'rough'"),
     "tension": (16.0, "call 2 .*scene, cables: 'rough', L0"),
-    "hold": ("sleeve", "call 2 .*scene, cables: 'rough', hold = outside, and now sleeve"),
+    "hold": ("sleeve", "call 2 .*scene, cables: 'rough', hold = 'outside', and now 'sleeve'"),
     "name": ("smooth", "call 2 .*advance, move, end of the cable 'rough'"),
     "move": ((0.0, 0.0, -2.1), "call 2 .*advance, move, end of the cable 'rough' = .*-2.0"),
     "L0": (0.994, "call 3 .*advance, L0, cable 'rough'"),
