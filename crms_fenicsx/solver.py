@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.steps.rain import PondingCheck
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -462,6 +463,54 @@ class Solver:
                     raise ConvergenceError(f"combination {name!r}: {error}") from None
                 found[name] = Combination(name, step, self.snapshot(), base)
         return found
+
+    @collective
+    def check_ponding(self, rain: float, *, weight: float = 10.0) -> PondingCheck:
+        """Fill the hollows of the current shape with rain, again and again as the membrane sinks
+        under it. The scene's state is restored. Collective.
+
+        Parameters
+        ----------
+        rain
+            Depth of the rain that falls on the plan of the roof (length). No hollow takes more than
+            all of it; a large value fills hollows to where they run over.
+        weight
+            Weight of water by volume (force / length cubed); 10 kN / m^3.
+
+        Returns
+        -------
+        PondingCheck
+            The same on all ranks but for the snapshot.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a depth or weight that is not positive.
+
+        Examples
+        --------
+        >>> check = solver.check_ponding(rain=0.1)
+        >>> print(check)
+        >>> check.passed, check.depth
+        """
+        checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
+        checks.positive("check_ponding: rain", rain)
+        checks.positive("check_ponding: weight", weight)
+        from crms_fenicsx.steps.rain import NAME, Rain
+
+        water, why = Rain(self.scene, rain, weight), ""
+        before = self.snapshot()
+        with nullcontext() if self.case else self.branch(NAME):
+            try:
+                water.put()
+                while water.fill():
+                    self.advance(load={NAME: 1.0})
+            except ConvergenceError as error:
+                why = f"there is no equilibrium with it ({error})"
+            finally:
+                reached = self.snapshot()
+                self.restore(before)
+        return water.check(reached, why)
 
     @collective
     def results(self) -> MembraneResults:

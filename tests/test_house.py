@@ -13,8 +13,8 @@ import crms_fenicsx
 PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface model energies energies.paper minimization cables "
-    "contact friction paths scene "
-    "form_finding equilibrium views results nets verification steps output output.figures "
+    "contact friction paths scene codes "
+    "form_finding equilibrium views exchange results nets verification steps output output.figures "
     "output.report checkpoint solver study patterns crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""

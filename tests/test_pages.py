@@ -12,9 +12,8 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "loads", "bars", "nets", "patterns", "results", "error", "pictures",
-    "own_term",
-    "coupling",
+    "mesh", "form_finding", "loads", "codes", "rain", "bars", "nets", "patterns", "results",
+    "files", "error", "pictures", "own_term", "coupling",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")
 """Modules without which a block of code is left out."""

@@ -186,7 +186,7 @@ def _hessian(X, x, corners, weights, level, factor, blocks):  # type: ignore[no-
 
 
 @numba.njit(cache=True)
-def _add_pressure(X, x, corners, weights, level, factor, g):  # type: ignore[no-untyped-def]
+def add_water_pressure(X, x, corners, weights, level, factor, g):  # type: ignore[no-untyped-def]
     """Add ``factor`` times the nodal forces of the pressure <h> along the facets' normals."""
     p, h, t = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for f in range(len(corners)):
@@ -259,7 +259,7 @@ class Ponding(EnergyTerm):
         """Add the water's forces on the membrane, normal to it, times a factor. They are the
         gradient's but at the rim of its cells, where that has what would come or go with water
         beyond it."""
-        _add_pressure(
+        add_water_pressure(
             self.unknowns.X,
             x,
             self.table.corners,

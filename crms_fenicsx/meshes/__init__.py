@@ -4,7 +4,7 @@ from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.dolfinx_mesh import from_dolfinx, mesh_tags
 from crms_fenicsx.meshes.domes import air_hall, spherical_cap
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, from_arrays
-from crms_fenicsx.meshes.mesh_files import from_file, from_gmsh
+from crms_fenicsx.meshes.mesh_files import from_file, from_gmsh, from_step
 from crms_fenicsx.meshes.orientation import AwayFrom
 from crms_fenicsx.meshes.plane import circle, ellipse, polygon, rectangle
 from crms_fenicsx.meshes.refinement import Refinement
@@ -20,6 +20,7 @@ __all__ = [
     "from_dolfinx",
     "from_file",
     "from_gmsh",
+    "from_step",
     "mesh_tags",
     "polygon",
     "rectangle",

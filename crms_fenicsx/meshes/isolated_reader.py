@@ -30,7 +30,9 @@ SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
 """Beginnings of the variables by which MPI's launcher tells a process that it is a rank."""
 
 
-def read_isolated(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
+def read_isolated(
+    file: Path, reader: Literal["gmsh", "meshio", "STEP"], *options: str
+) -> dict[str, Any]:
     """Arrays and lists of numbers and texts that `reader_process` reads from a file."""
     size = file.stat().st_size
     if size > LARGEST:
@@ -41,7 +43,14 @@ def read_isolated(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, An
     own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     done = subprocess.run(
-        [sys.executable, reader_process.__file__, reader, os.fspath(file.resolve()), str(seconds)],
+        [
+            sys.executable,
+            reader_process.__file__,
+            reader,
+            os.fspath(file.resolve()),
+            str(seconds),
+            *options,
+        ],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

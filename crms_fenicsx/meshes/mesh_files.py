@@ -131,6 +131,65 @@ def from_file(
     return distributed(comm, build, outside, ranks)
 
 
+def from_step(
+    comm: MPI.Intracomm,
+    path: str | os.PathLike[str],
+    size: float,
+    *,
+    unit: str = "m",
+    outside: Outside = UPWARD,
+    ranks: Ranks | None = None,
+) -> MembraneMesh:
+    """Mesh the faces of a STEP file, read by gmsh's OpenCASCADE.
+
+    Each face is a part, "face 1" and so on in the file's order, and each curve that bounds one face
+    a group of edges, "edge 1" and so on. Faces that touch share vertices. The file is read as
+    others are in `from_file`.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective. Rank 0 reads.
+    path
+        The file, ending in .step or .stp.
+    size
+        Length of the cells' edges (length, in `unit`).
+    unit
+        Unit of length of the mesh, "m", "cm" or "mm"; the file says its own.
+    outside, ranks
+        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a size that is not positive, or a unit that is not known.
+    MeshError
+        On all ranks, if there is no such file, it cannot be read, it has no faces, or
+        `from_arrays` would refuse it.
+
+    Examples
+    --------
+    >>> mesh = meshes.from_step(MPI.COMM_WORLD, "roof.step", size=0.5)
+    """
+
+    def build() -> SurfaceArrays:
+        checks.positive("from_step: size", size)
+        checks.one_of("from_step: unit", unit, ("m", "cm", "mm"))
+        file = checks.file("from_step: path", path)
+        if not file.is_file():
+            raise MeshError(f"there is no STEP file '{file}' (in {Path.cwd()}): check the path")
+        if file.suffix.lower() not in (".step", ".stp"):
+            raise MeshError(f"'{file}' has the suffix '{file.suffix}': give a .step or .stp file")
+        with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+            is_step = b"ISO-10303-21" in stream.read(256)
+        if not is_step:
+            raise MeshError(f"'{file}' is no STEP file, it does not begin with ISO-10303-21")
+        model = read_isolated(file, "STEP", repr(float(size)), unit)
+        return _named(file, lambda: surface_of_model(model))
+
+    return distributed(comm, build, outside, ranks)
+
+
 def _read_script(file: Path) -> SurfaceArrays:
     """Run a .geo file, which the user trusts, in this process."""
     with own_model(quiet_only=True) as gmsh:

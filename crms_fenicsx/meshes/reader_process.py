@@ -48,6 +48,34 @@ def read_by_gmsh(file: Path) -> Arrays:
     return gmsh_arrays(gmsh)
 
 
+def read_step(file: Path, size: str, unit: str) -> Arrays:
+    """Read a STEP file by OpenCASCADE, and mesh its faces with edges of a length in a unit; each
+    face is a group, "face 1" and so on, and each curve with one face "edge 1" and so on."""
+    import gmsh
+
+    gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
+    for name, value in (("General.Terminal", 0), ("Mesh.Algorithm", 6), ("Mesh.ElementOrder", 1)):
+        gmsh.option.setNumber(name, value)
+    gmsh.option.setString("Geometry.OCCTargetUnit", unit.upper())
+    for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
+        gmsh.option.setNumber(name, float(size))
+    gmsh.model.occ.importShapes(os.fspath(file), highestDimOnly=False)
+    gmsh.model.occ.removeAllDuplicates()  # faces that touch share their curves
+    gmsh.model.occ.synchronize()
+    faces = [tag for _, tag in gmsh.model.getEntities(2)]
+    if not faces:
+        raise ValueError("it has no faces")
+    number = 0
+    for k, face in enumerate(faces, 1):
+        gmsh.model.addPhysicalGroup(2, [face], name=f"face {k}")
+    for _, curve in gmsh.model.getEntities(1):
+        if len(gmsh.model.getAdjacencies(1, curve)[0]) == 1:
+            number += 1
+            gmsh.model.addPhysicalGroup(1, [curve], name=f"edge {number}")
+    gmsh.model.mesh.generate(2)
+    return gmsh_arrays(gmsh)
+
+
 def gmsh_arrays(gmsh: Any) -> Arrays:
     """Triangles, nodes and physical groups of the current gmsh model, as named arrays."""
     import numpy as np
@@ -133,7 +161,7 @@ def _groups(content: Any, number: int) -> list[tuple[str, Any]]:
     return found
 
 
-def main(reader: str, path: str, seconds: str) -> None:
+def main(reader: str, path: str, seconds: str, *options: str) -> None:
     """Read a file, and write what is in it."""
     answer = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -142,7 +170,8 @@ def main(reader: str, path: str, seconds: str) -> None:
     file = Path(path)
     try:
         limit(file, int(seconds))
-        arrays = {"gmsh": read_by_gmsh, "meshio": read_by_meshio}[reader](file)
+        readers = {"gmsh": read_by_gmsh, "meshio": read_by_meshio, "STEP": read_step}
+        arrays = readers[reader](file, *options)  # type: ignore[operator]
         import numpy as np
 
         wrong = [key for key, value in arrays.items()

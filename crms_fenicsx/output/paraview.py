@@ -35,7 +35,7 @@ SIZE = np.dtype("<u8")
 BEGIN = """<?xml version="1.0"?>
 <VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">
   <UnstructuredGrid>
-    <Piece NumberOfPoints="{}" NumberOfCells="{}">
+{}    <Piece NumberOfPoints="{}" NumberOfCells="{}">
 """
 MIDDLE = """    </Piece>
   </UnstructuredGrid>
@@ -82,8 +82,10 @@ def write_vtu(
     cells: Integers,
     point_data: Mapping[str, NDArray[Any]],
     cell_data: Mapping[str, NDArray[Any]],
+    texts: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Write points (n, 3), cells (m, corners) and data on both. Collective."""
+    """Write points (n, 3), cells (m, corners), data on both, and texts of the whole mesh by name.
+    Collective."""
     corners = cells.shape[1]
     first_point, n_points = first_row(len(points), comm)
     first_cell, n_cells = first_row(len(cells), comm)
@@ -108,7 +110,7 @@ def write_vtu(
     rows = [n_points if column.on_points else n_cells for column in columns]
     sizes = [column.row_size * n for column, n in zip(columns, rows, strict=True)]
     offsets = [sum(sizes[:k]) + SIZE.itemsize * k for k in range(len(sizes) + 1)]
-    text = BEGIN.format(n_points, n_cells)
+    text = BEGIN.format(_field_data(texts or {}), n_points, n_cells)
     for section in SECTIONS:
         tags = (c.tag(at) for c, at in zip(columns, offsets, strict=False) if c.section == section)
         text += f"      <{section}>\n{''.join(tags)}      </{section}>\n"
@@ -124,6 +126,17 @@ def write_vtu(
             values = own[column.section, column.name]
             parts.append((start + SIZE.itemsize + before, values))
     write_together(path, comm, starts[-1] + len(END), parts)
+
+
+def _field_data(texts: Mapping[str, Sequence[str]]) -> str:
+    """XML element of texts: VTK has their bytes as numbers, each text with a zero at its end."""
+    arrays = [
+        f'      <DataArray type="String" Name={quoteattr(name)} NumberOfTuples="{len(some)}" '
+        f'format="ascii">{" ".join(str(k) for text in some for k in (*text.encode(), 0))}'
+        "</DataArray>\n"
+        for name, some in texts.items() if some
+    ]  # fmt: skip
+    return f"    <FieldData>\n{''.join(arrays)}    </FieldData>\n" if arrays else ""
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
@@ -189,7 +202,9 @@ class Series:
         self._begun = False
         checks.from_first(comm, lambda: make_writable(self.folder))
 
-    def write(self, time: float, surface: Surface, lines: Sequence[Line] = ()) -> None:
+    def write(
+        self, time: float, surface: Surface, lines: Sequence[Line] = (), case: str = ""
+    ) -> None:
         """Add a step. Collective.
 
         Parameters
@@ -203,7 +218,9 @@ class Series:
         lines : sequence of Line
             All lines, on rank 0; those of other ranks are not looked at. In the file they are
             as of `views.view_data.joined`. Where there are none any more the step has an empty
-            file.
+            file. Their names are the texts "names" of the file.
+        case : str
+            What the step belongs to, a text of both files.
 
         Raises
         ------
@@ -222,6 +239,7 @@ class Series:
         own, rows = self._rows(surface)
 
         step, steps = len(self.times), self.folder / "steps"
+        texts = {"case": [case] if case else []}
         if not self._begun:
             checks.from_first(self.comm, lambda: self._begin(steps))
         self._begun = True
@@ -232,13 +250,20 @@ class Series:
             rows[np.asarray(surface.triangles)],
             {name: np.asarray(values)[own] for name, values in surface.point_data.items()},
             {name: np.asarray(values) for name, values in surface.cell_data.items()},
+            texts,
         )
         with raised_together(self.comm):
             if self.comm.rank == 0:
                 # without a file for no lines the last ones would stay in the picture
                 some = lines or self._entries["cables"]
+                names = {"names": [line.name for line in lines]}
                 if some:
-                    write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *joined(lines))
+                    write_vtu(
+                        steps / f"cables_{step:06d}.vtu",
+                        MPI.COMM_SELF,
+                        *joined(lines),
+                        texts | names,
+                    )
                 self._list("surface", time, f"surface_{step:06d}.vtu")
                 if some:
                     self._list("cables", time, f"cables_{step:06d}.vtu")

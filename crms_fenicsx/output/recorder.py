@@ -131,7 +131,7 @@ class Recorder:
             scene, results = self.scene, membrane_results(system)
             surface = surface_piece(scene.membrane, results.surface, fields_of(results))
             lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
-            self.series.write(step.number, surface, lines)
+            self.series.write(step.number, surface, lines, case)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Go on after the steps of an earlier run, with its files if they fit. Collective."""

@@ -26,6 +26,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
     triple,
 )
 from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
+from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import (
     HeldEnd,
@@ -120,6 +121,9 @@ class Summary:
         By their names.
     strength_factor
         By what the membrane's strengths are divided under the loads that act.
+    hollows
+        Where rain would stand as it has no way out, the deepest first: the place, depth and volume
+        of the water in this shape, without what sinks under it; see `Solver.check_ponding`.
     """
 
     pressure: float
@@ -138,6 +142,7 @@ class Summary:
     warnings: tuple[StateWarning, ...] = ()
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
     strength_factor: float = 1.0
+    hollows: tuple[Hollow, ...] = ()
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -162,6 +167,7 @@ class Summary:
         rows += [("clamp", name, f"force {one.size:.4g}") for name, one in self.clamps.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
+        rows += [("rain stands", "", repr(hollow)) for hollow in self.hollows]
         rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
         return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
@@ -206,6 +212,7 @@ def summary(system: System) -> Summary:
         scene.warnings,
         clamp_results(scene),
         results.strength_factor,
+        find_hollows(scene.net).hollows,
     )
 
 

@@ -1,0 +1,55 @@
+"""Loads by code: snow and wind for `Scene.put_load` and `Scene.put_wind`, combinations of loads.
+
+The recommended values of EN 1990, EN 1991-1-3 and EN 1991-1-4, and ASCE 7; national annexes may
+give others. Each value names its clause.
+"""
+
+from crms_fenicsx.codes.combinations import (
+    CombinationRules,
+    asce7,
+    asce7_16,
+    asce7_22,
+    combinations,
+    en1990,
+)
+from crms_fenicsx.codes.snow import (
+    CylindricalSnow,
+    DriftedSnow,
+    DuopitchSnow,
+    PitchedSnow,
+    snow_load,
+    snow_on_pitch,
+)
+from crms_fenicsx.codes.wind import (
+    CanopyWind,
+    DomeWind,
+    VaultWind,
+    asce7_arch_zones,
+    canopy,
+    dome,
+    en1991_vault_zones,
+    vault,
+)
+
+__all__ = [
+    "CanopyWind",
+    "CombinationRules",
+    "CylindricalSnow",
+    "DomeWind",
+    "DriftedSnow",
+    "DuopitchSnow",
+    "PitchedSnow",
+    "VaultWind",
+    "asce7",
+    "asce7_16",
+    "asce7_22",
+    "asce7_arch_zones",
+    "canopy",
+    "combinations",
+    "dome",
+    "en1990",
+    "en1991_vault_zones",
+    "snow_load",
+    "snow_on_pitch",
+    "vault",
+]

@@ -1,0 +1,98 @@
+"""Where places of a roof lie in plan, along a direction; how large the roof is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.meshes.membrane_mesh import cells_of
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import EPSILON, Array
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.scene import Scene
+
+
+def checked_within(what: str, value: object, low: float, high: float, unit: str = "") -> float:
+    """Return a number that lies within two others, which are its figure's ends."""
+    number = checks.finite(what, value)
+    if not low - 8 * EPSILON <= number <= high + 8 * EPSILON:
+        unit = unit and f" {unit}"
+        raise InputError(f"{what} = {number:g} is outside the range of {low:g} to {high:g}{unit}.")
+    return number
+
+
+def plan_vector(what: str, value: object) -> Array:
+    """Return two finite numbers, (2,); the third of three does not count."""
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.zeros(0)
+    if numbers.shape not in ((2,), (3,)) or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{what} = {value!r} must be two finite numbers (x, y).")
+    return numbers[:2]
+
+
+class Along:
+    """Coordinates (length) along a direction in plan, from a point on."""
+
+    def __init__(self, call: str, direction: Sequence[float], origin: Sequence[float]) -> None:
+        vector = plan_vector(f"{call}: direction", direction)
+        size = float(np.hypot(*vector))
+        if size == 0.0:
+            raise InputError(f"{call}: direction = {direction!r} has no length; give another one.")
+        self.direction, self.origin = vector / size, plan_vector(f"{call}: point", origin)
+
+    def __call__(self, x: Array) -> Array:
+        """Those of points (3, n)."""
+        return np.asarray(self.direction @ (x[:2] - self.origin[:, None]))
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Sizes of a roof in its current shape (length), along a direction in plan."""
+
+    direction: tuple[float, float]
+    start: tuple[float, float]  # where it begins along the direction and, from the left, across it
+    depth: float  # d, along the direction
+    breadth: float  # b, across it
+    low: float  # heights z of its lowest and its highest place
+    high: float
+
+    @property
+    def rise(self) -> float:
+        """f, from the lowest to the highest place (length)."""
+        return self.high - self.low
+
+    def parts(self, x: Array) -> tuple[Array, Array]:
+        """Places (3, n) by parts of the depth and of the breadth, 0 to 1."""
+        c, s = self.direction
+        along, across = c * x[0] + s * x[1], c * x[1] - s * x[0]
+        return (along - self.start[0]) / self.depth, (across - self.start[1]) / self.breadth
+
+
+def footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
+    """Measure a scene's membrane, or a part of it. Collective."""
+    checks.of_type(f"{call}: scene", scene, Scene)
+    checks.same(scene.comm, call, direction=direction, part=part)
+    unit = Along(call, direction, (0.0, 0.0)).direction
+    c, s = float(unit[0]), float(unit[1])
+    membrane = scene.membrane
+    membrane.check_finite(call)
+    cells = np.arange(membrane.mesh.mesh.topology.index_map(2).size_local)
+    if part is not None:
+        checks.named("part", membrane.mesh.parts, part)
+        cells = np.flatnonzero(cells_of(membrane.mesh, (part,))[: len(cells)])
+    points = membrane.positions()[membrane.V.dofmap.list[cells]].reshape(-1, 3)
+    x, y, z = points.T
+    values = np.array([c * x + s * y, c * y - s * x, z])
+    low, high = np.empty(3), np.empty(3)
+    membrane.comm.Allreduce(values.min(axis=1, initial=np.inf), low, op=MPI.MIN)
+    membrane.comm.Allreduce(values.max(axis=1, initial=-np.inf), high, op=MPI.MAX)
+    depth, breadth = float(high[0] - low[0]), float(high[1] - low[1])
+    if depth <= 0.0 or breadth <= 0.0:
+        raise InputError(f"{call}: the roof has no area in plan; name the part that is the roof.")
+    first, left, bottom = map(float, low)
+    return Footprint((c, s), (first, left), depth, breadth, bottom, float(high[2]))

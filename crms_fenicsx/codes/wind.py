@@ -1,0 +1,446 @@
+"""Pressure coefficients of curved roofs and canopies by EN 1991-1-4, for `Scene.put_wind`.
+
+The zones are laid over the roof's current shape, whatever it is: parts of its depth d along a
+direction and of its breadth b across it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from crms_fenicsx.codes.footprint import Footprint, checked_within, footprint
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import EPSILON, Array
+from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.scene import Scene
+
+Zones = tuple[float, float, float]
+"""Coefficients in the zones A (windward), B (crown) and C (leeward)."""
+
+VAULT_RISES = (0.05, 0.5)
+"""f/d at the ends of figure 7.11."""
+
+VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
+"""Read off figure 7.11 at its ends for h/d = 0, where its lines are straight."""
+
+HEMISPHERE: Zones = (0.8, -1.2, 0.0)
+"""Read off figure 7.12 for f/d = 0.5 and h/d = 0."""
+
+MONOPITCH = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+"""Pitches (degrees) of table 7.6."""
+
+DUOPITCH = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+"""Pitches (degrees) of table 7.7; negative ones are of trough roofs."""
+
+Rows = dict[str, tuple[float, ...]]
+
+MONOPITCH_MOST: Rows = {
+    "overall": (0.2, 0.4, 0.5, 0.7, 0.8, 1.0, 1.2),
+    "A": (0.5, 0.8, 1.2, 1.4, 1.7, 2.0, 2.2),
+    "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
+    "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
+}
+"""Table 7.6: largest net coefficients, with any blockage."""
+
+MONOPITCH_LEAST: tuple[Rows, Rows] = (
+    {
+        "overall": (-0.5, -0.7, -0.9, -1.1, -1.3, -1.6, -1.8),
+        "A": (-0.6, -1.1, -1.5, -1.8, -2.2, -2.6, -3.0),
+        "B": (-1.3, -1.7, -2.0, -2.4, -2.8, -3.2, -3.8),
+        "C": (-1.4, -1.8, -2.1, -2.5, -2.9, -3.2, -3.6),
+    },
+    {
+        "overall": (-1.3, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
+        "A": (-1.5, -1.6, -1.6, -1.6, -1.6, -1.5, -1.5),
+        "B": (-1.8, -2.2, -2.6, -2.9, -2.9, -2.5, -2.2),
+        "C": (-2.2, -2.5, -2.7, -3.0, -3.0, -2.8, -2.7),
+    },
+)
+"""Table 7.6: least net coefficients without and with full blockage."""
+
+DUOPITCH_MOST: Rows = {
+    "overall": (0.7, 0.5, 0.4, 0.3, 0.3, 0.4, 0.4, 0.6, 0.7, 0.9),
+    "A": (0.8, 0.6, 0.6, 0.5, 0.6, 0.7, 0.9, 1.1, 1.2, 1.3),
+    "B": (1.6, 1.5, 1.4, 1.5, 1.8, 1.8, 1.9, 1.9, 1.9, 1.9),
+    "C": (0.6, 0.7, 0.8, 0.8, 1.3, 1.4, 1.4, 1.5, 1.6, 1.6),
+    "D": (1.7, 1.4, 1.1, 0.8, 0.4, 0.4, 0.4, 0.4, 0.5, 0.7),
+}
+"""Table 7.7: largest net coefficients, with any blockage."""
+
+DUOPITCH_LEAST: tuple[Rows, Rows] = (
+    {
+        "overall": (-0.7, -0.6, -0.6, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, -1.0),
+        "A": (-0.9, -0.8, -0.8, -0.7, -0.6, -0.7, -0.9, -1.2, -1.4, -1.4),
+        "B": (-1.3, -1.3, -1.3, -1.3, -1.4, -1.5, -1.7, -1.8, -1.9, -1.9),
+        "C": (-1.6, -1.6, -1.5, -1.6, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
+        "D": (-0.6, -0.6, -0.6, -0.6, -1.1, -1.4, -1.8, -2.0, -2.0, -2.0),
+    },
+    {
+        "overall": (-1.3, -1.4, -1.4, -1.3, -1.3, -1.3, -1.3, -1.3, -1.3, -1.3),
+        "A": (-1.5, -1.6, -1.6, -1.5, -1.3, -1.3, -1.3, -1.4, -1.4, -1.4),
+        "B": (-2.4, -2.7, -2.7, -2.4, -2.0, -2.0, -2.2, -2.2, -2.0, -1.8),
+        "C": (-2.4, -2.6, -2.6, -2.4, -1.8, -1.8, -1.6, -1.6, -1.5, -1.4),
+        "D": (-0.6, -0.6, -0.6, -0.6, -1.5, -1.8, -2.1, -2.1, -2.0, -2.0),
+    },
+)
+"""Table 7.7: least net coefficients without and with full blockage."""
+
+
+def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
+    """Coefficients c_pe,10 of a vaulted roof, EN 1991-1-4, 7.2.8, figure 7.11.
+
+    Parameters
+    ----------
+    rise
+        f/d, 0.05 to 0.5.
+    height
+        h/d of the walls below; 0, a vault that stands on the ground, is what is known here.
+
+    Returns
+    -------
+    tuple
+        In the zones A, B and C. They are read off the figure, about 0.05 more or less.
+
+    Raises
+    ------
+    InputError
+        A rise outside the figure, or walls, for which the figure has two values in part of its
+        range: read them there and give ``zones=`` to `vault`.
+
+    Examples
+    --------
+    >>> en1991_vault_zones(0.5)
+    (0.8, -1.2, -0.4)
+    """
+    rise = checked_within("en1991_vault_zones: f/d", rise, *VAULT_RISES)
+    if checks.finite("en1991_vault_zones: h/d", height) != 0.0:
+        raise InputError(
+            f"en1991_vault_zones: h/d = {height:g} is outside what is known here, h/d = 0; read A, "
+            "B and C off figure 7.11, where some rises have two values of A, and give zones=."
+        )
+    a, b, c = (float(np.interp(rise, VAULT_RISES, ends)) for ends in VAULT_ENDS.values())
+    return a, b, c
+
+
+def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) -> Zones:
+    """Coefficients C_p of an arched roof, ASCE 7-16 and 7-22, figure 27.3-3.
+
+    Parameters
+    ----------
+    rise
+        Ratio r of rise to span, up to 0.6.
+    raised
+        Whether it stands on walls and not on the ground.
+    alternative
+        Whether the windward quarter has the second value 6 r - 2.1, which for 0.2 <= r <= 0.3
+        is to be considered, too.
+
+    Returns
+    -------
+    tuple
+        In the windward quarter, the central half and the leeward quarter.
+
+    Raises
+    ------
+    InputError
+        A rise outside the figure, or an alternative where there is none.
+
+    Examples
+    --------
+    >>> asce7_arch_zones(0.5, raised=False)
+    (0.7, -1.2, -0.5)
+    """
+    rise = checks.positive("asce7_arch_zones: rise", rise)
+    checked_within("asce7_arch_zones: rise", rise, 0.0, 0.6)
+    if alternative and not (raised and 0.2 <= rise <= 0.3):
+        raise InputError(
+            f"asce7_arch_zones: alternative, with the rise {rise:g} and raised = {raised!r}, is "
+            "outside the range of 0.2 to 0.3 of raised roofs; leave it out."
+        )
+    if alternative:
+        windward = 6 * rise - 2.1
+    elif not raised:
+        windward = 1.4 * rise
+    elif rise < 0.2:
+        windward = -0.9
+    else:
+        windward = 1.5 * rise - 0.3 if rise < 0.3 else 2.75 * rise - 0.7
+    return windward, -0.7 - rise, -0.5
+
+
+@dataclass(frozen=True)
+class VaultWind:
+    """Wind across a vaulted roof, as `vault` makes it.
+
+    Attributes
+    ----------
+    roof
+        Sizes of the roof along the wind.
+    zones
+        Coefficients in the windward quarter A, the central half B and the leeward quarter C.
+    """
+
+    roof: Footprint
+    zones: Zones
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients at points (3, n)."""
+        part, _ = self.roof.parts(x)
+        a, b, c = self.zones
+        return np.where(part < 0.25, a, np.where(part <= 0.75, b, c))
+
+
+@dataclass(frozen=True)
+class DomeWind:
+    """Wind on a dome, as `dome` makes it.
+
+    Attributes
+    ----------
+    roof
+        Sizes of the roof along the wind.
+    zones
+        Coefficients at the windward edge A, the crown B and the leeward edge C.
+    """
+
+    roof: Footprint
+    zones: Zones
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients at points (3, n), linear along the arc from A over B to C."""
+        half = self.roof.depth / 2
+        radius = max((half**2 + self.roof.rise**2) / (2 * self.roof.rise), half)
+        distance = half * np.clip(2 * self.roof.parts(x)[0] - 1.0, -1.0, 1.0)
+        arc = np.arcsin(distance / radius) / np.arcsin(half / radius)
+        return np.interp(arc, (-1.0, 0.0, 1.0), self.zones)
+
+
+@dataclass(frozen=True)
+class CanopyWind:
+    """Net wind on a canopy, as `canopy` makes it.
+
+    Attributes
+    ----------
+    roof
+        Sizes of the roof along its slope.
+    zones
+        Net coefficients by zones: A, B and C, of duopitch canopies D; "overall" alone for the
+        structure as a whole.
+    loaded
+        Parts of the depth that carry load, from 0 to 1.
+    """
+
+    roof: Footprint
+    zones: dict[str, float]
+    loaded: tuple[float, float] = (0.0, 1.0)
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients at points (3, n)."""
+        along, across = self.roof.parts(x)
+        low, high = self.loaded
+        on = (along >= low - 8 * EPSILON) & (along <= high + 8 * EPSILON)
+        if "overall" in self.zones:
+            return np.where(on, self.zones["overall"], 0.0)
+        found = np.full(len(along), self.zones["A"])
+        places = {
+            "D": np.abs(along - 0.5) < 0.1,
+            "C": np.abs(along - 0.5) > 0.4,
+            "B": np.abs(across - 0.5) > 0.4,
+        }
+        for zone, there in places.items():  # where two meet, the one that loads more
+            value = self.zones.get(zone)
+            if value is not None:
+                more = there & ((found == self.zones["A"]) | (abs(value) > np.abs(found)))
+                found[more] = value
+        return np.where(on, found, 0.0)
+
+
+def _checked_zones(call: str, zones: object) -> Zones:
+    checks.collection(f"{call}: zones", zones, Sequence, "zones=(0.8, -1.2, -0.4)", 3)
+    values = [checks.finite(f"{call}: zones", one) for one in zones]  # type: ignore[attr-defined]
+    if len(values) != 3:
+        raise InputError(f"{call}: zones = {zones!r} are not three; give those of A, B and C.")
+    return values[0], values[1], values[2]
+
+
+@collective
+def vault(
+    scene: Scene,
+    direction: Sequence[float],
+    *,
+    height: float = 0.0,
+    zones: Zones | None = None,
+    part: str | None = None,
+) -> VaultWind:
+    """Wind across a vaulted roof in its current shape, EN 1991-1-4, 7.2.8. Collective.
+
+    Parameters
+    ----------
+    scene
+        The scene whose membrane it is.
+    direction
+        Direction (x, y) in plan that the wind blows to, across the vault. For wind along it the
+        figure has no coefficients.
+    height
+        Height h of the walls below the vault (length).
+    zones
+        Coefficients of A, B and C where the standard's are not `en1991_vault_zones`, such as those
+        of walls, of a national annex, or `asce7_arch_zones`.
+    part
+        Part of the mesh that is the roof; all of it by default.
+
+    Returns
+    -------
+    VaultWind
+        For `Scene.put_wind`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a direction without length, a part that does not exist, or a roof or walls
+        outside the figure.
+
+    Examples
+    --------
+    >>> scene.put_wind(0.8, vault(scene, (1.0, 0.0)), name="wind x")
+    """
+    roof = footprint("vault", scene, direction, part)
+    checks.same(scene.comm, "vault", height=height, zones=zones)
+    tall = checked_within("vault: height / d", checks.finite("vault: height", height) / roof.depth,
+                          0.0, np.inf)  # fmt: skip
+    if zones is not None:
+        return VaultWind(roof, _checked_zones("vault", zones))
+    return VaultWind(roof, en1991_vault_zones(roof.rise / roof.depth, tall))
+
+
+@collective
+def dome(
+    scene: Scene,
+    direction: Sequence[float],
+    *,
+    zones: Zones | None = None,
+    part: str | None = None,
+) -> DomeWind:
+    """Wind on a dome in its current shape, EN 1991-1-4, 7.2.8, figure 7.12. Collective.
+
+    Coefficients are the same on planes across the wind, and linear along arcs from A over B to C.
+
+    Parameters
+    ----------
+    scene, direction, part
+        As for `vault`.
+    zones
+        Coefficients of A, B and C, read off figure 7.12 for f/d and h/d. Only those of a hemisphere
+        on the ground are known here, and taken by default.
+
+    Returns
+    -------
+    DomeWind
+        For `Scene.put_wind`; its `roof` has f and d.
+
+    Raises
+    ------
+    InputError
+        On all ranks: as `vault`; no zones, of a dome that is no hemisphere.
+
+    Examples
+    --------
+    >>> scene.put_wind(0.8, dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1)), name="wind")
+    """
+    roof = footprint("dome", scene, direction, part)
+    checks.same(scene.comm, "dome", zones=zones)
+    if roof.rise <= 0.0:
+        raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is no dome.")
+    if zones is not None:
+        return DomeWind(roof, _checked_zones("dome", zones))
+    if abs(roof.rise / roof.depth - 0.5) > 0.01:
+        raise InputError(
+            f"dome: f/d = {roof.rise / roof.depth:.3g} is outside what is known here, f/d = 0.5; "
+            "read A, B and C off figure 7.12 and give zones=."
+        )
+    return DomeWind(roof, HEMISPHERE)
+
+
+@collective
+def canopy(
+    scene: Scene,
+    direction: Sequence[float],
+    kind: Literal["monopitch", "duopitch"],
+    pitch: float,
+    effect: Literal["down", "up"],
+    *,
+    blockage: float = 0.0,
+    take: Literal["overall", "zones", "first", "second"] = "zones",
+    part: str | None = None,
+) -> CanopyWind:
+    """Net wind on a canopy roof, EN 1991-1-4, 7.3, tables 7.6 and 7.7. Collective.
+
+    Parameters
+    ----------
+    scene, part
+        As for `vault`.
+    direction
+        Direction (x, y) in plan along the slope, across the ridge or trough.
+    kind, pitch
+        "monopitch" of 0 to 30 degrees, or "duopitch" of -20 (trough) to -5 and 5 to 30 degrees.
+    effect
+        "down" takes the largest coefficients, "up" the least.
+    blockage
+        Degree of blockage phi below the canopy, 0 to 1, 7.3(2).
+    take
+        "zones": the local coefficients c_p,net, for fabric and fixings; "overall": the force
+        coefficient c_f everywhere, for the structure; "first" and "second": c_f on that half of a
+        duopitch canopy alone, 7.3(6).
+
+    Returns
+    -------
+    CanopyWind
+        For `Scene.put_wind`, positive downward. Where two zones meet in a corner the one that
+        loads more counts.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a pitch or blockage outside the tables, or what is not known.
+
+    Examples
+    --------
+    >>> up = canopy(scene, (1, 0), "duopitch", 12.0, "up", blockage=0.5)
+    >>> scene.put_wind(0.7, up, name="wind up")
+    """
+    checks.of_type("canopy: scene", scene, Scene)
+    checks.same(
+        scene.comm, "canopy", kind=kind, pitch=pitch, effect=effect, blockage=blockage, take=take
+    )
+    checks.one_of("canopy: kind", kind, ("monopitch", "duopitch"))
+    checks.one_of("canopy: effect", effect, ("down", "up"))
+    checks.one_of("canopy: take", take, ("zones", "overall", "first", "second"))
+    phi = checked_within("canopy: blockage", blockage, 0.0, 1.0)
+    pitches = MONOPITCH if kind == "monopitch" else DUOPITCH
+    angle = checked_within(f"canopy: pitch of a {kind} roof", pitch, pitches[0], pitches[-1],
+                           "degrees")  # fmt: skip
+    if kind == "duopitch" and abs(angle) < 5.0:
+        raise InputError(
+            f"canopy: pitch = {angle:g} degrees of a duopitch roof is outside table 7.7, which has "
+            "5 degrees and more or -5 and less; use a monopitch roof."
+        )
+    if kind == "monopitch" and take in ("first", "second"):
+        raise InputError(f"canopy: take = {take!r} is for duopitch roofs; give 'overall'.")
+    roof = footprint("canopy", scene, direction, part)
+    most, least = (
+        (MONOPITCH_MOST, MONOPITCH_LEAST)
+        if kind == "monopitch"
+        else (DUOPITCH_MOST, DUOPITCH_LEAST)
+    )
+    empty, full = (most, most) if effect == "down" else least
+    names = [name for name in most if (name == "overall") != (take == "zones")]
+    values = {
+        name: float((1 - phi) * np.interp(angle, pitches, empty[name])
+                    + phi * np.interp(angle, pitches, full[name]))
+        for name in names
+    }  # fmt: skip
+    halves = {"first": (0.0, 0.5), "second": (0.5, 1.0)}
+    return CanopyWind(roof, values, halves.get(take, (0.0, 1.0)))

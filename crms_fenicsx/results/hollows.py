@@ -1,0 +1,170 @@
+"""Hollows of the current surface, in which rain would stand as it has no way out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.sparse import coo_array, csgraph
+
+from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.meshes.surface import BOUNDARY
+from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.views.view_data import surface_piece, whole_surface
+
+SHALLOW = 1e-5
+"""Depth, relative to the membrane's size, up to which a hollow is none."""
+
+UPRIGHT = 1e-6
+"""Area of the plan, relative to that of the surface, from which on water stays on a triangle."""
+
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, repr=False)
+class Hollow:
+    """A part of the surface from which water has no way out.
+
+    Attributes
+    ----------
+    at
+        Its lowest place (length).
+    depth
+        Of the water there when the hollow is full (length).
+    level
+        Height z at which the water runs over (length).
+    volume, area
+        Of the water when it is full (length cubed), and of its surface (length squared).
+    """
+
+    at: Place
+    depth: float
+    level: float
+    volume: float
+    area: float
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.at)
+        return f"{self.depth:.3g} deep at ({place}), volume {self.volume:.3g}"
+
+
+@dataclass(frozen=True)
+class Hollows:
+    """All hollows of a surface, the deepest first, and the one that each point lies in."""
+
+    hollows: tuple[Hollow, ...]
+    of_points: Integers  # number of the hollow of each of this rank's points, -1 of none
+    plan: float  # area of the surface's plan (length squared)
+
+
+def find_hollows(net: CableNet) -> Hollows:
+    """Find the hollows of the current surface where it faces up; over its edges, and where it
+    overhangs, water runs off. Collective."""
+    membrane, comm = net.membrane, net.membrane.comm
+    shallow = SHALLOW * membrane.size  # collective
+    piece = surface_piece(membrane, current_surface(net), {})
+    rim = np.zeros(len(np.asarray(piece.points)))
+    rim[membrane.vertices(BOUNDARY)] = 1.0
+    piece = replace(piece, point_data={"rim": rim})
+    whole, found = whole_surface(comm, piece), None
+    if whole is not None:
+        points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
+        on_rim = np.asarray(whole.point_data["rim"]) > 0.0
+        found = hollows_of(points, triangles, on_rim, shallow)
+    found = cast(Hollows, comm.bcast(found))
+    homes = np.asarray(piece.homes)
+    counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
+    starts = np.cumsum([0, *counts[:-1]])
+    return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
+
+
+def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
+    """The hollows of points (n, 3) and triangles (m, 3); `rim`: whether points lie on the surface's
+    edge. Units: shallow (length)."""
+    vectors = double_areas(points[triangles]) / 2
+    steep = UPRIGHT * norm(vectors)
+    side = 1 if np.any(vectors[:, 2] > steep) else -1
+    up = np.asarray(triangles[side * vectors[:, 2] > steep], dtype=np.int64)
+    plan = float(np.abs(vectors[side * vectors[:, 2] > steep, 2]).sum())
+    z, of_points = points[:, 2], np.full(len(points), -1)
+    if not len(up):
+        return Hollows((), of_points, plan)
+    pairs, counts = _edges(up)
+    # where cables fold one of two cells, the edge between them is one of a single triangle, too
+    every, times = _edges(triangles)
+    inner = np.flatnonzero(times > 1)
+    overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
+    leads_out = rim.copy()
+    leads_out[pairs[overhang]] = True
+    leads_out &= np.bincount(up.ravel(), minlength=len(z)) > 0
+    fill = _filled(z, pairs, np.flatnonzero(leads_out))
+    wet: Booleans = fill > z + shallow * 1e-3
+    joined = pairs[wet[pairs].all(axis=1)]
+    label = csgraph.connected_components(_graph(len(z), joined), directed=False)[1]
+    found = []
+    for one in np.unique(label[wet]):
+        inside = np.flatnonzero(wet & (label == one))
+        lowest = int(inside[np.lexsort((*points[inside].T[:2], z[inside]))[0]])
+        level = float(fill[lowest])
+        if level - z[lowest] <= shallow:
+            continue
+        own = up[np.isin(up, inside).any(axis=1)]
+        volume, area = _water(points[own], level)
+        x, y, bottom = points[lowest].tolist()
+        hollow = Hollow((x, y, bottom), level - bottom, level, volume, area)
+        found.append((hollow, inside))
+    found.sort(key=lambda one: (-one[0].depth, one[0].at))
+    for k, (_, inside) in enumerate(found):
+        of_points[inside] = k
+    return Hollows(tuple(hollow for hollow, _ in found), of_points, plan)
+
+
+def _water(corners: Array, level: float) -> tuple[float, float]:
+    """Volume of the water up to a level over triangles, corners (n, 3, 3), and its surface's area;
+    over a corner that alone is wet, or dry, the depths are those of a smaller triangle."""
+    plan = np.abs(double_areas(corners)[:, 2]) / 2
+    h = np.sort(level - corners[:, :, 2], axis=1)
+    wet, volume, area = (h > 0.0).sum(axis=1), np.zeros(len(h)), np.zeros(len(h))
+    for alone, others, sign in ((2, (0, 1), wet == 1), (0, (1, 2), wet == 2)):
+        a, b, c = h[sign, alone], h[sign, others[0]], h[sign, others[1]]
+        part = a * a / ((a - b) * (a - c))
+        area[sign], volume[sign] = part, part * a / 3
+    area[wet == 2], volume[wet == 2] = 1 - area[wet == 2], (h.sum(axis=1) / 3 - volume)[wet == 2]
+    area[wet == 3], volume[wet == 3] = 1.0, h[wet == 3].sum(axis=1) / 3
+    return float(plan @ volume), float(plan @ area)
+
+
+def _edges(triangles: Integers) -> tuple[Integers, Integers]:
+    """Edges of triangles, (n, 2), and of how many each is one."""
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+    return np.unique(pairs, axis=0, return_counts=True)
+
+
+def _keys(pairs: Integers, n: int) -> Integers:
+    return np.asarray(pairs[:, 0] * n + pairs[:, 1])
+
+
+def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
+    values = np.ones(len(pairs)) if weights is None else weights
+    return coo_array((values, tuple(pairs.T.astype(np.int32))), shape=(n, n))
+
+
+def _filled(z: Array, pairs: Integers, outlets: Integers) -> Array:
+    """The least height that water has to rise to at each point (n,) until it runs off: the highest
+    place of the lowest way to an outlet. Along the edges of triangles there is always such a
+    way. Points without one, and those of no edge, stay dry. Units: z (length)."""
+    # The lowest ways to all outlets at once make up a tree: that of the least heights of edges,
+    # with one point more that all outlets lead to.
+    n = len(z)
+    out = np.column_stack([outlets, np.full(len(outlets), n)])
+    heights = np.concatenate([z[pairs].max(axis=1), z[outlets]])
+    weights = heights - heights.min() + 1.0 + np.ptp(heights)  # none of 0, which would be no edge
+    tree = csgraph.minimum_spanning_tree(_graph(n + 1, np.concatenate([pairs, out]), weights))
+    order, before = csgraph.breadth_first_order(tree, n, directed=False)
+    fill = np.append(z, -np.inf)
+    for point, last in zip(order[1:].tolist(), before[order[1:]].tolist(), strict=True):
+        fill[point] = max(fill[point], fill[last])
+    return np.asarray(fill[:n])
