@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from scipy.sparse import coo_array, csgraph
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import current_surface
@@ -14,6 +13,9 @@ from crms_fenicsx.meshes.surface import BOUNDARY
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.views.view_data import surface_piece, whole_surface
+
+if TYPE_CHECKING:
+    from scipy.sparse import coo_array
 
 SHALLOW = 1e-5
 """Depth, relative to the membrane's size, up to which a hollow is none."""
@@ -84,6 +86,8 @@ def find_hollows(net: CableNet) -> Hollows:
 def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
     """The hollows of points (n, 3) and triangles (m, 3); `rim`: whether points lie on the surface's
     edge. Units: shallow (length)."""
+    from scipy.sparse import csgraph
+
     vectors = double_areas(points[triangles]) / 2
     steep = UPRIGHT * norm(vectors)
     side = 1 if np.any(vectors[:, 2] > steep) else -1
@@ -148,6 +152,8 @@ def _keys(pairs: Integers, n: int) -> Integers:
 
 
 def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
+    from scipy.sparse import coo_array
+
     values = np.ones(len(pairs)) if weights is None else weights
     return coo_array((values, tuple(pairs.T.astype(np.int32))), shape=(n, n))
 
@@ -158,6 +164,8 @@ def _filled(z: Array, pairs: Integers, outlets: Integers) -> Array:
     way. Points without one, and those of no edge, stay dry. Units: z (length)."""
     # The lowest ways to all outlets at once make up a tree: that of the least heights of edges,
     # with one point more that all outlets lead to.
+    from scipy.sparse import csgraph
+
     n = len(z)
     out = np.column_stack([outlets, np.full(len(outlets), n)])
     heights = np.concatenate([z[pairs].max(axis=1), z[outlets]])
