@@ -152,7 +152,7 @@ def _keys(pairs: Integers, n: int) -> Integers:
 
 
 def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
-    from scipy.sparse import coo_array  # late: most runs never ask for a summary
+    from scipy.sparse import coo_array
 
     values = np.ones(len(pairs)) if weights is None else weights
     return coo_array((values, tuple(pairs.T.astype(np.int32))), shape=(n, n))
@@ -162,10 +162,10 @@ def _filled(z: Array, pairs: Integers, outlets: Integers) -> Array:
     """The least height that water has to rise to at each point (n,) until it runs off: the highest
     place of the lowest way to an outlet. Along the edges of triangles there is always such a
     way. Points without one, and those of no edge, stay dry. Units: z (length)."""
-    from scipy.sparse import csgraph
-
     # The lowest ways to all outlets at once make up a tree: that of the least heights of edges,
     # with one point more that all outlets lead to.
+    from scipy.sparse import csgraph
+
     n = len(z)
     out = np.column_stack([outlets, np.full(len(outlets), n)])
     heights = np.concatenate([z[pairs].max(axis=1), z[outlets]])
