@@ -69,7 +69,7 @@ def test_corners_with_bars_and_guys(comm: MPI.Intracomm) -> None:
     for k in (1, 2, 3):
         scene.fix(f"corner {k}")
     scene.lay_cable(
-        Cable(EA=2e3), [(0.0, 0.0, 0.0), (SIDE, 0.0, 0.0)], sleeve=True, tension=9.0, name="south"
+        Cable(EA=2e3), [(0.0, 0.0, 0.0), (SIDE, 0.0, 0.0)], hold="sleeve", tension=9.0, name="south"
     )
     scene.add_bar(Bar(EA=1e5), (-0.5, SIDE + 0.5, -5.0), "corner 4", name="mast")
     scene.add_bar(Bar(EA=2e4), "corner 4", (-6.0, SIDE + 6.0, -5.0), name="guy")
