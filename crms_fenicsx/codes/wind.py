@@ -2,6 +2,9 @@
 
 The zones are laid over the roof's current shape, whatever it is: parts of its depth d along a
 direction and of its breadth b across it.
+
+The coefficients below have not been compared with a copy of the standard: only with each other, and
+where the comments say so with a second source. Compare those that a design rests on.
 """
 
 from __future__ import annotations
@@ -25,10 +28,10 @@ VAULT_RISES = (0.05, 0.5)
 """f/d at the ends of figure 7.11."""
 
 VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
-"""Read off figure 7.11 at its ends for h/d = 0, where its lines are straight."""
+"""Figure 7.11 at its ends for h/d = 0; straight lines between them stand for its own."""
 
 HEMISPHERE: Zones = (0.8, -1.2, 0.0)
-"""Read off figure 7.12 for f/d = 0.5 and h/d = 0."""
+"""Figure 7.12 for f/d = 0.5 and h/d = 0."""
 
 MONOPITCH = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Pitches (degrees) of table 7.6."""
@@ -103,7 +106,8 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     Returns
     -------
     tuple
-        In the zones A, B and C. They are read off the figure, about 0.05 more or less.
+        In the zones A, B and C. They stand for the figure's lines and have not been compared with
+        a copy of it; for a design read them there and give ``zones=``.
 
     Raises
     ------
@@ -399,7 +403,7 @@ def canopy(
     -------
     CanopyWind
         For `Scene.put_wind`, positive downward. Where two zones meet in a corner the one that
-        loads more counts.
+        loads more counts. Compare the coefficients with your copy of the tables.
 
     Raises
     ------
