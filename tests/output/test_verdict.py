@@ -16,9 +16,9 @@ from crms_fenicsx.verification.report import Check
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
+def case(comm: MPI.Intracomm) -> Case:
     """A square under snow with a cable and a prop, both known by their strengths."""
-    mesh = meshes.rectangle(MPI.COMM_WORLD, 8.0, 8.0, 2.0, structured=True)
+    mesh = meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True)
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
     scene.fix("boundary")
     scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (8.0, 4.0)], tension=3.0, name="ridge")
