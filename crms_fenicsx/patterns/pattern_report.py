@@ -61,18 +61,17 @@ def report_sections(
         raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
     checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
-    figures: list[Figure] = []
+    buffer = io.BytesIO()
     if pattern.comm.rank == 0:
-        buffer = io.BytesIO()
         roll_figure(nesting, unit).savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-        figures = [Figure(buffer.getvalue(), "The pieces on the roll")]
+    png = pattern.comm.bcast(buffer.getvalue())  # all ranks give a report the same sections
     waste = (
         f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
         f"{nesting.waste:.1%} of it waste."
     )
     body: list[PagePart] = [
         Paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
-        Paragraph(waste), Figures(figures),
+        Paragraph(waste), Figures([Figure(png, "The pieces on the roll")]),
     ]  # fmt: skip
     found = [PageSection("Cutting pattern", body)]
     if comparison is not None:

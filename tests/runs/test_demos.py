@@ -47,11 +47,14 @@ DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThr
 """On cells of 6 m the hall dents all at once under snow."""
 
 
+DEPRECATED = pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")
+"""What ezdxf calls of pyparsing where a file of the patterns is read back."""
+
+MARKS = {"air_hall": [DENTED], "patterns": [DEPRECATED]}
+
+
 @pytest.mark.ranks
-@pytest.mark.parametrize(
-    "demo",
-    [pytest.param(one, marks=[DENTED] * (one == "air_hall")) for one in PROMISED],
-)
+@pytest.mark.parametrize("demo", [pytest.param(one, marks=MARKS.get(one, [])) for one in PROMISED])
 def test_demo(
     comm: MPI.Intracomm,
     demo: str,
