@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -21,7 +21,7 @@ from crms_fenicsx.cables.strip import StripShape, own_surface
 from crms_fenicsx.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, floats, ints, pointers
+from crms_fenicsx.runtime.arrays import Array, Integers, floats, ints, pointers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE
 from crms_fenicsx.surface.feet import feet_of
@@ -29,40 +29,53 @@ from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
 
-NONE = np.zeros((0, 3))
-"""The points on an edge without any."""
 
+class FoldPoints:
+    """The points on edges that cables fold, in order along each edge. Shapes: edges (k, 2), counts
+    of points (k,), points (m, 3)."""
 
-class FoldPoints(Mapping[Edge, Array]):
-    """Positions (k, 3) of the points on each edge that has some, in order, without lifted ones, as
-    they are when this is made, whatever becomes of the cables."""
+    def __init__(self, edges: Integers, counts: Integers, points: Array) -> None:
+        self.edges, self.points = edges, points
+        self._first = pointers(counts)
+        keys = ((a, b) for a, b in lists(edges))
+        self._at = dict(zip(keys, pairwise(ints(self._first)), strict=True))
 
-    def __init__(self, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> None:
-        self._nodes = NodeTable.of(cables, nodes)
-        self._positions, self._fractions = positions_of(cables), fractions_of(cables)
-
-    @cached_property
-    def _found(self) -> dict[Edge, Array]:
-        nodes = self._nodes
-        on = (nodes.size == 2) & (nodes.kind != CROSSING) & nodes.taut & ~nodes.lifted
+    @classmethod
+    def of(cls, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> FoldPoints:
+        """Those of cables in tension as they are now, without lifted ones."""
+        table, fractions = NodeTable.of(cables, nodes), fractions_of(cables)
+        on = (table.size == 2) & (table.kind != CROSSING) & table.taut & ~table.lifted
         rows = np.flatnonzero(on)
-        first, second = nodes.support[rows, 0], nodes.support[rows, 1]
-        rows = rows[np.lexsort((rows, self._fractions[rows], second, first))]
-        edges = nodes.support[rows, :2]
+        first, second = table.support[rows, 0], table.support[rows, 1]
+        rows = rows[np.lexsort((rows, fractions[rows], second, first))]
+        edges = table.support[rows, :2]
         starts = np.flatnonzero(np.diff(edges, axis=0, prepend=-1).any(axis=1))
-        cuts = pairwise([*ints(starts), len(rows)])
-        points = [self._positions[rows[a:b]] for a, b in cuts]
-        keys = ((a, b) for a, b in lists(edges[starts]))
-        return dict(zip(keys, points, strict=True))
+        counts = np.diff(starts, append=len(rows))
+        return cls(edges[starts], counts, positions_of(cables)[rows])
 
-    def __getitem__(self, edge: Edge) -> Array:
-        return self._found[edge]
+    def on(self, edge: Edge) -> Array:
+        """Positions of the points on an edge, (k, 3)."""
+        first, end = self._at.get(edge, (0, 0))
+        return self.points[first:end]
 
-    def __iter__(self) -> Iterator[Edge]:
-        return iter(self._found)
+    def lengths(self, shape: StripShape) -> dict[Edge, float]:
+        """Lengths of the edges through all points on them."""
+        if not self._at:
+            return {}
+        ends = shape.current[np.searchsorted(shape.strip.vertices, self.edges)]
+        first = self._first + 2 * np.arange(len(self._first))  # each edge has two more
+        line = np.empty((first[-1], 3))
+        inner = np.ones(len(line), dtype=bool)
+        for k, at in enumerate((first[:-1], first[1:] - 1)):
+            line[at], inner[at] = ends[:, k], False
+        line[inner] = self.points
+        steps = norm(np.diff(line, axis=0, append=line[-1:]))
+        steps[first[1:] - 1] = 0.0
+        return dict(zip(self._at, floats(np.add.reduceat(steps, first[:-1])), strict=True))
 
-    def __len__(self) -> int:
-        return len(self._found)
+
+NO_FOLDS = FoldPoints(np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)))
+"""Those of a membrane without cables."""
 
 
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
@@ -109,11 +122,11 @@ class CreasedSurface:
     def __init__(
         self,
         shape: StripShape,
-        bends: Mapping[Edge, Array],
+        folds: FoldPoints,
         anchors: Mapping[int, Array] = MappingProxyType({}),
         ends: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
-        self.shape, self.strip, self.bends = shape, shape.strip, bends
+        self.shape, self.strip, self.folds = shape, shape.strip, folds
         self.anchors = _places(anchors)
         self.ends = ends
         self._at = shape.places
@@ -129,20 +142,8 @@ class CreasedSurface:
 
     @cached_property
     def _bent(self) -> dict[Edge, float]:
-        """Lengths of the edges with fold points through all of them."""
-        edges = np.array(list(self.bends), dtype=np.int64).reshape(-1, 2)
-        first = pointers(np.array([len(points) + 2 for points in self.bends.values()], dtype=int))
-        line = np.zeros((first[-1], 3))
-        inner = np.ones(len(line), dtype=bool)
-        for at, vertices in zip((first[:-1], first[1:] - 1), edges.T, strict=True):
-            inner[at] = False
-            line[at] = self.shape.current[np.searchsorted(self.strip.vertices, vertices)]
-        if len(edges):
-            line[inner] = np.concatenate(list(self.bends.values()))
-        steps = norm(np.diff(line, axis=0, append=line[-1:]))
-        steps[first[1:] - 1] = 0.0
-        lengths = np.add.reduceat(steps, first[:-1]) if len(edges) else steps
-        return dict(zip(self.bends, floats(lengths), strict=True))
+        """Lengths of the edges with fold points."""
+        return self.folds.lengths(self.shape)
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
@@ -153,11 +154,7 @@ class CreasedSurface:
 
     def _line(self, edge: Edge) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        return [
-            self._at[edge[0]],
-            *map(floats, vectors(self.bends.get(edge, NONE))),
-            self._at[edge[1]],
-        ]
+        return [self._at[edge[0]], *self.folds.on(edge).tolist(), self._at[edge[1]]]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""

@@ -149,7 +149,7 @@ class GeodesicSliding:
     ) -> int:
         folds = self.change.folds()
         if folded_by is not None:
-            folds = FoldPoints(folded_by)
+            folds = FoldPoints.of(folded_by)
         pulled = self._pull_all(cables, folds, max_flips, fresh)
         surface = CreasedSurface(self.net.strip_shape(), folds)
         most = 0

@@ -25,7 +25,12 @@ from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.paths.creased_surface import CreasedSurface, refuse_forks, refuse_places_behind
+from crms_fenicsx.paths.creased_surface import (
+    NO_FOLDS,
+    CreasedSurface,
+    refuse_forks,
+    refuse_places_behind,
+)
 from crms_fenicsx.paths.path_change import fractions_of, nodes_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -278,7 +283,7 @@ def shortened(membrane: Membrane, path: Path) -> Path:
     strip = cells_at(membrane, [v for point in path.points for v in point.support])
     for rings in count(1):
         try:
-            found = shorten(path.points, CreasedSurface(StripShape.of(membrane, strip), {}))
+            found = shorten(path.points, CreasedSurface(StripShape.of(membrane, strip), NO_FOLDS))
             break
         except MissingCells as missing:
             strip = grown(membrane, strip, missing.vertices, rings)

@@ -106,7 +106,7 @@ class PathChange:
         of, folds = self._folds or ([], None)
         same = len(of) == len(states) and all(map(operator.is_, of, states))
         if folds is None or not same:
-            folds = FoldPoints(self.net.cables, self.net.nodes)
+            folds = FoldPoints.of(self.net.cables, self.net.nodes)
             self._folds = states, folds
         return folds
 

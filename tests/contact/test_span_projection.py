@@ -11,7 +11,7 @@ from crms_fenicsx import Scene
 from crms_fenicsx.cables.strip import StripShape, cells_near
 from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface, FoldPoints
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.trace import trace
@@ -92,7 +92,7 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
     points = route(shape, (0, 13), (100, 71))
     edge = points[3].edge
     bend = shape.at(edge[0]) + np.array([1.0, 2.0, -2.0])
-    surface = CreasedSurface(shape, {edge: np.array([bend])})
+    surface = CreasedSurface(shape, FoldPoints(np.array([edge]), np.array([1]), bend[None]))
     parts = [np.linalg.norm(bend - shape.at(v)) for v in edge]
     assert surface.length(edge) == pytest.approx(sum(parts), rel=1e-14)
     half = surface.place(edge, parts[0] / sum(parts))
@@ -100,7 +100,7 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
 
     rim = points[0].support
     anchor = 10**6
-    joined = CreasedSurface(shape, {}, {anchor: np.array([-20.0, 13.0, 4.0])}, {anchor: rim})
+    joined = CreasedSurface(shape, NO_FOLDS, {anchor: np.array([-20.0, 13.0, 4.0])}, {anchor: rim})
     assert surface.is_boundary(rim) and len(surface.opposite_vertices(rim)) == 1
     assert joined.opposite_vertices(rim) == (*surface.opposite_vertices(rim), anchor)
     assert not surface.ring(rim[0]).closed and joined.ring(rim[0]).closed

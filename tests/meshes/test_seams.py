@@ -23,7 +23,7 @@ from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.paths.boundary_ends import _edge_at
-from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import MeshError
 
@@ -181,7 +181,7 @@ def test_what_cables_see_of_a_seam(comm):
     edge = cable.nodes[on_seam].point.support
     scene.net.grow_strip(edge, rings=3)
     shape = scene.net.strip_shape()
-    surface = CreasedSurface(shape, {})
+    surface = CreasedSurface(shape, NO_FOLDS)
     assert len(surface.opposite_vertices(edge)) == 2
     assert not surface.is_boundary(edge)
     for support in (edge, edge[:1], edge[1:]):
