@@ -20,8 +20,8 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 CONTROLS = {7: 0, 8: 0, 12: 1, 13: 1, 14: 100}
 """MUMPS's: approximate minimum degree; no scaling; a usual ordering; the root not in parallel, or
 negative pivots would not all be counted; per cent of memory more than it estimates."""
-NO_PIVOTING = {1: 0.0}
-"""MUMPS's threshold of pivots: such a matrix has a factorisation in any order."""
+THRESHOLD = 1
+"""Which of MUMPS's real controls is the threshold of pivots."""
 ENDED, NEGATIVE_PIVOTS = 1, 12
 """Which of what MUMPS tells is below zero after an error, and how many pivots are."""
 
@@ -29,11 +29,13 @@ ENDED, NEGATIVE_PIVOTS = 1, 12
 class AugmentedStiffness:
     """The matrix of displacements and tensions, and its factorisation. Collective.
 
-    Attributes: `factor`: PETSc's factorisation.
+    Where H0 is definite there is a factorisation in any order, without `pivoting`.
+
+    Attributes: `factor`: PETSc's factorisation; `negative`: number of negative eigenvalues of H0.
     """
 
-    def __init__(self, stiffness: PETSc.Mat, prefix: str) -> None:
-        self._stiffness, self._prefix = stiffness, prefix
+    def __init__(self, stiffness: PETSc.Mat, prefix: str, pivoting: bool = False) -> None:
+        self._stiffness, self._prefix, self._pivoting = stiffness, prefix, pivoting
         self._pattern: Booleans = np.zeros((0, 0), dtype=bool)
         self._matrix: PETSc.Mat | None = None
 
@@ -60,14 +62,15 @@ class AugmentedStiffness:
         self._matrix.assemble()
         self.factor.setUp()
         told = self.factor.getFactorMatrix().getMumpsInfog
-        return told(ENDED) >= 0 and told(NEGATIVE_PIVOTS) == columns.shape[1]
+        self.negative = int(told(NEGATIVE_PIVOTS)) - columns.shape[1]
+        return told(ENDED) >= 0 and self.negative == 0
 
     def _create(self, pointers: Array, indices: Array, columns: Array) -> None:
         """Make matrix and factorisation with the pattern of a stiffness and of columns. Of the
         latter each block of three components counts, whichever of them vanish just now."""
         n, n_dyads = columns.shape
         comm, n_global = self._stiffness.comm.tompi4py(), self._stiffness.getSize()[0]
-        used = (columns != 0).reshape(-1, 3, n_dyads).any(axis=1)
+        used = (columns != 0).reshape(n // 3, 3, n_dyads).any(axis=1)
         self._pattern = np.repeat(used, 3, axis=0)
         rows, dyads = np.nonzero(self._pattern)
         # The rows of tensions follow on the last rank. Of a symmetric matrix MUMPS takes what is
@@ -103,8 +106,8 @@ class AugmentedStiffness:
         matrix = self.factor.getFactorMatrix()
         for key, value in CONTROLS.items():
             matrix.setMumpsIcntl(key, value)
-        for key, threshold in NO_PIVOTING.items():
-            matrix.setMumpsCntl(key, threshold)
+        if not self._pivoting:
+            matrix.setMumpsCntl(THRESHOLD, 0.0)
 
     def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve ``H0 y = b``."""
