@@ -18,7 +18,7 @@ import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import CROSSING, NodeTable, fractions_of, positions_of
 from crms_fenicsx.cables.strip import StripShape, own_surface
-from crms_fenicsx.meshes.triangles import lists, norm, vectors
+from crms_fenicsx.meshes.triangles import norm, vectors
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers, floats, ints, pointers
@@ -29,6 +29,9 @@ from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
 
+BASE = 1 << 32
+"""More than there are vertices: an edge (a, b) has the key a BASE + b."""
+
 
 class FoldPoints:
     """The points on edges that cables fold, in order along each edge. Shapes: edges (k, 2), counts
@@ -37,8 +40,8 @@ class FoldPoints:
     def __init__(self, edges: Integers, counts: Integers, points: Array) -> None:
         self.edges, self.points = edges, points
         self._first = pointers(counts)
-        keys = ((a, b) for a, b in lists(edges))
-        self._at = dict(zip(keys, pairwise(ints(self._first)), strict=True))
+        keys = ints(edges[:, 0] * BASE + edges[:, 1])  # no tuples: Python keeps track of each one
+        self._number = dict(zip(keys, range(len(keys)), strict=True))
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> FoldPoints:
@@ -55,13 +58,17 @@ class FoldPoints:
 
     def on(self, edge: Edge) -> Array:
         """Positions of the points on an edge, (k, 3)."""
-        first, end = self._at.get(edge, (0, 0))
-        return self.points[first:end]
+        k = self.number(edge)
+        return self.points[:0] if k is None else self.points[self._first[k] : self._first[k + 1]]
 
-    def lengths(self, shape: StripShape) -> dict[Edge, float]:
-        """Lengths of the edges through all points on them."""
-        if not self._at:
-            return {}
+    def number(self, edge: Edge) -> int | None:
+        """Number of an edge among `edges`; None of one without points."""
+        return self._number.get(edge[0] * BASE + edge[1])
+
+    def lengths(self, shape: StripShape) -> list[float]:
+        """Lengths of the edges through all points on them, (k,)."""
+        if not len(self.edges):
+            return []
         ends = shape.current[np.searchsorted(shape.strip.vertices, self.edges)]
         first = self._first + 2 * np.arange(len(self._first))  # each edge has two more
         line = np.empty((first[-1], 3))
@@ -71,7 +78,7 @@ class FoldPoints:
         line[inner] = self.points
         steps = norm(np.diff(line, axis=0, append=line[-1:]))
         steps[first[1:] - 1] = 0.0
-        return dict(zip(self._at, floats(np.add.reduceat(steps, first[:-1])), strict=True))
+        return floats(np.add.reduceat(steps, first[:-1]))
 
 
 NO_FOLDS = FoldPoints(np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)))
@@ -141,20 +148,21 @@ class CreasedSurface:
         return surface
 
     @cached_property
-    def _bent(self) -> dict[Edge, float]:
-        """Lengths of the edges with fold points."""
+    def _bent(self) -> list[float]:
+        """Lengths of the edges with fold points, by their numbers."""
         return self.folds.lengths(self.shape)
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
         if edge[1] in self.anchors:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
-        bent = self._bent.get(edge)
-        return math.dist(self._at[edge[0]], self._at[edge[1]]) if bent is None else bent
+        k = self.folds.number(edge)
+        return math.dist(self._at[edge[0]], self._at[edge[1]]) if k is None else self._bent[k]
 
     def _line(self, edge: Edge) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        return [self._at[edge[0]], *self.folds.on(edge).tolist(), self._at[edge[1]]]
+        points = map(floats, vectors(self.folds.on(edge)))
+        return [self._at[edge[0]], *points, self._at[edge[1]]]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
