@@ -11,7 +11,8 @@ import numpy as np
 
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Table
-from crms_fenicsx.output.report.results_tables import Row, Units, clean, with_size
+from crms_fenicsx.output.report.results_tables import Row, clean, with_size
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.foundations import FoundationPoint
 

@@ -23,7 +23,8 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
-from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
+from crms_fenicsx.output.report.results_tables import Row, clean, families, part_name
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups

@@ -49,6 +49,15 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
+class Link:
+    """The name of a file beside the page, and what it shows."""
+
+    text: str
+    file: str
+    kind: ClassVar[str] = "link"
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What the page says first of a structure, and why."""
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.output.figures.plots import units_of_results
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Cell, Table, per_cent, place
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
@@ -28,27 +28,6 @@ PEAK = 1.25
 """Ratio of a cell's largest value to the smoothed one from which on it is a peak."""
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""
-
-
-@dataclass(frozen=True)
-class Units:
-    """Names of units, as in headings."""
-
-    length: str = ""  # length, force: such as "m" and "kN"; "" where not given
-    force: str = ""
-
-    def __getitem__(self, kind: str) -> str:
-        """The unit of a kind in brackets after a blank; "" where not known."""
-        unit = units_of_results(self.length, self.force).get(kind)
-        return f" [{unit}]" if unit else ""
-
-    def plain(self, kind: str) -> str:
-        """The unit of a kind after a blank, without brackets."""
-        return self[kind].replace("[", "").replace("]", "")
-
-    def headings(self, text: str) -> list[str]:
-        """Headings from texts between "|" that name kinds of units, as "Length{length}"."""
-        return text.format_map(self).split("|")
 
 
 @dataclass(frozen=True)

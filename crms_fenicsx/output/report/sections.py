@@ -18,6 +18,7 @@ from crms_fenicsx.output.report.page import (
     Figure,
     Figures,
     KeyFigures,
+    Link,
     PagePart,
     PageSection,
     Paragraph,
@@ -82,11 +83,22 @@ class Report:
     left_out: int = 0  # how many pictures there is no room for
     order: Order | None = None  # lengths of the cables to be made
     template: Path | None = None  # of jinja2; None: the package's
+    stem: str = "report"  # of the page's name, and of those of files beside it
 
     @property
     def cases(self) -> Sequence[Case]:
         """The load cases, one or more."""
         return self.results.cases
+
+    @property
+    def views(self) -> dict[str, str]:
+        """Pages with the structure to be turned, by the names of their files."""
+        named = zip(self._files, self.cases, strict=True)
+        return {file: case.view for file, case in named if case.view}
+
+    @property
+    def _files(self) -> list[str]:
+        return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
 
     def html(self) -> str:
         """The page, with as many pictures as there is room for."""
@@ -225,8 +237,10 @@ class Report:
             *([] if several else [self.results.overview()]),
         ]
         found.append(PageSection("Membrane by combination", body))
-        for case in self.cases:
+        for case, file in zip(self.cases, self._files, strict=True):
             body = [Figures(case.pictures), self.results.of_case(case)]
+            if case.view:
+                body.insert(0, Link("To be turned in a browser", file))
             found.append(PageSection(case.name, body, 3))
         return found
 
