@@ -18,7 +18,7 @@ from crms_fenicsx.results.foundations import FoundationPoint
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal part and of its angles."""
-NOTHING = 1e-5
+NOTHING = 1e-4
 """Part of a sum's largest component below which another one is no figure."""
 BALANCED = 1e-8
 """Difference of loads and foundations, relative to the largest of them, that is rounding."""

@@ -217,7 +217,7 @@ def _supports(scene: Scene) -> list[Row]:
         count = comm.allreduce(int(np.count_nonzero(dofs < own)))
         rows.append((name, ", ".join(directions), count, length))
     held = comm.allreduce(int(np.count_nonzero(scene.held[:own].any(axis=1))))
-    return [*rows, ("all held vertices", "", held, None)]
+    return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
 def _cable(cable: LaidCable) -> Row:

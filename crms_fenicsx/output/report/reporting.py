@@ -33,7 +33,7 @@ from crms_fenicsx.output.report.pictures import (
 )
 from crms_fenicsx.output.report.printing import browser, print_page
 from crms_fenicsx.output.report.results_tables import ResultTables
-from crms_fenicsx.output.report.sections import Report
+from crms_fenicsx.output.report.sections import Report, with_codes
 from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.output.report.verdict import Limits
 from crms_fenicsx.results.cable_order import Order
@@ -269,18 +269,23 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
-            about, path = [*plan.about.items()], plan.path
+            factors = results.factors(model.pressure, model.factors)
             limits = Limits(plan.strain_limit, plan.cable_strengths)
             held = FoundationTables(cases, plan.units, plan.foundations)
             report = Report(
-                plan.title, about, model, results, held, limits, plan.sections,
-                stem=path.stem, order=plan.order,
+                plan.title, [*plan.about.items()], model, factors, results, held, limits,
+                plan.sections, stem=plan.path.stem, order=plan.order,
                 template=Path(plan.template) if plan.template else None,
+            )  # fmt: skip
+            path, tables, coded = plan.path, report.tables(), with_codes(cases, factors)
+            held = replace(held, cases=coded)
+            report = replace(
+                report, results=replace(results, cases=coded), held=held,
                 plans=force_figures(held, model.outline),
             )  # fmt: skip
             texts = {path: report.html()}
             texts |= {path.with_name(name): page for name, page in report.views.items()}
-            for table in report.tables():
+            for table in tables:
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
             with ExitStack() as files:
                 for file, text in texts.items():

@@ -55,10 +55,12 @@ class ResultTables:
         """Part, name and label of a quantity, its least and its largest value."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
-                one = QUANTITIES[name]
+                one, scale = QUANTITIES[name], in_per_cent(name)
                 label = one.label[:1].upper() + one.label[1:]
-                label += self.units[one.unit] if one.unit else ""
-                yield part, name, label, found.least[name], found.largest[name]
+                label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
+                low, high = (replace(x[name], value=scale * x[name].value)
+                             for x in (found.least, found.largest))  # fmt: skip
+                yield part, name, label, low, high
 
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
         """Pressure and factors of the loads, also in the base state."""
@@ -104,7 +106,7 @@ class ResultTables:
         """Membrane forces of a case, by parts of the membrane."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
-            nodal = case.recovered[part][name]
+            nodal = in_per_cent(name) * case.recovered[part][name]
             peak = "single-cell peak" if high.value > PEAK * max(nodal, 0.0) else ""
             rows.append((
                 part_name(part), label, *clean([low.value], abs(high.value), FINE),
@@ -135,9 +137,9 @@ class ResultTables:
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
-            at = place(high.at, self.size)
-            (small,) = clean([low.value], abs(high.value), FINE)
-            rows.append((part_name(part), label, small, least, high.value, largest, at))
+            at, scale = place(high.at, self.size), in_per_cent(name)
+            small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
+            rows.append((part_name(part), label, small, least, most, largest, at))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
         )
@@ -216,6 +218,17 @@ class ResultTables:
             "|Utilisation|Governs utilisation"
         )
         return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
+
+    def hollows(self) -> Table:
+        """Where rain would stand: the deepest hollow of each case."""
+        rows: list[Row] = [
+            (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
+            for case in self.cases for found in [case.summary.hollows] for one in found[:1]
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Combination|Hollows|Deepest{length}|at x; y; z{length}|Volume{volume}|Area{area}"
+        )
+        return Table("Hollows in which rain would stand", columns, rows, "hollows")
 
     def ponds(self) -> Table:
         """Levels and volumes of ponds; their weights with the factors."""
@@ -309,6 +322,11 @@ class ResultTables:
             rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
         columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
         return Table("Checks, where they are nearest to their limits", columns, rows)
+
+
+def in_per_cent(name: str) -> float:
+    """What tables multiply a quantity of the membrane by: those without units are in per cent."""
+    return 1.0 if QUANTITIES[name].unit else 100.0
 
 
 def part_name(part: str) -> str:
