@@ -200,7 +200,7 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]]) -> Non
     taken, points = np.zeros((0, 4)), 72.0 / axes.figure.dpi
     frame = axes.bbox.extents * points
     for name, places in names:
-        tried = []
+        tried = list[tuple[float, int, Array, Array, Array]]()
         for at, out in places:
             away = 9.0 * out / (np.linalg.norm(out) or 1.0)
             x, y = axes.transData.transform(at) * points + away

@@ -20,7 +20,7 @@ Cell = str | int | float | None
 
 MOST_ROWS = 600
 """Longer tables are in the CSV files only."""
-SHORT = 14
+SHORT = 8
 """Shorter tables stay on one page of paper."""
 
 EMPTY = "\u2013"
@@ -46,6 +46,14 @@ class Paragraph:
     text: str
     look: str = ""  # a class of the style sheet
     kind: ClassVar[str] = "text"
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Texts in small print."""
+
+    texts: Sequence[str]
+    kind: ClassVar[str] = "notes"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from crms_fenicsx.output.report.page import (
     Figures,
     KeyFigures,
     Link,
+    Notes,
     PagePart,
     PageSection,
     Paragraph,
@@ -159,7 +160,7 @@ class Report:
             *self._forces(),
             *self.further,
             PageSection("Verification", [results.verdicts(), results.nearest_to_limits()]),
-            PageSection("Notes", [*map(Paragraph, NOTES)]),
+            PageSection("Notes", [Notes(NOTES)]),
         ]
         return page(self.title, about, sections, self.template)
 
