@@ -148,10 +148,12 @@ class ResultTables:
 
     def cables(self) -> Table:
         """Tensions and lengths of all cables in all cases."""
+        most = max((one.contact_largest for *_, one in self.each("cables")), default=0.0)
         rows: list[Row] = [
             (
                 name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
-                one.length, one.L0, one.free, one.contact_mean, one.contact_largest,
+                one.length, one.L0, one.free,
+                *clean((one.contact_mean, one.contact_largest), most, FINE),
             )
             for name, case, one in self.each("cables")
         ]  # fmt: skip
@@ -292,12 +294,12 @@ class ResultTables:
         return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
 
     def verdicts(self) -> Table:
-        """The verdict on each case."""
-        rows: list[Row] = []
+        """The verdicts, and the cases that share each."""
+        shared: dict[tuple[int | None, str], list[str]] = {}
         for case in self.cases:
             found = case.verification
             if found is None:
-                rows.append((case.name, None, _unchecked(case)))
+                shared.setdefault((None, _unchecked(case)), []).append(case.name)
                 continue
             names = [check.name for check in found.failed or found.doubtful]
             verdict = (
@@ -305,7 +307,13 @@ class ResultTables:
             )
             if case.summary.warnings and not found.failed:
                 verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
-            rows.append((case.name, len(found.checks), verdict + ", ".join(names)))
+            key = len(found.checks), verdict + ", ".join(names)
+            shared.setdefault(key, []).append(case.name)
+        rows: list[Row] = [
+            (f"all {len(names)} combinations" if len(names) == len(self.cases) > 1
+             else ", ".join(names), *key)
+            for key, names in shared.items()
+        ]  # fmt: skip
         return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
 
     def nearest_to_limits(self) -> Table:
