@@ -791,7 +791,8 @@ class Solver:
             meets at one place belongs together. ``strain_limit``: of the membrane's larger
             principal strain, by default 0.1. ``template``: a file of jinja2, which may extend
             "report.html". ``pdf``: whether to print the page beside it, by a browser that is found
-            or that the variable CRMS_BROWSER names.
+            or that the variable CRMS_BROWSER names. ``interactive``: whether to write a page of
+            each combination that can be turned, as ``tent_view_1.html``, by pyvista and its trame.
 
         Raises
         ------
@@ -799,6 +800,8 @@ class Solver:
             On all ranks and before anything is written: an argument that cannot be used, a file
             that cannot be written, no browser for PDF, or combinations of models that differ; it
             says in what.
+        ImportError
+            On all ranks: there is no pyvista or trame for `interactive`.
 
         Examples
         --------

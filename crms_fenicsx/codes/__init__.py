@@ -21,9 +21,8 @@ from crms_fenicsx.codes.snow import (
     snow_on_pitch,
 )
 from crms_fenicsx.codes.wind import (
+    ArchWind,
     CanopyWind,
-    DomeWind,
-    VaultWind,
     asce7_arch_zones,
     canopy,
     dome,
@@ -32,14 +31,13 @@ from crms_fenicsx.codes.wind import (
 )
 
 __all__ = [
+    "ArchWind",
     "CanopyWind",
     "CombinationRules",
     "CylindricalSnow",
-    "DomeWind",
     "DriftedSnow",
     "DuopitchSnow",
     "PitchedSnow",
-    "VaultWind",
     "asce7",
     "asce7_16",
     "asce7_22",

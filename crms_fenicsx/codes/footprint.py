@@ -72,6 +72,14 @@ class Footprint:
         along, across = c * x[0] + s * x[1], c * x[1] - s * x[0]
         return (along - self.start[0]) / self.depth, (across - self.start[1]) / self.breadth
 
+    def arcs(self, x: Array) -> Array:
+        """Places (3, n) by parts of the arc of a circle over the depth with this rise, from -1 at
+        its start over 0 at the crown to 1."""
+        half, rise = self.depth / 2, max(self.rise, EPSILON**0.25 * self.depth)
+        radius = max((half**2 + rise**2) / (2 * rise), half)
+        distance = half * np.clip(2 * self.parts(x)[0] - 1.0, -1.0, 1.0)
+        return np.asarray(np.arcsin(distance / radius) / np.arcsin(half / radius))
+
 
 def footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
     """Measure a scene's membrane, or a part of it. Collective."""

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.output.figures.picture import join_pictures
     from crms_fenicsx.output.figures.plots import HistoryOptions, draw_history
     from crms_fenicsx.output.paraview import Series
+    from crms_fenicsx.output.vtkhdf import write_vtkhdf
     from crms_fenicsx.views.view_data import Line, Surface
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "draw_paths",
     "draw_shape",
     "join_pictures",
+    "write_vtkhdf",
 ]
 
 NAMES = {
@@ -37,6 +39,7 @@ NAMES = {
     "crms_fenicsx.output.figures.picture": ("join_pictures",),
     "crms_fenicsx.output.figures.plots": ("HistoryOptions", "draw_history"),
     "crms_fenicsx.output.paraview": ("Series",),
+    "crms_fenicsx.output.vtkhdf": ("write_vtkhdf",),
     "crms_fenicsx.views.view_data": ("Line", "Surface"),
 }
 """Modules that are imported when a name of theirs is first asked for."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 
 from crms_fenicsx.output.report.page import Figure, Figures, PagePart, PageSection, Paragraph, Table
-from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import Pattern
 from crms_fenicsx.patterns.sewn import Comparison

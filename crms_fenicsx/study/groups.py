@@ -133,8 +133,8 @@ def _joined(
 ) -> dict[str, Case]:
     """The cases of all groups in an order; pictures are on the first process only. Collective."""
     sent = cases if own.rank == 0 else []
-    pictures = comm.gather({case.name: case.pictures for case in sent})
-    plain = comm.allgather([replace(case, pictures=()) for case in sent])
+    plain = comm.allgather([replace(case, pictures=(), view="") for case in sent])
     found = {case.name: case for part in plain for case in part}
-    shown = {name: one for part in pictures or [] for name, one in part.items()}
-    return {name: replace(found[name], pictures=shown.get(name, ())) for name in names}
+    for part in comm.gather(sent) or []:
+        found |= {case.name: case for case in part}
+    return {name: found[name] for name in names}

@@ -83,6 +83,19 @@ def test_american_combinations_by_hand() -> None:
     assert (("d", 0.6),) in allowable
 
 
+def test_the_combinations_of_a_building_code() -> None:
+    """New York City's code, 1605.2, with D, Lr, S and W, equations 16-1 to 16-4 and 16-6, which has
+    those of ASCE 7-16."""
+    found = factors(combinations(asce7_16, ["d"], ["roof live", "snow", "wind"]))
+    expected = {(("d", 1.4),), (("d", 0.9), ("wind", 1.0))}
+    for roof in ("roof live", "snow"):
+        for rest in ({roof: 0.5}, {roof: 1.6}, {roof: 1.6, "wind": 0.5}, {roof: 0.5, "wind": 1.0}):
+            expected.add(tuple(sorted({"d": 1.2, **rest}.items())))
+    assert expected <= found
+    fewer = {(("d", 1.2),), (("d", 1.2), ("wind", 0.5)), (("d", 1.2), ("wind", 1.0))}
+    assert found - expected <= fewer  # of rows with loads that there are not
+
+
 @pytest.mark.ranks
 def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
     mesh = meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True)

@@ -65,6 +65,13 @@ def test_drift_beside_a_taller_building() -> None:
     shape = DriftedSnow((0.0, 0.0), (1.0, 0.0), height=3.0, upper=10.0, lower=40.0, s_k=0.65)
     assert (shape.mu_w, shape.mu_s, shape.length) == (4.0, 0.0, 6.0)
     np.testing.assert_allclose(shape(places(0.0, 3.0, 6.0, 40.0), level(4)), [4.0, 2.4, 0.8, 0.8])
+    eaves = DriftedSnow((0.0, 0.0), (1.0, 0.0), height=4.25, upper=10.0, lower=40.0, s_k=0.65)
+    assert (eaves.mu_w, eaves.length) == (4.0, 8.5)
+    force = snow_load(0.65, eaves)(places(0.0, 8.5), level(2))
+    np.testing.assert_allclose(force[2], [-2.60, -0.52])
+    roof = DuopitchSnow((0.0, 0.0), (1.0, 0.0), case="ii", pitch=8.5)  # its upper roof, figure A.2
+    force = snow_load(0.65, roof)(places(-1.0, 1.0), level(2))
+    np.testing.assert_allclose(force[2], [-0.26, -0.52])
     low = DriftedSnow((0.0, 0.0), (1.0, 0.0), height=1.0, upper=10.0, lower=40.0, s_k=0.75)
     assert low.mu_w == pytest.approx(2.0 * 1.0 / 0.75)  # bound by gamma h / s_k
     assert low.length == 5.0

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, meshes
 from crms_fenicsx.codes import (
-    VaultWind,
+    ArchWind,
     asce7_arch_zones,
     canopy,
     dome,
@@ -32,16 +34,41 @@ def flat(comm: MPI.Intracomm) -> Scene:
 
 
 def test_zones_of_vaults() -> None:
-    """The quarters A and C and the half B between them; half a circle has 0.8, -1.2, -0.4."""
-    wind = VaultWind(UNIT, en1991_vault_zones(0.5))
-    found = wind(at((0.1, 3.0), (2.4, 9.0), (2.6, 9.0), (7.4, 1.0), (7.6, 1.0)), at())
+    """The quarters A and C of the arc and the half B between them; half a circle has 0.8, -1.2,
+    -0.4, and A up to 45 degrees, (1 - cos 45) / 2 = 0.146 of its depth."""
+    wind = ArchWind(UNIT, en1991_vault_zones(0.5), stepped=True)
+    found = wind(at((0.1, 3.0), (1.4, 9.0), (1.5, 9.0), (8.5, 1.0), (8.6, 1.0)), at())
     np.testing.assert_allclose(found, [0.8, 0.8, -1.2, -1.2, -0.4])
+    flat = ArchWind(replace(UNIT, high=0.0), (0.1, -0.8, -0.4), stepped=True)
+    found = flat(at((2.4, 0.0), (2.6, 0.0), (7.4, 0.0), (7.6, 0.0)), at())
+    np.testing.assert_allclose(found, [0.1, -0.8, -0.8, -0.4])
     assert en1991_vault_zones(0.275) == pytest.approx((0.45, -1.0, -0.4))  # half way
     assert asce7_arch_zones(0.5, raised=False) == pytest.approx((0.7, -1.2, -0.5))
     assert asce7_arch_zones(0.1, raised=True) == pytest.approx((-0.9, -0.8, -0.5))
     assert asce7_arch_zones(0.25, raised=True) == pytest.approx((0.075, -0.95, -0.5))
     assert asce7_arch_zones(0.25, raised=True, alternative=True)[0] == pytest.approx(-0.6)
     assert asce7_arch_zones(0.4, raised=True)[0] == pytest.approx(0.4)
+
+
+def test_a_published_reading_of_the_figure_of_vaults() -> None:
+    """Graitec's example of 2021 (civil-engineering-design.com, "Wind action evaluation on vaulted
+    roofs"): f/d = 2.51 / 9.60, for h/d = 0 it reads A = 0.42, B = -0.96, C = -0.40."""
+    found = en1991_vault_zones(2.51 / 9.60)
+    np.testing.assert_allclose(found, (0.42, -0.96, -0.40), atol=0.03)
+
+
+def test_monopitch_canopies_as_in_the_british_standard() -> None:
+    """BS 6399-2:1997, table 13, from which EN 1991-1-4, table 7.6, has these rows: overall, A, B
+    and C for pitches of 0, 5 ... 30 degrees, largest ones and, of empty canopies, least ones."""
+    largest = """0.2 0.5 1.8 1.1  0.4 0.8 2.1 1.3  0.5 1.2 2.4 1.6  0.7 1.4 2.7 1.8  0.8 1.7 2.9 2.1
+        1.0 2.0 3.1 2.3  1.2 2.2 3.2 2.4"""
+    least = """0.5 0.6 1.3 1.4  0.7 1.1 1.7 1.8  0.9 1.5 2.0 2.1  1.1 1.8 2.4 2.5  1.3 2.2 2.8 2.9
+        1.6 2.6 3.2 3.2  1.8 3.0 3.8 3.6"""
+    for text, table, sign in (
+        (largest, module.MONOPITCH_MOST, 1), (least, module.MONOPITCH_LEAST[0], -1),
+    ):  # fmt: skip
+        expected = sign * np.array(text.split(), dtype=float).reshape(7, 4).T
+        np.testing.assert_allclose([table[x] for x in ("overall", "A", "B", "C")], expected)
 
 
 @pytest.mark.ranks

@@ -137,6 +137,25 @@ def test_meshes_of_compas(comm: MPI.Intracomm) -> None:
         to_vertices_and_faces(mesh)  # type: ignore[arg-type]
 
 
+def test_there_and_back_by_compas(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """A mesh of the library itself, from its file, and the loaded shape back into one."""
+    datastructures = pytest.importorskip("compas.datastructures")
+    given = datastructures.Mesh.from_meshgrid(dx=4.0, nx=4, dy=2.0, ny=2)
+    given.to_obj(tmp_path / "roof.obj")
+    scene = Scene(from_compas(comm, datastructures.Mesh.from_obj(tmp_path / "roof.obj")), FOIL)
+    assert scene.membrane.cell_areas.sum() == pytest.approx(8.0)
+    scene.fix("boundary")
+    Solver(scene).advance(pressure=0.1)
+    vertices, faces = to_vertices_and_faces(scene)  # type: ignore[misc]
+    found = datastructures.Mesh.from_vertices_and_faces(vertices, faces)
+    assert found.is_valid() and found.number_of_faces() == 16
+    assert found.number_of_vertices() == given.number_of_vertices()
+    assert found.area() > 8.0
+    found.to_obj(tmp_path / "again.obj")
+    again = from_compas(comm, datastructures.Mesh.from_obj(tmp_path / "again.obj"))
+    assert Scene(again, FOIL).membrane.cell_areas.sum() == pytest.approx(found.area(), rel=1e-4)
+
+
 @pytest.mark.ranks
 def test_a_step_file(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """A rectangle of two faces that OpenCASCADE writes in mm: parts, edges, area in m."""

@@ -21,6 +21,7 @@ from crms_fenicsx.output import (
     draw_shape,
     join_pictures,
 )
+from crms_fenicsx.output.figures import plans
 from crms_fenicsx.output.figures.cable_lines import _subdivided, common_value, in_words, limits_of
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.draw_paths import _spaced_steps
@@ -586,3 +587,15 @@ def test_importing_loads_no_optional_package() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_names_in_plans_lie_apart() -> None:
+    """Eight names of one place, on its sides, do not cover each other."""
+    axes, _ = plans._axes(np.array([[-1.0, -1.0], [1.0, 1.0]]), "m", 6.0, 0.1)
+    ways = [np.array([x, y]) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y]
+    places = [(np.array([0.3, y]), way) for y in (0.0, 0.3, -0.3) for way in ways]
+    plans._write_apart(axes, [(f"guy west {k}", places) for k in range(8)])
+    axes.figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == 8
+    assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])

@@ -90,7 +90,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     names = {path.name for path in out.iterdir()}
     assert names == {"tent.html"} | {
         f"tent_{table}.csv"
-        for table in ("combinations", "overview", "membrane", "envelope", "cables",
+        for table in ("combinations", "overview", "membrane", "envelope", "hollows", "cables",
                       "cable_envelope", "supports", "support_lines", "balance", "anchors",
                       "foundation_points", "foundations", "foundation_envelope", "verification")
     }  # fmt: skip
@@ -113,7 +113,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     assert cable[0] == "ridge"
     assert cable[5] == per_cent(max(tensions.values()) / 40.0)
     # the wall has no strengths, and no utilisation
-    used = {row["Part"] for row in envelope if row["Result"] == "Utilisation"}
+    used = {row["Part"] for row in envelope if row["Result"] == "Utilisation [%]"}
     assert used == {"whole membrane", "roof"}
     for case in read_csv(out / "tent_verification.csv"):
         assert case["Verdict"] == "passed", case

@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output.report.case import Case, case_of
+from crms_fenicsx.output.report.page import Table, number
+from crms_fenicsx.output.report.sections import with_codes
 from crms_fenicsx.output.report.verdict import Limits, verdict_on
 from crms_fenicsx.results.shape_change import ShapeChange, shape_of
 from crms_fenicsx.verification.report import Check
@@ -40,7 +42,7 @@ def reasons(case: Case, **limits: Any) -> str:
 
 def test_reasons_in_plain_words(case: Case) -> None:
     assert case.summary.bars["prop"].force < 0.0
-    good = replace(case, summary=replace(case.summary, bars={}))
+    good = replace(case, summary=replace(case.summary, bars={}, hollows=()))
     verdict = verdict_on([good], Limits(), 8.0)
     assert (verdict.look, verdict.reasons) == ("", ())
     assert verdict.text.startswith("Verified: the state passed all checks")
@@ -53,6 +55,21 @@ def test_reasons_in_plain_words(case: Case) -> None:
         assert words in reasons(changed)
     assert "limit 0.1 %" in reasons(good, strain=1e-3)
     assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
+
+
+def test_rain_that_would_stand(case: Case) -> None:
+    """The square sags under its snow: it holds water, which is to be checked and no failure."""
+    wet = replace(case, summary=replace(case.summary, bars={}))
+    dry = replace(wet, name="dry", summary=replace(wet.summary, hollows=()))
+    verdict = verdict_on([dry, wet], Limits(), 8.0)
+    assert verdict.look == "doubtful"
+    (reason,) = verdict.reasons
+    deepest = wet.summary.hollows[0]
+    assert reason.startswith(
+        f"Rain would stand in 1 of 2 combinations, up to {number(deepest.depth)} deep at"
+    )
+    assert "(snow)" in reason
+    assert "checked for ponding" in reason
 
 
 def test_utilisation_and_its_peaks(case: Case) -> None:
@@ -78,3 +95,11 @@ def test_doubtful_and_failed_checks(case: Case) -> None:
     assert "changed since its last load step" in reasons(moved)
     unknown = verdict_on([replace(good, verification=None)], Limits(), 8.0)
     assert (unknown.look, unknown.text) == ("doubtful", "Not verified in this run: snow")
+
+
+def test_long_names_give_way_to_codes(case: Case) -> None:
+    """In all cases together; short ones stay."""
+    long = replace(case, name="ULS: 1.35 weight + 1.5 snow + 0.9 wind")
+    factors = Table("F", ("Case", "Combination"), [("LC1", case.name), ("LC2", long.name)])
+    assert [one.name for one in with_codes([case, long], factors)] == ["LC1", "LC2"]
+    assert with_codes([case], factors) == [case]

@@ -19,6 +19,7 @@ PROMISED = {
     "air_dome": (["calm", "storm", "both"], {".": 2}, ["1000"]),
     "cable_net": (["calm", "wind", "both", "paths"], {".": 4}, ["3.0"]),
     "air_hall": (["operation", "storm", "both"], {".": 9}, ["6.0"]),
+    "code_loads": (["fabric", "cable", "both"], {".": 23}, ["1.4"]),
     "clamped_net": (["sliding", "clamped", "both"], {"sliding": 2, "clamped": 2}, ["6.0"]),
     "net_tuning": (["tuned"], {".": 4}, ["6.0"]),
     "patterns": (["roll", "built"], {".": 2}, ["6.0"]),

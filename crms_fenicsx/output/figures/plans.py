@@ -18,6 +18,8 @@ UPLIFT, DOWNWARD, CABLE, BAR = DISTINCT[1], DISTINCT[0], "#444b55", DISTINCT[3]
 HELD = "#1d1f24"
 ROOM = 0.16
 """Longest arrow and highest ordinate of a diagram, relative to the plan's size."""
+LETTER = 3.9
+"""Mean width of a letter of a name, in points."""
 MOST_NAMES, MOST_VALUES = 80, 30
 """So many lines have their names in a plan, and so many points the vertical forces on them."""
 
@@ -132,15 +134,14 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
     for one, colour in ((plan.cables, CABLE), (plan.bars, BAR)):
         shown = [np.asarray(line.points)[:, :2] for line in one]
         axes.add_collection(LineCollection(shown, colors=colour, linewidths=1.2, zorder=3))
-        for line, flat in zip(one, shown, strict=True):
-            if line.name and sum(bool(x.name) for x in (*plan.cables, *plan.bars)) <= MOST_NAMES:
-                start = flat[0] if colour == CABLE else flat.mean(axis=0)
-                away = (flat[0] - flat[1]) if colour == CABLE else start - centre
-                _name(axes, line.name, start, 9.0 * away / (np.linalg.norm(away) or 1.0))
-    for name, place in plan.points:
+    for _, place in plan.points:
         axes.plot(place[0], place[1], "^", color=HELD, markersize=5, zorder=4)
-        if name and len(plan.points) <= MOST_VALUES:
-            _name(axes, name, place[:2], 9.0 * np.sign(place[:2] - centre))
+    named = _line_names(plan, centre, 1e-3 * size)
+    names = named if len(named) <= MOST_NAMES else []
+    if len(plan.points) <= MOST_VALUES:
+        names += [(name, [(place[:2], way) for way in _ways(place[:2] - centre)])
+                  for name, place in plan.points if name]  # fmt: skip
+    _write_apart(axes, names)
     told = [
         (HELD, "held edges", len(plan.rim)), (CABLE, "cables", len(plan.cables)),
         (BAR, "bars", len(plan.bars)), (DISTINCT[2], "warp", len(at)),
@@ -151,6 +152,69 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
         frameon=False,
     )  # fmt: skip
     return _png(axes.figure, dpi)
+
+
+Place = tuple[Array, Array]
+"""Where a name may be written, (2,) (length), and on which side of that, (2,)."""
+
+
+def _line_names(plan: ModelPlan, centre: Array, near: float) -> list[tuple[str, list[Place]]]:
+    """Names of cables and bars, together where they lie in one line, and places for them."""
+    found: list[tuple[str, Array, list[Place]]] = []
+    ends = [np.asarray(line.points)[k, :2] for line in plan.cables for k in (0, -1)]
+    for line in (*plan.cables, *plan.bars):
+        flat = np.asarray(line.points)[:, :2]
+        middle = flat[len(flat) // 2]
+        same = (k for k, (_, one, _) in enumerate(found)
+                if np.abs(one[[0, -1]] - flat[[0, -1]]).max() < near
+                and np.linalg.norm(one - middle, axis=1).min() < near)  # fmt: skip
+        if not line.name:
+            continue
+        if (k := next(same, None)) is not None:
+            found[k] = (f"{found[k][0]}, {line.name}", *found[k][1:])
+            continue
+        within = list[Place]()
+        for part in (0.5, 0.35, 0.65, 0.2, 0.8):
+            k = min(int(part * (len(flat) - 1)), len(flat) - 2)
+            along = flat[k + 1] - flat[k]
+            place = flat[k] + (part * (len(flat) - 1) - k) * along
+            out = np.array([along[1], -along[0]])
+            out = out if out @ (place - centre) >= 0.0 else -out
+            within += [(place, out), (place, -out)]
+        beyond = [(flat[0], flat[0] - flat[1]), (flat[-1], flat[-1] - flat[-2])]
+        own_end = sum(np.linalg.norm(end - flat[0]) < near for end in ends) == 1
+        found.append((line.name, flat, beyond + within if own_end else within + beyond))
+    return [(name, places) for name, _, places in found]
+
+
+def _ways(out: Array) -> list[Array]:
+    """Sides of a point: that which leads away from the centre first."""
+    sides = [np.array(way) for way in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))]
+    return sorted(sides, key=lambda way: -float(way @ out))
+
+
+def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]]) -> None:
+    """Write each name at the first of its places where it lies within the axes and covers no other
+    name, or else at that where it does so the least."""
+    axes.apply_aspect()
+    taken, points = np.zeros((0, 4)), 72.0 / axes.figure.dpi
+    frame = axes.bbox.extents * points
+    for name, places in names:
+        tried = list[tuple[float, int, Array, Array, Array]]()
+        for at, out in places:
+            away = 9.0 * out / (np.linalg.norm(out) or 1.0)
+            x, y = axes.transData.transform(at) * points + away
+            wide = LETTER * len(name)
+            left = x if away[0] > 4.0 else x - wide if away[0] < -4.0 else x - wide / 2
+            box = np.array([left - 2.0, y - 4.5, left + wide + 2.0, y + 4.5])
+            over = np.minimum(taken[:, 2:], box[2:]) - np.maximum(taken[:, :2], box[:2])
+            covered = float(over.clip(0.0).prod(axis=1).sum())
+            covered += 9.0 * float((frame - box)[:2].clip(0.0).sum()
+                                   + (box - frame)[2:].clip(0.0).sum())  # fmt: skip
+            tried.append((covered, len(tried), box, at, away))
+        _, _, box, at, away = min(tried, key=lambda one: one[:2])
+        taken = np.vstack([taken, box])
+        _name(axes, name, at, away)
 
 
 def _axes(places: Array, unit: str, width: float, air: float) -> tuple[Any, float]:

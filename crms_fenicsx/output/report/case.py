@@ -14,7 +14,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, SIGNED, HasSystem, draw, label_of
+from crms_fenicsx.output.report.interactive import interactive_view
 from crms_fenicsx.output.report.page import Figure
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.shape_change import Shape, ShapeChange, shape_change
@@ -48,7 +50,9 @@ class Case:
     # low, high: corners of the box around membrane, cables and bars (length)
     low: Corner
     high: Corner
-    pictures: tuple[Figure, ...] = ()  # on the first rank
+    # on the first rank: pictures, and a page with the structure to be turned
+    pictures: tuple[Figure, ...] = ()
+    view: str = ""
 
 
 def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
@@ -120,6 +124,17 @@ def with_pictures(
             label += " (a scale of its own)" if faint else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
+
+
+def with_view(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
+) -> Case:
+    """The case of a solver's current state with a page to turn it in a browser. Collective."""
+    known = (one for one in colours if QUANTITY_OF.get(one) in SUMMED_UP)
+    colour = next(known, "stress")
+    limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
+    labels = units[label_of(colour)[1]], units["force"]
+    return replace(case, view=interactive_view(solver, colour, limits, labels))
 
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:

@@ -11,13 +11,14 @@ import numpy as np
 
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Table
-from crms_fenicsx.output.report.results_tables import Row, Units, clean, with_size
+from crms_fenicsx.output.report.results_tables import Row, clean, with_size
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.foundations import FoundationPoint
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal part and of its angles."""
-NOTHING = 1e-5
+NOTHING = 1e-4
 """Part of a sum's largest component below which another one is no figure."""
 BALANCED = 1e-8
 """Difference of loads and foundations, relative to the largest of them, that is rounding."""

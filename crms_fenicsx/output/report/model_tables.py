@@ -23,7 +23,8 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Figure, Table, number, shown
-from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
+from crms_fenicsx.output.report.results_tables import Row, clean, families, part_name
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
@@ -216,7 +217,7 @@ def _supports(scene: Scene) -> list[Row]:
         count = comm.allreduce(int(np.count_nonzero(dofs < own)))
         rows.append((name, ", ".join(directions), count, length))
     held = comm.allreduce(int(np.count_nonzero(scene.held[:own].any(axis=1))))
-    return [*rows, ("all held vertices", "", held, None)]
+    return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
 def _cable(cable: LaidCable) -> Row:

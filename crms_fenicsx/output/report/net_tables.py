@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from crms_fenicsx.output.report.foundation_tables import DIRECTION, inclined
 from crms_fenicsx.output.report.page import Table
-from crms_fenicsx.output.report.results_tables import ResultTables, Row, Units, with_size
+from crms_fenicsx.output.report.results_tables import ResultTables, Row, with_size
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_order import Order
 
 

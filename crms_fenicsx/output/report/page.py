@@ -20,7 +20,7 @@ Cell = str | int | float | None
 
 MOST_ROWS = 600
 """Longer tables are in the CSV files only."""
-SHORT = 14
+SHORT = 8
 """Shorter tables stay on one page of paper."""
 
 EMPTY = "\u2013"
@@ -46,6 +46,23 @@ class Paragraph:
     text: str
     look: str = ""  # a class of the style sheet
     kind: ClassVar[str] = "text"
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Texts in small print."""
+
+    texts: Sequence[str]
+    kind: ClassVar[str] = "notes"
+
+
+@dataclass(frozen=True)
+class Link:
+    """The name of a file beside the page, and what it shows."""
+
+    text: str
+    file: str
+    kind: ClassVar[str] = "link"
 
 
 @dataclass(frozen=True)
@@ -103,7 +120,9 @@ class BarChart:
     rows: Sequence[tuple[str, float, float]]
     limit: float | None = None
     kind: ClassVar[str] = "chart"
-    ROOM: ClassVar[float] = 430.0  # of the longest bar, in units of the drawing
+    WIDE: ClassVar[float] = 760.0  # units of the drawing; beside the longest bar: its values
+    BESIDE: ClassVar[float] = 140.0
+    LETTER: ClassVar[float] = 6.6  # of a name, on the mean
     MOST: ClassVar[int] = 40  # more bars than these say nothing at a glance
 
     @property
@@ -116,9 +135,15 @@ class BarChart:
         return max([high for *_, high in self.rows] + [self.limit or 0.0], default=0.0)
 
     @property
+    def left(self) -> float:
+        """Where bars begin, right of the longest name, in units of the drawing."""
+        longest = max(len(name) for name, *_ in self.rows)
+        return min(max(self.LETTER * longest + 16.0, 120.0), 0.6 * self.WIDE)
+
+    @property
     def scale(self) -> float:
         """Units of the drawing for a value of one."""
-        return self.ROOM / self._most
+        return (self.WIDE - self.BESIDE - self.left) / self._most
 
     @property
     def drawn(self) -> list[tuple[str, float, float, str, bool]]:

@@ -14,7 +14,8 @@ from crms_fenicsx.output.figures.plans import ForcePlan, ModelPlan, draw_forces,
 from crms_fenicsx.output.report.case import SHARPEST, draw_png
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.page import Figure
-from crms_fenicsx.output.report.results_tables import Units, families
+from crms_fenicsx.output.report.results_tables import families
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.load_values import load_label
 from crms_fenicsx.results.membrane_results import membrane_results

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,8 +19,10 @@ from crms_fenicsx.output.report.case import (
     Case,
     case_of,
     with_pictures,
+    with_view,
 )
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.output.report.interactive import check_interactive
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.output.report.page import PageSection
 from crms_fenicsx.output.report.pictures import (
@@ -30,34 +32,32 @@ from crms_fenicsx.output.report.pictures import (
     outline_in_plan,
 )
 from crms_fenicsx.output.report.printing import browser, print_page
-from crms_fenicsx.output.report.results_tables import ResultTables, Units
-from crms_fenicsx.output.report.sections import Report
+from crms_fenicsx.output.report.results_tables import ResultTables
+from crms_fenicsx.output.report.sections import Report, with_codes
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.output.report.verdict import Limits
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.shape_change import Shape, shape_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
-from crms_fenicsx.runtime.handle import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
-from crms_fenicsx.steps.load_cases import Combination
+from crms_fenicsx.steps.load_cases import (
+    Combination,
+    HasStates,
+    back_to_now,
+    checked_states,
+)
 
 NOW = "Current state"
 """Name of the case of a report without combinations."""
 
 
-class Reported(HasSystem, Protocol):
+class Reported(HasSystem, HasStates, Protocol):
     """A `Solver`, which lies above this module."""
 
-    scene: ReadOnly[Scene]
     base: SceneState | None
-
-    def snapshot(self) -> SceneState:
-        """The current state."""
-
-    def restore(self, snapshot: SceneState) -> None:
-        """Bring the scene back to a state."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,7 @@ class Plan:
     strain_limit: float = 0.1  # of the membrane's larger principal strain
     template: str | Path | None = None  # of jinja2, for the page
     pdf: bool = False  # whether to print the page to a PDF file as well
+    interactive: bool = False  # whether to make a page of each case that can be turned
 
     @property
     def units(self) -> Units:
@@ -120,6 +121,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     check_view(plan.view)
     checks.positive("report: strain_limit", plan.strain_limit)
     checks.of_type("report: pdf", plan.pdf, bool)
+    checks.of_type("report: interactive", plan.interactive, bool)
     path = absolute(checks.file("report: filename", filename), comm)
     with raised_together(comm):  # last, as it makes the folder
         if comm.rank == 0:
@@ -132,6 +134,8 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
             make_writable(path.parent)
             if plan.pdf:
                 browser()
+            if plan.interactive:
+                check_interactive()
             if plan.template is not None and not Path(plan.template).is_file():
                 raise InputError(
                     f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
@@ -163,26 +167,6 @@ def _checked_foundations(
                 'ends of cables, such as "A1 start", and of names of joints.'
             )
     return {str(name): tuple(members) for name, members in foundations.items()}
-
-
-def checked_states(
-    scene: Scene, combinations: Mapping[str, Combination] | None
-) -> dict[str, Combination]:
-    """Combinations of a scene; none for its current state."""
-    if combinations is None:
-        return {}
-    checks.collection("report: combinations", combinations, Mapping, "solver.combine(...)", 1)
-    for name, one in combinations.items():
-        if not isinstance(one, Combination):
-            raise InputError(
-                f"report: combination {name!r} is {one!r}; give what solver.combine(...) returned."
-            )
-        if one.snapshot.scene is not scene:
-            raise InputError(
-                f"report: combination {name!r} is of another scene; let the solver that made it "
-                "write the report."
-            )
-    return {str(name): one for name, one in combinations.items()}
 
 
 def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
@@ -234,7 +218,11 @@ def drawn(
         for case in cases:
             if states:
                 solver.restore(states[case.name].snapshot)
-            pictured.append(with_pictures(solver, case, every, plan.pictures or (), plan.look))
+            colours = plan.pictures or ()
+            shown = with_pictures(solver, case, every, colours, plan.look)
+            if plan.interactive:
+                shown = with_view(solver, shown, every, colours, plan.units)
+            pictured.append(shown)
     return pictured
 
 
@@ -281,16 +269,23 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
-            about, path = [*plan.about.items()], plan.path
+            factors = results.factors(model.pressure, model.factors)
             limits = Limits(plan.strain_limit, plan.cable_strengths)
             held = FoundationTables(cases, plan.units, plan.foundations)
             report = Report(
-                plan.title, about, model, results, held, limits, plan.sections,
-                order=plan.order, template=Path(plan.template) if plan.template else None,
+                plan.title, [*plan.about.items()], model, factors, results, held, limits,
+                plan.sections, stem=plan.path.stem, order=plan.order,
+                template=Path(plan.template) if plan.template else None,
+            )  # fmt: skip
+            path, tables, coded = plan.path, report.tables(), with_codes(cases, factors)
+            held = replace(held, cases=coded)
+            report = replace(
+                report, results=replace(results, cases=coded), held=held,
                 plans=force_figures(held, model.outline),
             )  # fmt: skip
             texts = {path: report.html()}
-            for table in report.tables():
+            texts |= {path.with_name(name): page for name, page in report.views.items()}
+            for table in tables:
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
             with ExitStack() as files:
                 for file, text in texts.items():
@@ -300,26 +295,12 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
                     print_page(texts[path], pdf)
 
 
-@contextmanager
-def back_to_now(solver: Reported) -> Iterator[None]:
-    """Bring the scene back to its state after the block, also after an error. Collective."""
-    now = solver.snapshot()
-    try:
-        yield
-    finally:
-        solver.restore(now)
-
-
 def write_report(
     solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
     """Write a report of combinations, or of the current state; see `Plan`. Collective."""
-    listed: object = combinations
-    if isinstance(combinations, Mapping):
-        listed = dict.fromkeys(combinations)
-    checks.same(solver.comm, "report", combinations=listed)
-    states = checks.in_one_order(solver.comm, checked_states(solver.scene, combinations))
+    states = checked_states("report", solver.scene, combinations)
     plan = checked_plan(solver.comm, solver.scene, filename, **options)
     model, cases = model_of(solver, plan, states), results_of(solver, states)
     write_files(solver, plan, model, drawn(solver, plan, states, cases, cases))

@@ -9,9 +9,9 @@ from typing import Any
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.output.figures.plots import units_of_results
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Cell, Table, per_cent, place
+from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
@@ -28,27 +28,6 @@ PEAK = 1.25
 """Ratio of a cell's largest value to the smoothed one from which on it is a peak."""
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""
-
-
-@dataclass(frozen=True)
-class Units:
-    """Names of units, as in headings."""
-
-    length: str = ""  # length, force: such as "m" and "kN"; "" where not given
-    force: str = ""
-
-    def __getitem__(self, kind: str) -> str:
-        """The unit of a kind in brackets after a blank; "" where not known."""
-        unit = units_of_results(self.length, self.force).get(kind)
-        return f" [{unit}]" if unit else ""
-
-    def plain(self, kind: str) -> str:
-        """The unit of a kind after a blank, without brackets."""
-        return self[kind].replace("[", "").replace("]", "")
-
-    def headings(self, text: str) -> list[str]:
-        """Headings from texts between "|" that name kinds of units, as "Length{length}"."""
-        return text.format_map(self).split("|")
 
 
 @dataclass(frozen=True)
@@ -76,10 +55,12 @@ class ResultTables:
         """Part, name and label of a quantity, its least and its largest value."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
-                one = QUANTITIES[name]
+                one, scale = QUANTITIES[name], in_per_cent(name)
                 label = one.label[:1].upper() + one.label[1:]
-                label += self.units[one.unit] if one.unit else ""
-                yield part, name, label, found.least[name], found.largest[name]
+                label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
+                low, high = (replace(x[name], value=scale * x[name].value)
+                             for x in (found.least, found.largest))  # fmt: skip
+                yield part, name, label, low, high
 
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
         """Pressure and factors of the loads, also in the base state."""
@@ -125,7 +106,7 @@ class ResultTables:
         """Membrane forces of a case, by parts of the membrane."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
-            nodal = case.recovered[part][name]
+            nodal = in_per_cent(name) * case.recovered[part][name]
             peak = "single-cell peak" if high.value > PEAK * max(nodal, 0.0) else ""
             rows.append((
                 part_name(part), label, *clean([low.value], abs(high.value), FINE),
@@ -156,9 +137,9 @@ class ResultTables:
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
-            at = place(high.at, self.size)
-            (small,) = clean([low.value], abs(high.value), FINE)
-            rows.append((part_name(part), label, small, least, high.value, largest, at))
+            at, scale = place(high.at, self.size), in_per_cent(name)
+            small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
+            rows.append((part_name(part), label, small, least, most, largest, at))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
         )
@@ -167,10 +148,12 @@ class ResultTables:
 
     def cables(self) -> Table:
         """Tensions and lengths of all cables in all cases."""
+        most = max((one.contact_largest for *_, one in self.each("cables")), default=0.0)
         rows: list[Row] = [
             (
                 name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
-                one.length, one.L0, one.free, one.contact_mean, one.contact_largest,
+                one.length, one.L0, one.free,
+                *clean((one.contact_mean, one.contact_largest), most, FINE),
             )
             for name, case, one in self.each("cables")
         ]  # fmt: skip
@@ -238,6 +221,17 @@ class ResultTables:
         )
         return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
 
+    def hollows(self) -> Table:
+        """Where rain would stand: the deepest hollow of each case."""
+        rows: list[Row] = [
+            (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
+            for case in self.cases for found in [case.summary.hollows] for one in found[:1]
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Combination|Hollows|Deepest{length}|at x; y; z{length}|Volume{volume}|Area{area}"
+        )
+        return Table("Hollows in which rain would stand", columns, rows, "hollows")
+
     def ponds(self) -> Table:
         """Levels and volumes of ponds; their weights with the factors."""
         rows: list[Row] = [
@@ -300,12 +294,12 @@ class ResultTables:
         return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
 
     def verdicts(self) -> Table:
-        """The verdict on each case."""
-        rows: list[Row] = []
+        """The verdicts, and the cases that share each."""
+        shared: dict[tuple[int | None, str], list[str]] = {}
         for case in self.cases:
             found = case.verification
             if found is None:
-                rows.append((case.name, None, _unchecked(case)))
+                shared.setdefault((None, _unchecked(case)), []).append(case.name)
                 continue
             names = [check.name for check in found.failed or found.doubtful]
             verdict = (
@@ -313,7 +307,13 @@ class ResultTables:
             )
             if case.summary.warnings and not found.failed:
                 verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
-            rows.append((case.name, len(found.checks), verdict + ", ".join(names)))
+            key = len(found.checks), verdict + ", ".join(names)
+            shared.setdefault(key, []).append(case.name)
+        rows: list[Row] = [
+            (f"all {len(names)} combinations" if len(names) == len(self.cases) > 1
+             else ", ".join(names), *key)
+            for key, names in shared.items()
+        ]  # fmt: skip
         return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
 
     def nearest_to_limits(self) -> Table:
@@ -330,6 +330,11 @@ class ResultTables:
             rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
         columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
         return Table("Checks, where they are nearest to their limits", columns, rows)
+
+
+def in_per_cent(name: str) -> float:
+    """What tables multiply a quantity of the membrane by: those without units are in per cent."""
+    return 1.0 if QUANTITIES[name].unit else 100.0
 
 
 def part_name(part: str) -> str:

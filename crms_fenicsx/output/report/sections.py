@@ -18,6 +18,8 @@ from crms_fenicsx.output.report.page import (
     Figure,
     Figures,
     KeyFigures,
+    Link,
+    Notes,
     PagePart,
     PageSection,
     Paragraph,
@@ -37,6 +39,11 @@ FORCES_ON = (
     "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
     "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
     "of them have one scale. Orange is uplift, blue is downward."
+)
+HOLLOWS = (
+    "From these places rain has no way out over an edge of the roof. Depth, volume and area are "
+    "those of the water that fits in, up to where it runs over, in the shape of the combination; "
+    "under the water's weight the roof sinks further."
 )
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -67,6 +74,24 @@ PER_PICTURE = 1000
 """Bytes of the page that a picture takes beside its own."""
 
 
+LONG = 28
+"""Letters of a case's name from which on tables and pictures have the code of all cases instead."""
+
+
+def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
+    """The cases with the codes LC1, LC2 ... for names if one's name is long."""
+    codes = {str(row[1]): str(row[0]) for row in factors.rows}
+    if max(len(case.name) for case in cases) < LONG:
+        return list(cases)
+    return [
+        replace(case, name=codes[case.name], pictures=tuple(
+            replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
+            for one in case.pictures
+        ))
+        for case in cases
+    ]  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Report:
     """All that a report is made of."""
@@ -74,6 +99,7 @@ class Report:
     title: str  # title, about: heading, and names and texts below it
     about: Sequence[tuple[str, str]]
     model: Model  # what was computed, with its picture
+    factors: Table  # of the loads in all cases, with the cases' codes and names
     results: ResultTables
     held: FoundationTables
     limits: Limits
@@ -82,11 +108,22 @@ class Report:
     left_out: int = 0  # how many pictures there is no room for
     order: Order | None = None  # lengths of the cables to be made
     template: Path | None = None  # of jinja2; None: the package's
+    stem: str = "report"  # of the page's name, and of those of files beside it
 
     @property
     def cases(self) -> Sequence[Case]:
         """The load cases, one or more."""
         return self.results.cases
+
+    @property
+    def views(self) -> dict[str, str]:
+        """Pages with the structure to be turned, by the names of their files."""
+        named = zip(self._files, self.cases, strict=True)
+        return {file: case.view for file, case in named if case.view}
+
+    @property
+    def _files(self) -> list[str]:
+        return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
 
     def html(self) -> str:
         """The page, with as many pictures as there is room for."""
@@ -123,7 +160,7 @@ class Report:
             *self._forces(),
             *self.further,
             PageSection("Verification", [results.verdicts(), results.nearest_to_limits()]),
-            PageSection("Notes", [*map(Paragraph, NOTES)]),
+            PageSection("Notes", [Notes(NOTES)]),
         ]
         return page(self.title, about, sections, self.template)
 
@@ -131,10 +168,11 @@ class Report:
         """The tables that become CSV files."""
         of = self.results
         found = [
-            of.factors(self.model.pressure, self.model.factors),
+            self.factors,
             of.overview(),
             of.membrane(),
             of.envelope(),
+            of.hollows(),
             of.supports(),
         ]
         found += [self.held.lines(), self.held.balance()]
@@ -208,7 +246,7 @@ class Report:
     def _combinations(self) -> list[PagePart]:
         """What acts in each load case, and in the base state."""
         text = "Pressure, and what each load at the factor 1 is multiplied by."
-        return [Paragraph(text), self.results.factors(self.model.pressure, self.model.factors)]
+        return [Paragraph(text), self.factors]
 
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
@@ -218,6 +256,7 @@ class Report:
             body.append(self.results.overview())
             found.append(PageSection("Envelope of the membrane", body))
             same = "Colours have the same scale in all combinations."
+        found += [PageSection("Rain", self._rain())]
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         body = [
@@ -225,10 +264,21 @@ class Report:
             *([] if several else [self.results.overview()]),
         ]
         found.append(PageSection("Membrane by combination", body))
-        for case in self.cases:
+        titles = {name: f"{code}: {name}" for code, name, *_ in self.factors.rows}
+        titles |= {code: f"{code}: {name}" for code, name, *_ in self.factors.rows}
+        for case, file in zip(self.cases, self._files, strict=True):
             body = [Figures(case.pictures), self.results.of_case(case)]
-            found.append(PageSection(case.name, body, 3))
+            if case.view:
+                body.insert(0, Link("To be turned in a browser", file))
+            found.append(PageSection(titles[case.name], body, 3))
         return found
+
+    def _rain(self) -> list[PagePart]:
+        """Where water has no way out."""
+        table = self.results.hollows()
+        if not table.rows:
+            return [Paragraph("In no state is there a hollow from which rain has no way out.")]
+        return [Paragraph(HOLLOWS), table]
 
     def _forces(self) -> list[PageSection]:
         of, several, found = self.results, len(self.cases) > 1, []

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from crms_fenicsx.output.report.case import Case
-from crms_fenicsx.output.report.page import Verdict, per_cent, place
+from crms_fenicsx.output.report.page import Verdict, number, per_cent, place
 from crms_fenicsx.output.report.results_tables import PEAK
 
 COLLAPSED, TURNED = 0.5, 0.01
@@ -37,12 +37,22 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
         return Verdict(text, reasons, "failed")
     if missing:
         return Verdict(f"Not verified in this run: {', '.join(missing)}", (), "doubtful")
+    wet = [case for case in cases if case.summary.hollows]
     used = any("utilisation" in case.summary.membrane.largest for case in cases)
     what = "no strain or utilisation" if used else "no strain"
     text = f"Verified: {count[:1].lower() + count[1:]} passed all checks of equilibrium, and {what}"
-    return Verdict(f"{text} is beyond its limit", () if used else (
-        "Strengths of the membrane were not given: its utilisation is not checked.",
-    ))  # fmt: skip
+    notes = [] if used else [
+        "Strengths of the membrane were not given: its utilisation is not checked."
+    ]  # fmt: skip
+    if wet:
+        most = max(wet, key=lambda case: case.summary.hollows[0].depth)
+        deepest = most.summary.hollows[0]
+        notes.append(
+            f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
+            f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
+            "the roof is to be checked for ponding."
+        )
+    return Verdict(f"{text} is beyond its limit", tuple(notes), "doubtful" if wet else "")
 
 
 def _doubts(case: Case) -> Iterator[str]:

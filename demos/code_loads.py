@@ -1,0 +1,149 @@
+"""Vaulted roof under loads by code
+================================
+
+A membrane between two arches, with snow, wind and combinations by the Eurocodes, up to the report.
+
+The roof spans 14 m between its two straight feet, and 9 m between arches of 4.5 m rise. It has no
+inner pressure: the fabric hangs from arch to arch, and a valley cable holds it down in the middle.
+Snow is that of a cylindrical roof (EN 1991-1-3, 5.3.5), even and drifted to either side, wind that
+of a vaulted roof (EN 1991-1-4, 7.2.8), and the combinations those of EN 1990, expression (6.10).
+Units: m, kN.
+
+::
+
+    ./run python demos/code_loads.py [SIZE] [--resume]
+
+with the cells' size, 0.5 m by default.
+"""
+
+import sys
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, OrthotropicMembrane, Solver, codes, meshes
+from crms_fenicsx.form_finding import find_form
+from crms_fenicsx.output import draw, join_pictures
+
+RESULTS = "results/code_loads"
+SPAN, RISE, BAY = 14.0, 4.5, 9.0
+PRESTRESS = 3.0  # kN/m
+SNOW, GUST = 0.75, 0.65  # kPa: s_k on the ground, q_p of the wind
+VIEW = (-55.0, 28.0)
+
+# %%
+# Form
+# ----
+# The feet along y stay on the ground. The ends of the sheet are lifted onto the arches, which are
+# parts of circles. Where the arches are, the film can only sag between them.
+size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.5))
+plan = meshes.rectangle(MPI.COMM_WORLD, SPAN, BAY, size, corner=(-SPAN / 2, -BAY / 2))
+RADIUS = (SPAN**2 / 4 + RISE**2) / (2 * RISE)
+
+
+def arch(points):
+    """Movement of points of an edge (3, n) onto its arch."""
+    up = np.sqrt(RADIUS**2 - points[0] ** 2) - (RADIUS - RISE)
+    return np.stack([0 * up, 0 * up, up])
+
+
+form = find_form(
+    plan, stress=PRESTRESS, fixed=["boundary"], lifted={"front": arch, "back": arch}, warp=(0, 1, 0)
+)
+scene = form.scene(OrthotropicMembrane(E1=1100.0, E2=900.0, G12=40.0, nu21=0.2, thickness=1.0))
+
+# %%
+# The valley cable is laid along the shortest path over the form, and pulled.
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
+valley = scene.lay_cable(
+    Cable(EA=20e3), [(-SPAN / 2, 0.0), (SPAN / 2, 0.0)], shortest=True, name="valley"
+)
+scene.put_load((0.0, 0.0, -0.0135), name="weight", per="material")
+solver.advance(load={"weight": 1.0}, L0={valley: 0.985 * valley.L0})
+
+# %%
+# Loads
+# -----
+# Coefficients belong to the shape at the time of the call: that of the prestressed roof, which
+# ``codes.vault`` measures.
+vault = {"crown": (0.0, 0.0), "span": SPAN, "rise": RISE}
+shapes = {
+    "snow": codes.CylindricalSnow(across=(1, 0), case="i", **vault),
+    "snow drifted": codes.CylindricalSnow(across=(1, 0), case="ii", **vault),
+    "snow drifted back": codes.CylindricalSnow(across=(-1, 0), case="ii", **vault),
+}
+for name, shape in shapes.items():
+    scene.put_load(codes.snow_load(SNOW, shape), name=name, per="plan")
+wind = codes.vault(scene, (1.0, 0.0))
+scene.put_wind(GUST, wind, name="wind")
+
+# %%
+# Strengths
+# ---------
+# PVC-coated polyester, type I, has 60 kN/m along warp and weft. They are divided by 1.5 for the
+# material and, as long as snow lies, by 1.6 more.
+scene.set_strengths((60.0 / 1.5, 60.0 / 1.5), factors=dict.fromkeys(shapes, 1.6))
+
+# %%
+# Combinations
+# ------------
+# Loads whose names begin with the same kind exclude each other. The favourable and the unfavourable
+# factor of the weight, and each variable load as the leading one, give 22 combinations.
+table = codes.combinations(codes.en1990, permanent=["weight"], variable=[*shapes, "wind"])
+found = solver.combine(table)
+solver.report(
+    f"{RESULTS}/report.html",
+    found,
+    title="Vaulted roof of 14 x 9 m",
+    about={
+        "Structure": "Membrane between two arches, valley cable",
+        "Loads": "EN 1990, EN 1991-1-3, EN 1991-1-4, recommended values",
+    },
+    unit="m",
+    force="kN",
+    cable_strengths={"valley": 130.0},
+    pictures=["displacement", "utilisation"],
+    view=VIEW,
+)
+
+# %%
+# Governing combinations
+# ----------------------
+summaries = {}
+for name, one in found.items():
+    solver.restore(one.snapshot)
+    summaries[name] = solver.summary()
+used = {name: one.membrane.largest["utilisation"].value for name, one in summaries.items()}
+pull = {name: one.cables["valley"].largest for name, one in summaries.items()}
+wet = {name: one.hollows[0].depth for name, one in summaries.items() if one.hollows}
+fabric, cable = (max(of, key=lambda name, of=of: of[name]) for of in (used, pull))
+for name, file in ((fabric, "fabric"), (cable, "cable")):
+    solver.restore(found[name].snapshot)
+    draw(
+        solver, f"{RESULTS}/{file}.png", colour="utilisation", unit="m", force="kN", view=VIEW,
+        title=name, dpi=110,
+    )  # fmt: skip
+if scene.comm.rank == 0:
+    join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/fabric.png", f"{RESULTS}/cable.png"])
+    print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {wind.zones} on f/d = "
+          f"{wind.roof.rise / wind.roof.depth:.3f}; {len(table)} combinations")  # fmt: skip
+    print(f"fabric used to {used[fabric]:.0%}: {fabric}")
+    print(f"tension of the valley cable {pull[cable]:.1f} kN: {cable}")
+    print(f"rain would stand in {len(wet)} of the combinations")
+
+# %%
+# Checks
+# ------
+# By hand: mu_3 = min(0.2 + 10 h/b, 2), and the supports carry 1.5 x 0.8 s_k on the width l_s where
+# the arch is not steeper than 60 degrees. Measured by this program at sizes 0.5 and 1.4: fabric
+# used to 68 and 70 %, 31.4 and 33.4 kN in the cable.
+width = shapes["snow"].width
+np.testing.assert_allclose(shapes["snow drifted"].mu_3, min(0.2 + 10 * RISE / SPAN, 2.0))
+np.testing.assert_allclose(width, 2 * RADIUS * np.sin(np.pi / 3))
+snow, calm = (summaries[name] for name in ("ULS: 1 weight + 1.5 snow", "ULS: 1 weight"))
+lift = snow.reaction[2] - calm.reaction[2]
+np.testing.assert_allclose(lift, 1.5 * 0.8 * SNOW * width * BAY, rtol=0.03)
+rtol = 0.03 if size < 0.6 else 0.08
+np.testing.assert_allclose((used[fabric], pull[cable]), (0.68, 31.4), rtol=rtol)
+assert fabric.endswith(("1.5 snow drifted", "1.5 snow drifted back")) and cable.endswith("1.5 wind")
+assert len(table) == 22 and not wet
