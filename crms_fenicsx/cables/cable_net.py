@@ -148,16 +148,10 @@ class CableNet:
         own = self._cables("clamp", cables)
         slip = None if slip is None else checks.positive("clamp: slip", slip)
         for cable in own:
-            if cable.cable.law == "step" or cable.cable.cone:
-                what = 'law="step"' if cable.cable.law == "step" else "friction with cone=True"
+            if cable.cable.law == "step":
                 raise InputError(
-                    f"clamp: {cable.name!r} has {what}, with which its tension cannot differ from "
-                    "clamp to clamp; lay it without."
-                )
-            if cable.axial is not None and slip is not None:
-                raise InputError(
-                    f"clamp: {cable.name!r} has friction along its axis, and cannot slip through "
-                    f"a clamp of slip = {slip:g}; leave one of them out."
+                    f'clamp: {cable.name!r} has law="step", with which its tension cannot differ '
+                    "from clamp to clamp; lay it without."
                 )
         new: list[Clamp] = []
         apart: list[str] = []

@@ -65,7 +65,7 @@ def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
 
 def _share(cable: LaidCable, i: int, t: float) -> float:
     """Unstressed length up to a place on part i between contacts, as a share of the whole."""
-    sizes = norm(_straight_parts(cable)[1])
+    sizes = norm(_straight_parts(cable)[1]) / (1 + cable.part_tensions / cable.cable.EA)
     of = cable.parts_of(cable.contacts()[:-1])
     own = of == of[i]
     passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())

@@ -22,6 +22,10 @@ from crms_fenicsx.runtime.arrays import Array, floats, ints, pointers
 TOLERANCE = 1e-3
 """Elastic slip at a clamp, relative to what its grip stretches the part beside it by."""
 
+CLAMP_SLIP = 1e-6
+"""Elastic slip at a clamp without a limit, on a cable with friction along its axis, relative to the
+cable's length."""
+
 
 def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
     """Forces that clamps hold (m,), and elastic slips at which they do (m,) (length). Those that
@@ -30,6 +34,14 @@ def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
     EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.parts.at, 1.0])
     bounds = np.where(cable.parts.grips > 0.0, np.minimum(cable.parts.grips, EA), EA)
     return bounds, TOLERANCE * bounds / EA * np.minimum(lengths[1:], lengths[:-1])
+
+
+def held_by_clamps(cable: LaidCable) -> tuple[Array, Array]:
+    """The same of a cable with friction along its axis, in which those that hold whatever comes do
+    so at a smaller elastic slip: no span between its nodes is as long as a part."""
+    assert cable.parts is not None
+    bounds, eps = bounds_and_slips(cable)
+    return bounds, np.where(cable.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
 
 
 def smallest_slip(cables: Sequence[LaidCable]) -> float:
@@ -85,9 +97,12 @@ def end_step(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clam
         parts = cable.parts
         if parts is None or not parts.slips.any():
             continue
-        _, eps = bounds_and_slips(cable)
+        if cable.axial is None:
+            (_, eps), length = bounds_and_slips(cable), cable.L0
+        else:
+            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.smoothing_length
         elastic = np.clip(parts.slips, -eps, eps)
-        at = np.asarray(parts.at + (parts.slips - elastic) / cable.L0)
+        at = np.asarray(parts.at + (parts.slips - elastic) / length)
         moved |= {
             (cable.name, old): new for old, new in zip(floats(parts.at), floats(at), strict=True)
         }

@@ -169,7 +169,7 @@ class ActiveSet:
         """Let cables in tension go where they pull the membrane, and touch where they are in it."""
         net, nodes = self.net, self.net.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
-        may = held[nodes.cable] & ~self._covered(nodes)
+        may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
         pulling = Polylines(nodes, positions_of(net.cables)).released(shape, may)
         released: dict[int, list[int]] = defaultdict(list)
         for c, k in nodes.ids(pulling):
@@ -233,6 +233,14 @@ class ActiveSet:
         for (a, b, _), node in zip(lists(nodes.support[rows]), nodes.ids(rows), strict=True):
             found[a, b].append(node)
         return dict(found)
+
+    def _clamped(self, nodes: NodeTable) -> Booleans:
+        """Which nodes clamps hold to others, (n,): those lift off together, or not at all."""
+        clamped = np.zeros(len(nodes.kind), dtype=bool)
+        for start, cable in zip(nodes.starts, self.net.cables, strict=False):
+            if cable.parts is not None:
+                clamped[start + np.array(cable.parts.nodes, dtype=np.int64)] = True
+        return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:
         """Which nodes lie on vertices that a cable on top of theirs touches too, (n,)."""

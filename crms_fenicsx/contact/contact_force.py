@@ -14,7 +14,7 @@ to its stretch of cable.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -149,9 +149,15 @@ def paper_forces(cable: LaidCable) -> Array:
     return forces
 
 
-def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
-    """Forces of a cable on the membrane at some of the nodes that it touches. Shapes: nodes (m,).
-    Returns normal, lateral (m,): as in `ContactForces` (force)."""
+def forces_at(
+    cable: LaidCable,
+    nodes: Sequence[int],
+    shape: StripShape,
+    others: Mapping[int, Array] | None = None,
+) -> tuple[Array, Array]:
+    """Forces of a cable on the membrane at some of the nodes that it touches, with the pulls (3,)
+    of others that are clamped to it there, by node. Shapes: nodes (m,). Returns normal, lateral
+    (m,): as in `ContactForces` (force)."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -159,9 +165,18 @@ def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tupl
     found, before, after = wanted[rows], before[at[rows]], after[at[rows]]
     up, left = directions(cable, found, shape, before, after)
     pull = _pulls(cable, found, before, after)
+    for row in np.flatnonzero(np.isin(found, list(others or ()))):
+        pull[row] += (others or {})[int(found[row])]
     normal, lateral = np.zeros((2, len(nodes)))
     normal[rows], lateral[rows] = -dot(pull, up), dot(pull, left)
     return normal, lateral
+
+
+def pull_of(cable: LaidCable, k: int) -> Array:
+    """Force of a cable at a node that it touches, with its tensions before and after it, (3,)."""
+    nodes, before, after = _turns(cable)
+    (rows,) = np.nonzero(nodes == k)
+    return np.asarray(_pulls(cable, nodes[rows], before[rows], after[rows]).sum(axis=0))
 
 
 def _turns_on_membrane(cable: LaidCable) -> tuple[Integers, Array, Array]:

@@ -65,7 +65,7 @@ class CableContribution(Contribution):
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
-        self.slipping = [cable for cable in self.taut if cable.may_slip]
+        self.slipping = [cable for cable in self.taut if cable.may_slip and cable.axial is None]
         self.sliding = [c for c in self.taut if c.axial is None and c not in self.slipping]
         self.gripped = [cable for cable in self.taut if cable.axial is not None]
         # where the parts of each sliding cable begin among all parts, and their number
@@ -234,11 +234,11 @@ class CableContribution(Contribution):
             for cable, first in zip(self.sliding, self.first_parts[:-1], strict=True):
                 for start in self.tension.starts[first : first + 1]:  # none without such cables
                     cable.update(step_start=start)
-        if self.slipping:
+        if any(cable.may_slip for cable in self.taut):
             from crms_fenicsx.cables.slipping_clamps import end_step
 
             net = self.scene.net
-            net.clamps = end_step(self.slipping, net.clamps)
+            net.clamps = end_step(self.taut, net.clamps)
         for cable in self.scene.cables:
             cable.update(ends_before=cable.positions[[0, -1]])
 

@@ -108,11 +108,19 @@ class ContactLoop:
 
     def _changes(self) -> list[str]:
         """Change what the solved state asks for; return the changes in words."""
-        changes = self.active.update()
+        changes = self.active.update() or self._lift_clamps()
         if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
             changes = self.sliding.renew_projections()
             self._projections += len(changes)
         return changes
+
+    def _lift_clamps(self) -> list[str]:
+        """Take clamps off vertices and edges that their cables pull off the membrane."""
+        if self.sliding is None or not self.scene.clamps:
+            return []
+        from crms_fenicsx.paths.clamp_release import lift_clamps
+
+        return lift_clamps(self.sliding.change)
 
 
 def restore_positions(scene: Scene, state: SceneState) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.cables.slipping_clamps import held_by_clamps
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, held_nodes, turns
 from crms_fenicsx.contact.lift_off import is_foot
@@ -36,11 +37,6 @@ from crms_fenicsx.surface.points import Support
 
 LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""
-
-
-CLAMPED, CLAMP_SLIP = 10.0, 1e-6
-"""Logarithm of the ratio of tensions that clamps hold, more than any cable has, and the elastic
-slip there at which they would, relative to the cable's length."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +118,10 @@ def remap_axial(cable: LaidCable) -> None:
             if added and gone.stop > gone.start:
                 new[1:, added] = old[1:, gone].mean(axis=1, keepdims=True)
     clamped = np.array([support[0] < 0 for support in now], dtype=bool)
-    most = CLAMP_SLIP * cable.L0
-    new[:3, clamped] = np.array([[cable.cable.EA], [most], [most]])
+    if clamped.any():
+        bound, most = held_by_clamps(cable)
+        order = [-1 - support[0] for support in now if support[0] < 0]
+        new[:3, clamped] = np.array([bound, most, most])[:, order]
     bounds, eps, elastic, slips = new
     cable.update(
         axial=replace(grip, supports=now, bounds=bounds, eps=eps, elastic=elastic, slips=slips)
@@ -184,7 +182,10 @@ def store_solution(
         arcs=np.cumsum(unstressed)[:-1], slips=slips.copy(), loss=loss,
     )  # fmt: skip
     tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    cable.update(tension=tension, axial=axial)
+    parts = cable.parts
+    if parts is not None and cable.may_slip:
+        parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), clamped_nodes(cable))])
+    cable.update(tension=tension, axial=axial, parts=parts)
 
 
 def between_contacts(cable: LaidCable, of_spans: Array) -> Array:

@@ -12,24 +12,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cables.slipping_clamps import held_by_clamps
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.friction.axial import (
-    CLAMP_SLIP,
-    CLAMPED,
     LEAST_PART,
     RestPlaces,
     between_contacts,
     clamped_nodes,
     reference_arcs,
 )
-from crms_fenicsx.friction.cone import Slip, full_slips, law_along, law_sideways, slips_sideways
+from crms_fenicsx.friction.cone import (
+    BISECTIONS,
+    Slip,
+    full_slips,
+    law_along,
+    law_sideways,
+    slips_sideways,
+)
 from crms_fenicsx.friction.slip import node_slips, slip_forces
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 
 
 class AitkenRelaxation:
@@ -161,6 +167,9 @@ AXIALLY_SETTLED = 1e-4
 is sharper than sideways costs one short pass here."""
 
 
+CLAMPED = 10.0
+"""Logarithm of the ratio of tensions that clamps hold at most, more than any cable has."""
+
 MOST_TURNS, TURNED = 30, 1e-6
 """How often the direction of the friction force is taken from the slips that it leads to, and
 their change, relative to the largest one, below which it has been found."""
@@ -195,12 +204,14 @@ class AxialIteration:
         places, EA = reference_arcs(cable, shape), cable.cable.EA
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
         clamped = np.isin(places.nodes, clamped_nodes(cable))
-        wrap[clamped] = CLAMPED
+        if clamped.any():
+            wrap[clamped] = self._held_ratios(clamped)
         law = self._law(places, wrap, shape)
         strains = (grip.spans - law.unstressed) / law.unstressed
         mean, eps = np.sqrt(strains[1:] * strains[:-1]), law.eps
         bounds = EA * capstan_bounds(mean, law.most, law.slips / eps)
-        bounds[clamped] = EA
+        if clamped.any():
+            bounds[clamped] = held_by_clamps(cable)[0]
         total, used = float(bounds[~clamped].sum()), float(grip.bounds[~clamped].sum())
         if used == 0.0 == total:
             return 0.0
@@ -210,7 +221,9 @@ class AxialIteration:
             before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
             changes = coulomb_forces(law.slips, bounds, eps)
             changes -= coulomb_forces(grip.slips, grip.bounds, before)
-            total = float(EA * capstan_bounds(mean, wrap, np.zeros(len(wrap))).sum())
+            changes[clamped] = 0.0
+            most = EA * capstan_bounds(mean, wrap, np.zeros(len(wrap)))
+            total = float(most[~clamped].sum())
         error = np.abs(np.cumsum(changes)).max()
         change = float(error) / max(total, 1e-3 * used)
         if change > self.settled:  # the state found stays the one that belongs to its bounds
@@ -228,13 +241,32 @@ class AxialIteration:
             )
         return change
 
+    def _held_ratios(self, clamped: Booleans) -> Array:
+        """Logarithms of the ratios of tensions that clamps hold, by those on their two sides now:
+        with P = T + T^2/(2 EA) the grip is P2 - P1."""
+        cable, grip = self.cable, self.cable.axial
+        assert grip is not None
+        unstressed = np.diff([0.0, *grip.arcs, cable.L0 + cable.smoothing_length])
+        strains = np.maximum((grip.spans - unstressed) / unstressed, EPSILON)
+        mean = np.sqrt(strains[1:] * strains[:-1])[clamped]
+        held = held_by_clamps(cable)[0] / cable.cable.EA
+        low: Array = np.zeros(len(mean))
+        high: Array = np.full(len(mean), CLAMPED)
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            less = capstan_bounds(mean, middle, np.ones(len(mean))) < held
+            low, high = np.where(less, middle, low), np.where(less, high, middle)
+        return high
+
     def _law(self, places: RestPlaces, wrap: Array, shape: StripShape) -> _Law:
         """Solve Coulomb's law along the cable for the lengths of its spans."""
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
-        full[np.isin(places.nodes, clamped_nodes(cable))] = CLAMP_SLIP * cable.L0
+        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        if clamped.any():
+            full[clamped] = held_by_clamps(cable)[1]
         L0 = cable.L0 + cable.smoothing_length
         if not cable.cable.cone or cable.lateral is None:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
@@ -243,6 +275,7 @@ class AxialIteration:
         for _ in range(MOST_TURNS):
             before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
             bound, width, elastic = law_along(sideways, along)
+            bound[clamped] = width[clamped] = elastic[clamped] = 1.0
             most, eps = wrap * bound, full * width
             find_slips(LAW, grip.spans, places.rest, L0, most, eps, slips, unstressed)
             if np.abs(slips - before).max(initial=0.0) <= TURNED * np.abs(slips).max(initial=0.0):

@@ -19,6 +19,7 @@ from crms_fenicsx.contact.lift_off import Gap, captured, lift, may_lift, outward
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.paths.clamp_release import beside_vertices, put_onto
 from crms_fenicsx.paths.held_vertices import VertexRun
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths, WayKey
@@ -61,10 +62,11 @@ class CrossingTrials:
 
     def next(self) -> bool:
         """Move cables to a way that has not been tried; say whether there is one. Collective."""
-        if not 0 < len(self.net.crossings) <= FEW:
-            return False
+        ways = [*self._clamps()] if self.net.clamps else []
+        if 0 < len(self.net.crossings) <= FEW:
+            ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
-        for way in [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]:
+        for way in ways:
             known = self.tried.ways.setdefault(self.net.cables[way.cable].name, set())
             if self._left > 0 and way.key not in known:
                 known.add(way.key)
@@ -93,6 +95,16 @@ class CrossingTrials:
     @staticmethod
     def _is_free(cable: LaidCable) -> bool:
         return cable.taut and cable.slides_freely and not cable.keeps_line
+
+    def _clamps(self) -> Iterator[Way]:
+        """Clamps beside vertices onto these."""
+        for vertex, cables in beside_vertices(self.change):
+
+            def take(vertex: int = vertex, cables: list[LaidCable] = cables) -> bool:
+                return put_onto(self.change, cables, vertex)
+
+            key = ("clamp", cables[1].name, (vertex,), False)
+            yield Way(self.net.cables.index(cables[0]), key, take)
 
     def _sides(self) -> Iterator[Way]:
         """Past vertices on the other side, the nearest first."""

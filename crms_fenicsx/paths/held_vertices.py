@@ -13,14 +13,14 @@ the others hold the valley where it is. So vertices in a row make a run, which i
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.contact.contact_force import forces_at
+from crms_fenicsx.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -75,12 +75,40 @@ class VertexRun:
         return cls(vertices, pull > 0.0, excess, sum(one.press for one in part))
 
 
-def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
+Pulls = Mapping[int, Array]
+"""Forces (3,) of the other cables that are clamped to one, by its nodes."""
+
+
+def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
+    """Of each clamp in tension on a vertex, or at a crossing, the cables with their nodes."""
+    at: dict[object, list[tuple[LaidCable, int]]] = defaultdict(list)
+    for cable in cables:
+        for k in () if cable.parts is None or not cable.taut else cable.parts.nodes:
+            node = cable.nodes[k]
+            at[node.support if node.kind == "vertex" else node.crossing].append((cable, k))
+    return [held for held in at.values() if len(held) > 1]
+
+
+def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
+    """Of each clamped cable the forces of those clamped to it, at clamps of which all cables may
+    slide sideways: what all of them pull with there, the mesh carries."""
+    found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
+    for held in clamped_together(cables):
+        if all(cable.slides_freely and not cable.keeps_line for cable, _ in held):
+            pulls = [pull_of(cable, k) for cable, k in held]
+            for (cable, k), own in zip(held, pulls, strict=True):
+                found[cable][k] = np.asarray(sum(pulls) - own)
+    return dict(found)
+
+
+def held_vertices(
+    cable: LaidCable, shape: StripShape, others: Pulls | None = None
+) -> list[HeldVertex]:
     """The vertices that a cable in tension visits or has run into. All nodes on edges at a vertex
     count as one where friction holds them: only their sum means anything. Some of them may have
     lifted off where the cable bends inward against the vertex. Returns in the order of the path;
-    none of a cable in an edge, which belongs there."""
-    near = {} if cable.keeps_line else _near(cable, shape)
+    none of a cable in an edge, which belongs there. At clamps the pulls of others count as well."""
+    near = {} if cable.keeps_line else _near(cable, shape, others or {})
     if not near:
         return []
     at = _at(cable) if cable.lateral is not None else near
@@ -88,7 +116,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     nodes = sorted({k for some in at.values() for k in some if not cable.lifted[k]})
     # Of all nodes of the cable, nothing where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.nodes)))
-    press[nodes], pull[nodes] = forces_at(cable, nodes, shape)
+    press[nodes], pull[nodes] = forces_at(cable, nodes, shape, others)
     if cable.lateral is not None:
         from crms_fenicsx.friction.lateral import friction_forces
 
@@ -111,13 +139,13 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     return sorted(found, key=lambda held: (held.nodes[0], held.nodes[-1], held.vertex))
 
 
-def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
+def held_runs(cable: LaidCable, shape: StripShape, others: Pulls | None = None) -> list[VertexRun]:
     """The runs of vertices that hold a cable, and the sides to which it leaves them. Without
     friction the sides are those to which a string between the ends of the run would be moved by the
     forces: next to its ends a run may be pulled the other way, by the cable's turn there. With
     friction they are those to which each vertex is pulled. Returns in the order of the path;
     vertices next to each other that are left to different sides are in different runs."""
-    held = held_vertices(cable, shape)
+    held = held_vertices(cable, shape, others)
     if cable.lateral is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
     runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
@@ -149,26 +177,30 @@ def _string(places: Array, forces: Array) -> Array:
 
 
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
-    """Vertices in a row."""
+    """Vertices in a row. A clamp on a vertex holds other cables as well, and is in no row."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
+    clamps = () if cable.parts is None else cable.parts.nodes
+    held_there = [k for k in clamps if cable.nodes[k].kind == "vertex"]
     rows: list[list[HeldVertex]] = []
     for one in held:
-        if rows and at[one.nodes[0]] - at[rows[-1][-1].nodes[-1]] <= APART:
+        first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
+        parted = any(before <= k <= first for k in held_there)
+        if rows and at[first] - at[before] <= APART and not parted:
             rows[-1].append(one)
         else:
             rows.append([one])
     return rows
 
 
-def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
+def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on, or so near that they may have run into them. Along the
-    membrane's boundary it is a part of that, which it can only slide off; at a clamp the other
-    cable holds it."""
+    membrane's boundary it is a part of that, which it can only slide off; clamps hold it to others,
+    and count where these may slide, too."""
     near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
     boundary = _along_boundary(nodes, shape)
-    clamped = () if cable.parts is None else cable.parts.nodes
+    clamped = () if cable.parts is None else set(cable.parts.nodes) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
     for k, support in _between_ends(cable):
         if nodes[k].kind == "vertex":

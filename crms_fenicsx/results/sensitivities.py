@@ -163,7 +163,7 @@ def _has_slope(scene: Scene, one: object) -> bool:
     """Whether `_slope_of` knows how a result depends on the unknowns."""
     cable = one.cable if isinstance(one, CableEnd) else one
     if isinstance(cable, LaidCable):
-        return cable.taut and not cable.is_divided
+        return cable.taut
     return one != "volume" or scene.air.sealed is None
 
 
@@ -172,8 +172,12 @@ def _slope_of(changes: _Changes, one: object) -> Array:
     reciprocity those of the forces by the parameter that works on it. With the energy's derivatives
     -(T + T^2/(2 EA)) by an unstressed length, and -V by the pressure."""
     scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
-    if isinstance(one, CableEnd):
-        one = one.cable
+    if isinstance(one, CableEnd | LaidCable):
+        cable = one if isinstance(one, LaidCable) else one.cable
+        if cable.parts is not None:
+            end = one.which if isinstance(one, CableEnd) else None
+            return changes.slope(_part_lengths(cable, end))
+        one = cable
     if isinstance(one, LaidCable):
         return np.asarray(changes.slope(_parameter(scene, one)) / (1 + one.tension / one.cable.EA))
     if isinstance(one, PlacedBar):
@@ -187,6 +191,25 @@ def _slope_of(changes: _Changes, one: object) -> Array:
         if rank == scene.comm.rank and not scene.held.ravel()[at]:
             slope[at] = 1.0
     return slope
+
+
+def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
+    """What changes the unstressed lengths of a cable's parts between clamps or bonds, so that their
+    slope is that of its mean tension, or of the tension of the part at an end."""
+    assert cable.parts is not None
+    lengths, parts = cable.part_lengths, cable.parts
+    weights = lengths / cable.L0
+    if end is not None:
+        weights = np.zeros(len(lengths))
+        weights[0 if end == "start" else -1] = 1.0
+    step = STEP * float(lengths[weights > 0.0].sum())
+    weights = weights / (1 + parts.tensions / cable.cable.EA)
+
+    def change(size: float) -> None:
+        passed = np.cumsum(lengths + size * weights)
+        cable.update(L0=float(passed[-1]), parts=replace(parts, at=passed[:-1] / passed[-1]))
+
+    return change, step
 
 
 class _TangentSolver:

@@ -536,8 +536,8 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross, lie apart where they do, have the step-wise law
-            or friction with a cone, or friction along their axis where `slip` is given.
+            On all ranks: cables that do not cross, lie apart where they do, or have the step-wise
+            law.
 
         Warns
         -----

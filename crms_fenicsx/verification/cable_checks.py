@@ -19,6 +19,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import lists, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.held_vertices import pulls_of_others
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import Edge, EdgePoint
@@ -120,6 +121,7 @@ class CableVerifier:
         parts, pulls, free = _parts_and_forces(system)
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
+        others = pulls_of_others(scene.cables)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.joints):
                 if name is not None:
@@ -131,7 +133,7 @@ class CableVerifier:
                 values["pull at the ends"] = pulls[c]
                 if cable.lifts_off:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape)
-                values |= forces(cable, shape, free[c])
+                values |= forces(cable, shape, free[c], others.get(cable))
             elif cable.cable.law == "total":
                 short = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
                 strain = float(short.sum()) / cable.L0 - 1

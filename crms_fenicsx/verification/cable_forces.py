@@ -11,7 +11,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
-from crms_fenicsx.paths.held_vertices import UNEVEN, held_runs
+from crms_fenicsx.paths.held_vertices import UNEVEN, Pulls, held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import EdgePoint
@@ -92,8 +92,11 @@ def contacts(
     return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
 
 
-def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
-    """Forces on a cable relative to those with which it presses on the membrane."""
+def forces(
+    cable: LaidCable, shape: StripShape, free: float, others: Pulls | None
+) -> dict[str, float]:
+    """Forces on a cable relative to those with which it presses on the membrane; `others`: the
+    pulls of cables that are clamped to it."""
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
@@ -102,7 +105,7 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
     own = max(float(np.linalg.norm(turns)), least)
     values = {"unbalanced forces of cables": free / own}
     press = max(float(turns.sum()), least)
-    values |= _held(cable, shape, press)
+    values |= _held(cable, shape, press, others)
     if cable.slides_freely and not cable.keeps_line:
         # the edge carries them, where it is much stiffer than the cable is tight
         normal, pull = forces_at(cable, _folds(cable), shape)
@@ -111,9 +114,11 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
     return values | _friction(cable, shape, least)
 
 
-def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
+def _held(
+    cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
+) -> dict[str, float]:
     """Forces with which vertices hold a cable sideways, relative to its press."""
-    runs = held_runs(cable, shape)
+    runs = held_runs(cable, shape, others)
     lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
     return {
         "held by a line of the mesh": max(lines, default=0.0),

@@ -168,3 +168,21 @@ def test_one_solve_for_each_result_gives_the_same(comm) -> None:
         found = solver.sensitivities([one], by).values[0]
         scale = np.abs(forward[k]).max(initial=1e-12)
         np.testing.assert_allclose(found[:6], forward[k], atol=1e-7 * scale)
+
+
+@pytest.mark.ranks
+def test_one_solve_for_each_result_with_clamps_and_bonds(comm) -> None:
+    """The same of the mean tensions, and of the reactions, of cables with several tensions."""
+    solver = crossed(comm)
+    scene = solver.scene
+    c = scene.lay_cable(Cable(1e3), [(0.0, 7.4), (10.0, 7.7)], hold="bonded", name="c")
+    scene.clamp("a", "b")
+    solver.advance(pressure=2.0, load=0.1)
+    a, b, c = scene.cables
+    assert len(c.part_lengths) > 8 and np.ptp(c.tensions) > 1e-3 < np.ptp(a.tensions)
+    by = [a, b, c, "pressure", "snow", ("EA", a)]
+    of = [a, a.start, b.end, c, c.start]
+    forward = np.column_stack([solver.sensitivities(of, by[k : k + 2]).values for k in (0, 2, 4)])
+    for k, one in enumerate(of):
+        found = solver.sensitivities([one], by).values[0]
+        np.testing.assert_allclose(found, forward[k], rtol=1e-6, atol=1e-9)

@@ -1,0 +1,82 @@
+"""Clamps at vertices of the mesh: they lift off them, and come to them.
+
+A cable lifts off where its own points may leave the membrane. At a clamp on a vertex, or on an edge
+that one of its cables follows, none of them may on its own. So their paths are put beside the
+vertex, or the edge: there the clamp is a point inside of a cell, which nothing but the contacts
+around it holds down.
+
+A clamp beside a vertex, at which points of its cables are held, may belong on the vertex. Then a
+smoothed length is missing on one side of the clamp, and short stiff parts have other tensions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from crms_fenicsx.contact.contact_force import pull_of
+from crms_fenicsx.contact.lift_off import PULL
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import PRESSED
+from crms_fenicsx.paths.held_vertices import VertexRun, clamped_together, held_vertices
+from crms_fenicsx.paths.path_change import PathChange, vertices_near
+from crms_fenicsx.paths.vertex_passing import pass_run
+from crms_fenicsx.surface.corridor import corridor, why_invalid
+from crms_fenicsx.surface.points import VertexPoint
+
+
+def lift_clamps(change: PathChange) -> list[str]:
+    """Put cables that pull their clamps off the membrane beside vertices and edges; say which.
+    Collective."""
+    cables = change.net.cables
+    if not change.net.clamps or not any(cable.lifts_off for cable in cables):
+        return []
+    changes, shape = [], change.net.strip_shape()
+    for held in clamped_together(cables):
+        nodes = [cable.nodes[k] for cable, k in held]
+        on = next((node.support for node in nodes if node.kind != "crossing"), None)
+        if on is None or not all(cable.lifts_off for cable, _ in held):
+            continue
+        pulls = np.sum([pull_of(cable, k) for cable, k in held], axis=0)
+        normals, _ = shape.normals_and_sizes([on])
+        if pulls @ normals[0] <= PULL * sum(cable.tension for cable, _ in held):
+            continue
+        for cable, node in zip((cable for cable, _ in held), nodes, strict=True):
+            # on an edge it is the cable that follows it which leaves the edge's ends
+            run = VertexRun(on, True, 0.0, 0.0)
+            if not node.slides and pass_run(change, cables.index(cable), run):
+                changes.append(f"{cable.name} leaves {on} for its clamp to lift off")
+    return changes
+
+
+def beside_vertices(change: PathChange) -> Iterator[tuple[int, list[LaidCable]]]:
+    """Vertices that hold all cables of clamps beside them, and these."""
+    shape = change.net.strip_shape()
+    for held in clamped_together(change.net.cables):
+        own = [cable for cable, _ in held]
+        if not all(cable.slides_freely and not cable.keeps_line for cable in own):
+            continue
+        places = [set(cable.nodes[k].support) for cable, k in held]
+        beside = set.intersection(*places, *(vertices_near(cable, PRESSED) for cable in own))
+        if beside:
+            holding = ({v.vertex for v in held_vertices(c, shape) if v.excess > 0.0} for c in own)
+            yield from ((vertex, own) for vertex in sorted(beside.intersection(*holding)))
+
+
+def put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
+    """Lead cables beside a vertex over it; say whether they can go there. Collective."""
+    surface, ways = change.surface([vertex]), []
+    for cable in cables:
+        on_path = cable.path_nodes()
+        points, lifted = cable.path.points, [bool(cable.lifted[k]) for k in on_path]
+        at = [i for i, point in enumerate(points) if vertex in point.support]
+        if not at or at[0] == 0 or at[-1] == len(points) - 1 or any(lifted[at[0] : at[-1] + 1]):
+            return False
+        new = [*points[: at[0]], VertexPoint(vertex), *points[at[-1] + 1 :]]
+        if why_invalid(corridor(new), surface.opposite_vertices):
+            return False
+        ways.append((cable, new, [*lifted[: at[0]], False, *lifted[at[-1] + 1 :]]))
+    for cable, new, off in ways:
+        change.replace(cable, new, off, surface)
+    return True
