@@ -197,7 +197,8 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]]) -> Non
     """Write each name at the first of its places where it lies within the axes and covers no other
     name, or else at that where it does so the least."""
     axes.apply_aspect()
-    taken, points = np.zeros((0, 4)), 72.0 / axes.figure.dpi
+    taken: Array = np.zeros((0, 4))
+    points = 72.0 / axes.figure.dpi
     frame = axes.bbox.extents * points
     for name, places in names:
         tried = list[tuple[float, int, Array, Array, Array]]()
