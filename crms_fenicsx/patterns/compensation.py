@@ -169,8 +169,9 @@ def stretches_for(
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
     """Width of strips up to which a double-curved roof has no compression along the warp.
 
-    A strip of width W that takes the form is strained by ``-K W**2 / 24`` in its middle and by
-    ``K W**2 / 12`` at its edges. The section force must be more than what compression takes.
+    A strip of width W that takes the form is strained by ``K W**2 / 24`` in its middle and by
+    ``-K W**2 / 12`` at its edges, beside what compensation wants: on a dome the seams are slacker
+    than the middle, on a saddle the other way round and by half as much.
 
     Parameters
     ----------
@@ -184,7 +185,8 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     Returns
     -------
     float
-        ``sqrt(12 n / (E t |K|))`` (length), on the safe side; infinite without curvature.
+        ``sqrt(12 n / (E t |K|))`` (length), on the safe side on a saddle; infinite without
+        curvature.
     """
     n = checks.positive("largest_width: force", force)
     K = abs(checks.finite("largest_width: curvature", curvature))

@@ -13,7 +13,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.membrane_mesh import outer_first
-from crms_fenicsx.meshes.triangles import arc_lengths, closest
+from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.materials import MembraneMaterial, check_warp
 from crms_fenicsx.patterns.alignment import aligned
 from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, shrinks_of
@@ -92,7 +92,7 @@ class FlatPiece:
 
     def edge_length(self, edge: PieceEdge) -> float:
         """Length of one of its edges (length)."""
-        return float(arc_lengths(self.shape[edge.vertices])[-1])
+        return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
 
 
 @dataclass(frozen=True)

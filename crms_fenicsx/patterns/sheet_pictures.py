@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
-WIDTH, HIGHEST = 11.0, 7.5
-"""Size of a sheet, in inches."""
+WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
+"""Size of a sheet, and of a row of the roll on one, in inches."""
 
 
 @collective
@@ -108,7 +108,8 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
     x, y = float(np.diff(starts).max()), nesting.roll
     step, last = 1.1 * y, len(nesting.rows) - 1
     high = last * step + y
-    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, HIGHEST)))
+    highest = max(HIGHEST, ROW * len(nesting.rows) + 1.2)
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, highest)))
     axes = _axes(figure, x, high)
     for k, (start, end) in enumerate(pairwise(floats(starts))):
         base = (last - k) * step
