@@ -131,14 +131,14 @@ def test_adjusted_compensation_gives_the_wanted_forces(
     last = found.comparisons[-1]
     for one in last.pieces if each else [last.whole]:
         np.testing.assert_allclose(one.mean, 2.0, atol=1e-4)
-    assert len(found.errors) <= 5 and found.errors[0] > 0.5
+    assert len(found.errors) <= (6 if each else 5) and found.errors[0] > 0.5
     assert all(b < a for a, b in zip(found.errors[:-1], found.errors[1:], strict=True))
 
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("hold", ["pocket", "sleeve"])
 def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm, hold: Hold) -> None:
-    """One that does not pull leaves the roof as it is. With the usual penalty of .1 fold points come
+    """One that does not pull leaves the roof as it is. With the usual penalty of .1 fold points are
     2 mm off sides in compression, here diagonals, and the roof follows by 3e-5."""
     pattern = patterns.flatten(
         pieces_of(hypar(comm, 6)), FABRIC, shrink=patterns.shrink_for(FABRIC, 2.0)
