@@ -5,8 +5,8 @@ compensated for 1.5 along warp and weft, sewn together and inflated by p = 0.3: 
 with planes of symmetry. Without wrinkling the figures can be compared with those of an independent
 program, in brackets; with it the compression goes where the film is wrinkled.
 
-Before, the energies of single gores laid flat, in per cent of that program's limits, by the numbers
-of columns of cells.
+Before, the energies of single gores laid flat, in per cent of that program's limits, and their
+outlines, by the numbers of columns of cells.
 
     ./run python benchmarks/sewn_spheres.py [flat|linear|wrinkling] [GORES ...]
 """
@@ -21,6 +21,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, patterns
+from crms_fenicsx.meshes.triangles import arc_lengths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from pattern_surfaces import two_gores
@@ -40,7 +41,7 @@ THERE = {
 
 
 def flat(columns: Sequence[int] = (4, 8, 16)) -> None:
-    """Print energies of flat gores."""
+    """Print energies of flat gores, widths, and lengths, which the meridian's facets have too."""
     film = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
     for n in columns:
         row = []
@@ -49,7 +50,12 @@ def flat(columns: Sequence[int] = (4, 8, 16)) -> None:
             pieces = patterns.cut(mesh, [patterns.edge_line(mesh, "seam 1")])
             one = patterns.flatten(pieces, film).flat[0]
             own = one.problem_of(one.piece, one.shape).energy(one.shape) / one.piece.area
-            row.append(f"{one.energy / limit:.1%} ({own / limit:.0%} on its own cells)")
+            (seam,) = (edge.vertices for edge in one.piece.edges if edge.sewn)
+            meridian = arc_lengths(one.piece.points[seam])[-1]
+            row.append(
+                f"{one.energy / limit:.1%} ({own / limit:.0%} on its own cells), "
+                f"{one.length:.5f} x {one.width:.5f}, meridian {meridian:.5f}"
+            )
         print(n, *row, sep=" | ", flush=True)
 
 

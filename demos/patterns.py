@@ -6,7 +6,8 @@ From a form to sheets for the workshop, and back: the hall is sewn of its pieces
 The air hall of 36 x 36 m under its net of sliding cables (`demos/air_hall.py`) is cut into strips
 along geodesics, which are laid flat with the least strain energy and compensated for the section
 forces of the form. Sewn together again the pieces are not quite the form, as it is curved in two
-directions: the last table shows what that does to the cables, with and without compensation.
+directions: the last table shows what that does to the cables, with and without compensation, and
+for a hall that is cut into gores instead of strips.
 Units: m, kN.
 
 ::
@@ -94,9 +95,22 @@ draw(built, f"{RESULTS}/built.png", colour="warp", view=(-125.0, 30.0), unit="m"
 # %%
 # Net and storm
 # -------------
-# The same net and the same storm on three halls: the ideal one, whose fabric has its prestress
-# everywhere, one sewn without compensation, and one with; on coarse cells, which cables need no
-# finer.
+# The same net and the same storm on four halls: the ideal one, whose fabric has its prestress
+# everywhere, one sewn of strips without compensation, one with, and one sewn of 32 gores, whose
+# seams run from the crown to the foot along geodesics; on coarse cells, which cables need no finer.
+def gores(form, count=32):
+    """Pieces between the crown and the foot."""
+    x = np.concatenate(form.comm.allgather(form.mesh.mesh.geometry.x))
+    crown = x[np.hypot(x[:, 0], x[:, 1]).argmin(), :2]  # a vertex, where all seams meet
+    seams = []
+    for k in range(count):
+        side, along = divmod(4 * k, count)
+        a, b = HALF, HALF * (1.0 - 2.0 * along / count)
+        foot = [(a, b), (b, -a), (-a, -b), (-b, a)][side]
+        seams.append(patterns.geodesic(form.mesh, [crown, foot], name=f"seam {k + 1}"))
+    return patterns.cut(form.mesh, seams)
+
+
 def suction(points, normals):
     """Pressure coefficients of a wind along x."""
     away = [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0]
@@ -122,8 +136,12 @@ def netted(scene, **options):
 
 form, coarse = cut_hall(size)
 scenes = {"ideal": form.scene(fabric)}
-for name, given in (("not compensated", None), ("compensated", shrink)):
-    scenes[name] = patterns.sew(patterns.flatten(coarse, fabric, warp="seams", shrink=given))
+for name, cut, given in (
+    ("not compensated", coarse, None),
+    ("compensated", coarse, shrink),
+    ("gores", gores(form), shrink),
+):
+    scenes[name] = patterns.sew(patterns.flatten(cut, fabric, warp="seams", shrink=given))
     scenes[name].fix("boundary")
 found = {
     name: netted(scene, **({"results": RESULTS} if name == "compensated" else {}))
@@ -156,15 +174,13 @@ if form.comm.rank == 0:
     for name, row in zip([*names, "mean"], [*columns.T, columns.mean(axis=1)], strict=True):
         print(f"{name:14}" + "".join(f"{a:10.1f}{b:8.1f}" for a, b in row.reshape(-1, 2)))
 
-calm, storm = (
-    np.array([found[name][k].mean() for name in ("ideal", "not compensated", "compensated")])
-    for k in (1, 2)
-)
+calm, storm = (np.array([tensions[k].mean() for tensions in found.values()]) for k in (1, 2))
 # Measured by this program at 1.8 m, and at 0.9 m to 2 %: what is not compensated gives the cables
-# 6 % more in operation and 7 % in the storm, and with compensation they have what was planned.
+# 6 % more in operation and 7 % in the storm, and with compensation they have what was planned. Of
+# gores single cables differ more, as the warp runs from the crown to the foot all around.
 rtol = 0.02 if size < 2.0 else 0.1
-np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98], rtol=rtol)
-np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99], rtol=rtol)
+np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98, 0.98], rtol=rtol)
+np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99, 1.01], rtol=rtol)
 np.testing.assert_allclose(got.whole.mean, WANTED, rtol=0.01 if size < 2.0 else 0.05)
 for lengths in pattern.seam_lengths().values():
     np.testing.assert_allclose(lengths[:, 0], lengths[:, 1], rtol=1e-9)

@@ -169,8 +169,9 @@ def stretches_for(
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
     """Width of strips up to which a double-curved roof has no compression along the warp.
 
-    A strip of width W that takes the form is strained by ``-K W**2 / 24`` in its middle and by
-    ``K W**2 / 12`` at its edges. The section force must be more than what compression takes.
+    A strip of width W that takes the form is strained by ``K W**2 / 24`` in its middle and by
+    ``-K W**2 / 12`` at its edges, beside what compensation wants: on a dome the seams are slacker
+    than the middle, on a saddle the other way round and by half as much.
 
     Parameters
     ----------
@@ -184,11 +185,21 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     Returns
     -------
     float
-        ``sqrt(12 n / (E t |K|))`` (length), on the safe side; infinite without curvature.
+        ``sqrt(12 n / (E t |K|))`` (length), on the safe side on a saddle; infinite without
+        curvature.
     """
-    n = checks.positive("largest_width: force", force)
-    K = abs(checks.finite("largest_width: curvature", curvature))
-    modulus = 1.0 / np.linalg.inv(material.stiffness)[0, 0]
+    K = checks.finite("largest_width: curvature", curvature)
+    return width_in_tension(float(warp_moduli(material.stiffness)), force, K)
+
+
+def warp_moduli(stiffness: Array) -> Array:
+    """E t along the warp (...) of stiffness matrices (..., 3, 3)."""
+    return np.asarray(1.0 / np.linalg.inv(stiffness)[..., 0, 0])
+
+
+def width_in_tension(modulus: float, force: float, curvature: float) -> float:
+    """`largest_width` of a fabric with a modulus E t along the warp."""
+    n, K = checks.positive("largest_width: force", force), abs(curvature)
     return float(np.sqrt(12.0 * n / (modulus * K))) if K > 0.0 else float("inf")
 
 

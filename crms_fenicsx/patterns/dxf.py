@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import Pattern
 from crms_fenicsx.patterns.sheet import Drawing, Sheet
@@ -94,7 +96,8 @@ def _draw(space: Any, one: Drawing, height: float) -> None:
         _polyline(space, line, "OVERLAP")
     for mark in one.marks:
         space.add_line(*mark.line.tolist(), dxfattribs={"layer": "MARK"})
-        inner = 2.0 * mark.line[0] - mark.line[1]
+        tick = mark.line[1] - mark.line[0]
+        inner = mark.line[0] - tick * (1.0 + 0.4 * height / np.hypot(*tick))  # beside the overlap
         _text(space, str(mark.number), inner, 0.0, 0.35 * height, "MARK")
     tail, tip = one.warp
     head = 0.04 * (tip - tail)

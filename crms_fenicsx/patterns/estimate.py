@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from crms_fenicsx.patterns.alignment import aligned
+from crms_fenicsx.patterns.compensation import warp_moduli
 from crms_fenicsx.patterns.conformal import conformal
 from crms_fenicsx.patterns.pattern import CutOptions, Materials, Warp, of_cells
 from crms_fenicsx.patterns.pieces import Pieces
@@ -79,8 +80,7 @@ def estimates(
             own = None if warps is None else warps[piece.cells]
             flat = aligned(piece, conformal(piece.points, piece.triangles), own)
             widths, K = _widths(flat[piece.outline]), piece.curvature
-            moduli = 1.0 / np.linalg.inv(stiffness[piece.cells])[:, 0, 0]
-            modulus = float(piece.areas @ moduli) / piece.area
+            modulus = float(piece.areas @ warp_moduli(stiffness[piece.cells])) / piece.area
             fourth = float(np.sum(widths**5) / np.sum(widths))
             widest = float(widths.max())
             found[piece.name] = Estimate(

@@ -13,10 +13,16 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.membrane_mesh import outer_first
-from crms_fenicsx.meshes.triangles import arc_lengths, closest
+from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.materials import MembraneMaterial, check_warp
 from crms_fenicsx.patterns.alignment import aligned
-from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, shrinks_of
+from crms_fenicsx.patterns.compensation import (
+    EdgeShrink,
+    Shrink,
+    shrinks_of,
+    warp_moduli,
+    width_in_tension,
+)
 from crms_fenicsx.patterns.conformal import conformal, double_areas_in_plane
 from crms_fenicsx.patterns.fine_energy import ProblemOf, columns_of, fine_energies, limit_of
 from crms_fenicsx.patterns.flattening import FlatProblem, Sides, flat_shapes
@@ -90,9 +96,16 @@ class FlatPiece:
         """Largest strain beside the wanted ones."""
         return float(np.abs(self.strains).max())
 
+    def largest_width(self, force: float) -> float:
+        """Width (length) up to which it has no compression along its warp with a section force
+        (force per length), as `patterns.largest_width` with its mean curvature."""
+        moduli = warp_moduli(self.problem_of(self.piece, self.shape).stiffness)
+        modulus = float(self.piece.areas @ moduli) / self.piece.area
+        return width_in_tension(modulus, force, self.piece.curvature)
+
     def edge_length(self, edge: PieceEdge) -> float:
         """Length of one of its edges (length)."""
-        return float(arc_lengths(self.shape[edge.vertices])[-1])
+        return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from mpi4py import MPI
 
 from crms_fenicsx.output.report.page import Figure, Figures, PagePart, PageSection, Paragraph, Table
 from crms_fenicsx.output.report.units import Units
@@ -10,7 +15,7 @@ from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import Pattern
 from crms_fenicsx.patterns.sewn import Comparison
 from crms_fenicsx.patterns.sheet import Sheet
-from crms_fenicsx.patterns.sheet_pictures import roll_figure
+from crms_fenicsx.patterns.sheet_pictures import roll_figure, sewn_figure
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 
@@ -61,25 +66,32 @@ def report_sections(
         raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
     checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
-    buffer = io.BytesIO()
-    if pattern.comm.rank == 0:
-        roll_figure(nesting, unit).savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-    png = pattern.comm.bcast(buffer.getvalue())  # all ranks give a report the same sections
     waste = (
         f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
         f"{nesting.waste:.1%} of it waste."
     )
     body: list[PagePart] = [
         Paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
-        Paragraph(waste), Figures([Figure(png, "The pieces on the roll")]),
+        Paragraph(waste),
+        _figure(pattern.comm, partial(roll_figure, nesting, unit), "The pieces on the roll"),
     ]  # fmt: skip
     found = [PageSection("Cutting pattern", body)]
     if comparison is not None:
         text = "Section forces per current length with the pieces sewn together, and how far the "
         text += "roof is from its wanted form."
-        table = comparison_table(comparison, units)
-        found.append(PageSection("Sewn of its pieces", [Paragraph(text), table], 3))
+        table = comparison_table(pattern, comparison, units)
+        drawn = partial(sewn_figure, pattern, comparison, unit, units["stress"])
+        picture = _figure(pattern.comm, drawn, "What the pieces have got, on their flat shapes")
+        found.append(PageSection("Sewn of its pieces", [Paragraph(text), table, picture], 3))
     return found
+
+
+def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figures:
+    """A picture that the first rank draws, the same on all."""
+    buffer = io.BytesIO()
+    if comm.rank == 0:
+        draw().savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+    return Figures([Figure(comm.bcast(buffer.getvalue()), caption)])
 
 
 def _plain(unit: str) -> str:
@@ -113,18 +125,23 @@ def seam_table(pattern: Pattern, units: Units) -> Table:
     )
 
 
-def comparison_table(comparison: Comparison, units: Units) -> Table:
-    """Section forces wanted and got, deviation and wrinkles of all pieces."""
-    s, rows = units["stress"], list[tuple[str | float, ...]]()
-    for one in (*comparison.pieces, comparison.whole):
+def comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
+    """Section forces wanted and got, deviation and wrinkles of all pieces, and the width up to
+    which they have no compression along the warp."""
+    s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
+    for k, one in enumerate((*comparison.pieces, comparison.whole)):
         forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]
         rows.append((one.name, *forces, one.deviation, 100 * one.wrinkled))
+        if comparison.wanted is not None and comparison.wanted[0] > 0.0:
+            each = pattern.flat[k : k + 1] or pattern.flat
+            rows[-1] += (min(flat.largest_width(float(comparison.wanted[0])) for flat in each),)
+    further = ("Width without compression" + m,) if len(rows[0]) > 9 else ()
     wanted = "" if comparison.wanted is None else (
         f"; wanted {comparison.wanted[0]:.4g} along warp and {comparison.wanted[1]:.4g} along weft"
     )  # fmt: skip
     return Table(
         f"Section forces of the sewn roof{wanted}",
         ("Piece", f"Warp, mean{s}", f"scatter{s}", f"least{s}", f"Weft, mean{s}", f"scatter{s}",
-         f"least{s}", f"Off the form{units['length']}", "Wrinkled [%]"),
+         f"least{s}", f"Off the form{m}", "Wrinkled [%]", *further),
         rows, "sewn",
     )  # fmt: skip

@@ -242,7 +242,7 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
     names = _names(cut)
-    found, order = [], integers(_in_order(points, cells, labels))
+    found, order = [], integers(_in_order(cut, labels))
     for k, label in enumerate(order):
         own = np.flatnonzero(labels == label)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
@@ -269,8 +269,9 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     return tuple(found), joints
 
 
-def _in_order(points: Array, cells: Integers, labels: Integers) -> Integers:
-    """The labels of pieces, in order across the surface."""
+def _in_order(cut: CutSurface, labels: Integers) -> Integers:
+    """The labels of pieces, in order across the surface in the sense of the seams."""
+    points, cells = cut.surface.points, cut.surface.cells
     area = norm(double_areas(points[cells]))
     centres = (
         np.stack([np.bincount(labels, area * x) for x in points[cells].mean(axis=1).T], axis=1)
@@ -279,7 +280,10 @@ def _in_order(points: Array, cells: Integers, labels: Integers) -> Integers:
     away = centres - centres.mean(axis=0)
     _, _, axes = np.linalg.svd(away, full_matrices=False)
     axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]) > 1e-6)])
+    of_seams = [float(points[line].mean(axis=0) @ axis) for line in cut.lines.values()]
     size = np.abs(away).max() or 1.0
+    if of_seams and of_seams[-1] < of_seams[0] - 1e-6 * size:
+        axis = -axis
     return np.lexsort((*np.round(centres.T / size, 6), np.round(away @ axis / size, 6)))
 
 

@@ -142,11 +142,15 @@ class Comparison:
         What each piece has got.
     whole
         What all together have got.
+    cells
+        Of each cell of the cut surface (m, 4): section forces along warp and weft, distance from
+        the form, and whether it is wrinkled or slack.
     """
 
     wanted: Array | None
     pieces: tuple[SewnPiece, ...] = field(repr=False)
     whole: SewnPiece
+    cells: Array = field(repr=False)
 
     def __str__(self) -> str:
         """A table."""
@@ -198,7 +202,7 @@ def compare(
     values = _cells(solver)
     wanted = None if forces is None else np.broadcast_to(np.asarray(forces, float), (2,)).copy()
     pieces = tuple(_got(one.name, values[one.piece.cells]) for one in pattern.flat)
-    return Comparison(wanted, pieces, _got("all", values))
+    return Comparison(wanted, pieces, _got("all", values), values[:, 1:5])
 
 
 def _cells(solver: Solver) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from crms_fenicsx.output.figures.picture import checked_picture, finished, new_figure
 from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import FlatPiece, Pattern
+from crms_fenicsx.patterns.sewn import Comparison
 from crms_fenicsx.patterns.sheet import Drawing, Sheet
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import floats
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
-WIDTH, HIGHEST = 11.0, 7.5
-"""Size of a sheet, in inches."""
+WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
+"""Size of a sheet, and of a row of the roll on one, in inches."""
 
 
 @collective
@@ -108,7 +109,8 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
     x, y = float(np.diff(starts).max()), nesting.roll
     step, last = 1.1 * y, len(nesting.rows) - 1
     high = last * step + y
-    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, HIGHEST)))
+    highest = max(HIGHEST, ROW * len(nesting.rows) + 1.2)
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, highest)))
     axes = _axes(figure, x, high)
     for k, (start, end) in enumerate(pairwise(floats(starts))):
         base = (last - k) * step
@@ -126,6 +128,39 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
         loc="left",
         fontsize=10,
     )
+    return figure
+
+
+def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str) -> Figure:
+    """Figure of what the pieces have got in the sewn roof, on their flat shapes."""
+    from matplotlib.collections import PolyCollection
+
+    names = [f"{side}: section force{stress}" for side in ("Warp", "Weft")]
+    names += [f"Off the form [{unit}]" if unit else "Off the form", "Wrinkled or slack"]
+    panels = [(name, comparison.cells[:, k]) for k, name in enumerate(names)]
+    panels = panels[: 4 if panels[3][1].any() else 3]
+    gap = 0.15 * max(one.width for one in pattern.flat)
+    bases = np.cumsum([0.0, *(one.width + gap for one in pattern.flat)])
+    length, width = max(one.length for one in pattern.flat), float(bases[-1])
+    corners = [(one.shape + np.array([0.0, base]))[one.piece.triangles]
+               for one, base in zip(pattern.flat, bases, strict=False)]  # fmt: skip
+    cells = np.concatenate([one.piece.cells for one in pattern.flat])
+    share = WIDTH / len(panels)
+    figure = new_figure(WIDTH, float(np.clip(share * width / length + 1.0, 2.5, HIGHEST)))
+    for k, (name, values) in enumerate(panels, 1):
+        axes = figure.add_subplot(1, len(panels), k, aspect="equal")
+        shapes = PolyCollection(np.concatenate(corners), array=values[cells], cmap="viridis",
+                                edgecolor="face", linewidth=0.1, rasterized=True)  # fmt: skip
+        axes.add_collection(shapes)
+        axes.set(xlim=(-0.02 * length, 1.02 * length), ylim=(-gap, width), xticks=[], yticks=[])
+        axes.set_frame_on(False)
+        axes.set_title(name, fontsize=8)
+        for one, base in zip(pattern.flat, bases, strict=False):
+            axes.text(-0.01 * length, base + one.width / 2, one.name, fontsize=5, ha="right",
+                      va="center")  # fmt: skip
+        figure.colorbar(shapes, ax=axes, orientation="horizontal", pad=0.02).ax.tick_params(
+            labelsize=7
+        )
     return figure
 
 

@@ -1,6 +1,9 @@
-"""Straight on over the surface: from cell to cell, each unfolded into the plane of the last one."""
+"""Straight on over the surface, from cell to cell, each unfolded into the plane of the last one; or
+on along a direction that each cell has."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,9 +17,13 @@ ASIDE = 1e-6
 
 
 def straight_walk(
-    surface: PatternSurface, start: SurfacePoint, direction: Array
+    surface: PatternSurface,
+    start: SurfacePoint,
+    direction: Array,
+    direction_at: Callable[[Array], Array] | None = None,
 ) -> tuple[SurfacePoint, ...]:
-    """The edges crossed from a point to the rim; none where the direction leaves the surface."""
+    """The edges crossed from a point to the rim; none where the direction leaves the surface. With
+    a function of places (3,) the line takes its direction (3,) in each cell."""
     at = surface.places((start,))[0]
     first = _first_cell(surface, start, direction)
     if first is None:
@@ -31,10 +38,14 @@ def straight_walk(
         beyond = [v for v in surface.opposite_vertices(edge) if v not in cell]
         if len(surface.opposite_vertices(edge)) != 2:
             return tuple(points)
-        along = _unfolded(surface, cell, edge, beyond[0], along)
-        cell, entered = (*edge, beyond[0]), edge
+        ahead = (*edge, beyond[0])
+        if direction_at is None:
+            along = _unfolded(surface, cell, edge, beyond[0], along)
+        else:
+            along = _within(surface, ahead, direction_at(surface.points[list(ahead)].mean(axis=0)))
+        cell, entered = ahead, edge
     raise PathError(
-        f"geodesic_along: the line from {as_text(surface.places((start,))[0])} does not come to a "
+        f"the line straight on from {as_text(surface.places((start,))[0])} does not come to a "
         "rim; give another direction."
     )
 
@@ -50,18 +61,9 @@ def _first_cell(
     surface: PatternSurface, start: SurfacePoint, direction: Array
 ) -> tuple[Support, Array] | None:
     """The cell at a point into which a direction leads, and the direction in it."""
-    at = surface.places((start,))[0]
     for row in sorted(surface.target.cells_at(start)):
         cell = tuple(surface.cells[row].tolist())
-        normal = _normal(surface, cell)
-        along = direction - (direction @ normal) * normal
-        size = np.linalg.norm(along)
-        if size <= 1e-6 * np.linalg.norm(direction):
-            raise PathError(
-                f"geodesic_along: direction = {as_text(direction)} is normal to the surface at "
-                f"{as_text(at)}; give one that has a part in it."
-            )
-        along = along / size
+        normal, along = _normal(surface, cell), _within(surface, cell, direction)
         # inside of the sides that the point lies on
         sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
         inward = [
@@ -72,6 +74,19 @@ def _first_cell(
         if all(value >= 0.0 for value in inward):
             return cell, along
     return None
+
+
+def _within(surface: PatternSurface, cell: Support, direction: Array) -> Array:
+    """Unit vector of a direction's part in a cell."""
+    normal = _normal(surface, cell)
+    along = direction - (direction @ normal) * normal
+    size = np.linalg.norm(along)
+    if size <= 1e-6 * np.linalg.norm(direction):
+        raise PathError(
+            f"the direction {as_text(direction)} of a seam is normal to the surface near "
+            f"{as_text(surface.points[list(cell)].mean(axis=0))}; give one that has a part in it."
+        )
+    return np.asarray(along / size)
 
 
 def _exit(

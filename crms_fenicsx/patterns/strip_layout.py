@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.meshes.triangles import arc_lengths
+from crms_fenicsx.model.materials import Direction, check_warp
 from crms_fenicsx.patterns.pattern_surface import PatternSurface
 from crms_fenicsx.patterns.seams import Line, Seam, points_of, seam_of
+from crms_fenicsx.patterns.straight_walk import straight_walk
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError, collective
@@ -31,6 +35,7 @@ def strips(
     width: float,
     *,
     kind: Literal["geodesic", "parallel"] = "geodesic",
+    warp: Direction | None = None,
     allowance: float = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
@@ -51,6 +56,10 @@ def strips(
         Width of the roll (length).
     kind
         "geodesic", or "parallel": the lines of even distances themselves.
+    warp
+        Direction of the fabric (3,), or a function of points (3, n) that gives directions (3, n):
+        the seams follow it, each from the middle of its line of even distances to the rim on both
+        sides.
     allowance
         What seams take of the width on each side of a strip (length).
     name
@@ -66,19 +75,22 @@ def strips(
     InputError
         On all ranks: a roll narrower than both allowances, or an argument that cannot be used.
     PathError
-        On all ranks: lines between which there are no such seams.
+        On all ranks: lines between which there are no such seams, or a warp that leads from one to
+        the other.
 
     Examples
     --------
     >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5, allowance=0.04)
     """
     surface = PatternSurface.of(
-        "strips", mesh, first=first, last=last, width=width, kind=kind, allowance=allowance,
-        name=name,
+        "strips", mesh, first=first, last=last, width=width, kind=kind, warp=warp,
+        allowance=allowance, name=name,
     )  # fmt: skip
     usable = usable_width("strips", width, allowance)
     if kind not in ("geodesic", "parallel"):
         raise InputError(f"strips: kind = {kind!r} is not known; use 'geodesic' or 'parallel'.")
+    if warp is not None:
+        check_warp("strips", warp)
     ends = [points_of(surface, "strips", line) for line in (first, last)]
     from_first, from_last = (surface.distances(points) for points in ends)
     whole = from_first + from_last
@@ -90,8 +102,14 @@ def strips(
     count = math.ceil(float(whole.min()) / usable * (1.0 - 1e-9))
     while count <= MOST_STRIPS:
         lines = [
-            _line(surface, from_first / whole - k / count, whole, kind) for k in range(1, count)
+            _line(surface, from_first / whole - k / count, whole, kind, warp)
+            for k in range(1, count)
         ]
+        if warp is not None and any(_crosses(surface, line, from_first / whole) for line in lines):
+            raise PathError(
+                "strips: the warp leads from first to last, so that seams along it make no strips "
+                "between these; give two lines beside the warp."
+            )
         widest = _largest_width(surface, [ends[0], *lines, ends[1]])
         if widest <= usable * (1.0 + 1e-9):
             return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(lines, 1)]
@@ -113,8 +131,11 @@ def usable_width(call: str, width: float, allowance: float) -> float:
     return roll - 2.0 * taken
 
 
-def _line(surface: PatternSurface, values: Array, whole: Array, kind: str) -> Points:
-    """The line on which values are zero, where the two lines are nearest to each other."""
+def _line(
+    surface: PatternSurface, values: Array, whole: Array, kind: str, warp: Direction | None
+) -> Points:
+    """The line on which values are zero, where the two lines are nearest to each other, or that
+    along the warp through its middle."""
     lines = surface.crossings(values)
     if not lines:
         raise PathError("strips: no line between first and last divides the surface there.")
@@ -123,9 +144,34 @@ def _line(surface: PatternSurface, values: Array, whole: Array, kind: str) -> Po
         return float(np.mean([np.dot(p.weights, whole[list(p.support)]) for p in line]))
 
     line = min(lines, key=apart)
+    if warp is not None:
+        return _along_warp(surface, line, warp)
     if kind == "parallel" or line[0] == line[-1]:
         return line
     return shorten(line, surface).points
+
+
+def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Points:
+    """The line along the warp through the middle of another one, from rim to rim."""
+    lengths = arc_lengths(surface.places(line))
+    middle = line[int(np.abs(lengths - lengths[-1] / 2).argmin())]
+
+    def at(place: Array, sense: float) -> Array:
+        given = np.ravel(warp(place[:, None])) if callable(warp) else warp
+        return sense * checks.vector("strips: warp", given)
+
+    place = surface.places((middle,))[0]
+    back, ahead = (
+        straight_walk(surface, middle, at(place, sense), partial(at, sense=sense))
+        for sense in (-1.0, 1.0)
+    )
+    return (*back[::-1], middle, *ahead)
+
+
+def _crosses(surface: PatternSurface, line: Points, share: Array) -> bool:
+    """Whether a line goes from where shares of the way are 0 to where they are 1."""
+    start, end = (np.dot(p.weights, share[list(p.support)]) for p in (line[0], line[-1]))
+    return bool(abs(start - end) > 1.0 - 1e-9)
 
 
 def _largest_width(surface: PatternSurface, lines: list[Points]) -> float:

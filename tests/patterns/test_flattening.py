@@ -81,6 +81,39 @@ def test_gores_of_a_sphere(comm: MPI.Intracomm, gores: int, columns: int, energy
     assert found == pytest.approx(8 / 15 * 800.0 * 1e-4 * width**4 / 1440, rel=0.03)
 
 
+def test_outline_of_gores(comm: MPI.Intracomm) -> None:
+    """Against series for narrow gores: the middle is K W^2 / 48 shorter than the meridian, edges
+    are twice as much longer, the width is that on the sphere. 2e-5 are .6 mm of 31 m."""
+    width = 2 * np.pi * 10.0 / 32
+    for columns, error in ((8, 2e-5), (16, 4e-6)):
+        pieces = pieces_of(two_gores(comm, 32, columns, 8 * columns))
+        one = patterns.flatten(pieces, FILM).flat[0]
+        (seam,) = (edge for edge in one.piece.edges if edge.sewn)
+        sides = one.piece.points[seam.vertices]
+        meridian = np.linalg.norm(np.diff(sides, axis=0), axis=1).sum()
+        part = width**2 / 100.0 / 48
+        found = np.array([one.length, one.edge_length(seam)]) / meridian
+        np.testing.assert_allclose(found, (1 - part, 1 + 2 * part), rtol=error)
+        assert one.width == pytest.approx(width, rel=1.5e-4 * (8 / columns) ** 1.5)
+
+
+def test_strains_across_a_gore(comm: MPI.Intracomm) -> None:
+    """Along the warp K (W^2/24 - y^2/2): a dome's pieces are tighter in the middle, a saddle's at
+    the seams."""
+    pieces = pieces_of(two_gores(comm, 32, 16, 128))
+    one = patterns.flatten(pieces, FILM).flat[0]
+    corners = one.shape[one.piece.triangles] - [one.length / 2, one.width / 2]
+    near, width = np.abs(corners[:, :, 0]).max(axis=1) < 0.5, 2 * np.pi * 10.0 / 32
+    y = np.median(corners[near, :, 1], axis=1)  # of the side along the warp
+    exact = 0.01 * (width**2 / 24 - y**2 / 2)
+    np.testing.assert_allclose(one.strains[near, 0], exact, atol=0.02 * exact.max())
+    saddle = patterns.flatten(pieces_of(hypar(comm, 8)), FABRIC).flat[1]
+    centres = saddle.shape[saddle.piece.triangles].mean(axis=1)
+    x, y = np.abs(centres - np.ptp(saddle.shape, axis=0) / 2).T
+    assert saddle.strains[(x < 1) & (y > 0.8), 0].min() > 0.0
+    assert saddle.strains[(x < 1) & (y < 0.2), 0].max() < 0.0
+
+
 def test_energies_on_finer_cells_fall_with_second_order(comm: MPI.Intracomm) -> None:
     """Of a gore on its cells, and on those divided, whose facets stay: from there on vertices
     that gather the curvature take a little off."""
@@ -118,6 +151,9 @@ def test_estimates_tell_beforehand(comm: MPI.Intracomm) -> None:
     assert one.width == pytest.approx(2 * np.pi * 10.0 / 32, rel=0.01)
     assert one.strain == pytest.approx(3.2e-3, rel=0.02)
     assert one.energy == pytest.approx(4.404e-4, rel=0.03)
+    gore = patterns.flatten(pieces, FILM).flat[0]
+    assert gore.largest_width(1.5) == pytest.approx(1.5, rel=0.02)
+    assert patterns.largest_width(FILM, 1.5, 0.01) == pytest.approx(1.5)
     flat = patterns.estimates(pieces_of(half_cylinder(comm, 4, 3, 8)), FABRIC)["piece 2"]
     assert flat.width == pytest.approx(30 * np.sin(np.pi / 24)) and abs(flat.strain) < 1e-10
 

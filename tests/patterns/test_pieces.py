@@ -119,6 +119,16 @@ def test_a_surface_may_be_one_piece_and_be_cut_again(comm: MPI.Intracomm) -> Non
     assert again.mesh.parts["piece 1"].size < len(again.surface.cells)
 
 
+def test_pieces_lie_between_their_seams(comm: MPI.Intracomm) -> None:
+    """Piece k + 1 follows seam k, whichever end of the roof these begin at."""
+    mesh = meshes.rectangle(comm, 10.0, 6.0, 1.0)
+    for sides in (("front", "back"), ("back", "front")):
+        pieces = patterns.cut(mesh, patterns.strips(mesh, *sides, 1.7))
+        for k, piece in enumerate(pieces.pieces):
+            sewn = {edge.name for edge in piece.edges if edge.sewn}
+            assert sewn == {f"seam {k}", f"seam {k + 1}"} - {"seam 0", "seam 4"}
+
+
 def annulus(comm: MPI.Intracomm) -> meshes.MembraneMesh:
     """A flat ring with 24 cells around it."""
     a = np.linspace(0.0, 2 * np.pi, 13)[:-1]

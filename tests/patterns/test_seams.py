@@ -128,11 +128,41 @@ def test_seams_of_a_hall_are_few_and_narrow_enough(comm: MPI.Intracomm) -> None:
     assert len(seams) == 7
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("slope", [0.0, 0.1])
+def test_seams_follow_the_warp(comm: MPI.Intracomm, slope: float) -> None:
+    """Over a half cylinder they are rulings, or helices where the warp winds around it."""
+    mesh, chord = cylinder(comm, 24), 2 * R * np.sin(np.pi / 48)
+
+    def winding(x: np.ndarray) -> np.ndarray:
+        return np.array([slope * x[2] / R, 1.0 + 0.0 * x[0], -slope * x[0] / R])
+
+    seams = patterns.strips(mesh, "near", "far", 5.0, warp=winding if slope else (0.0, 1.0, 0.0))
+    assert len(seams) == 6
+    for k, seam in enumerate(seams, 1):
+        steps = np.diff(seam.path, axis=0)
+        around = np.cumsum(np.hypot(steps[:, 0], steps[:, 2]))
+        y = seam.path[:, 1]
+        np.testing.assert_allclose([y.min(), y.max()], [0.0, 8.0], atol=1e-9)
+        np.testing.assert_allclose(around, slope * np.abs(y[1:] - y[0]), rtol=0.01, atol=1e-4)
+        middle = seam.path[np.abs(y - 4.0).argmin(), [0, 2]]
+        angle = np.arctan2(middle[1], -middle[0])
+        assert angle == pytest.approx(k * np.pi / (len(seams) + 1), abs=0.2 * chord / R)
+
+
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
         (lambda m: patterns.strips(m, "front", "back", 0.08, allowance=0.04), InputError, "twice"),
         (lambda m: patterns.strips(m, "front", "left", 1.0), PathError, "meet"),
+        (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 1.0, 0.0)),
+         PathError, "beside the warp"),
+        (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 0.0, 0.0)),
+         InputError, "no direction"),
+        (lambda m: patterns.strips(m, "front", "back", 1.0, warp=lambda x: x[:2]),
+         InputError, "strips: warp"),
+        (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 0.0, 1.0)),
+         PathError, "normal"),
         (lambda m: patterns.strips(m, "front", "nowhere", 1.0), InputError, "nowhere"),
         (lambda m: patterns.geodesic(m, [(0.0, 0.0, 3.0), (5.0, 5.0, 0.0)], name="s"),
          PathError, "does not lie on"),

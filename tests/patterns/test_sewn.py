@@ -23,6 +23,7 @@ from crms_fenicsx import (
     meshes,
     patterns,
 )
+from crms_fenicsx.model.hold import Hold
 
 pytestmark = pytest.mark.filterwarnings("ignore:flatten")  # of few columns of cells
 
@@ -107,7 +108,9 @@ def test_a_law_of_ones_own(comm: MPI.Intracomm) -> None:
 def test_wrong_compensation_is_seen(
     comm: MPI.Intracomm, part: float | None, forces: tuple[float, float]
 ) -> None:
-    """None leaves the roof slack, 1 % too much makes it tight."""
+    """None leaves the roof slack, 1 % too much makes it tight. The independent program, led on to
+    its 173rd step, has .3747 and .1800 in the slack one, of which there are several of almost the
+    same energy; .36 and .20 are those of the 100th, with a residual of .01."""
     pattern = patterns.flatten(pieces_of(hypar(comm, 8)), STIFF)
     if part is not None:
         right = patterns.flatten(pattern.pieces, STIFF, shrink=patterns.shrink_for(STIFF, 2.0))
@@ -124,34 +127,35 @@ def test_adjusted_compensation_gives_the_wanted_forces(
 ) -> None:
     """From none, and from 1 % too much, in all and piece by piece."""
     pattern = patterns.flatten(pieces_of(hypar(comm, 6)), STIFF, shrink=shrink)
-    found = patterns.adjust(pattern, held, forces=2.0, each=each, tolerance=1e-4)
+    found = patterns.adjust(pattern, held, forces=2.0, each=each, tolerance=5e-5)
     last = found.comparisons[-1]
     for one in last.pieces if each else [last.whole]:
-        np.testing.assert_allclose(one.mean, 2.0, rtol=1e-4)
-    assert len(found.errors) <= (5 if each else 4) and found.errors[0] > 0.5
+        np.testing.assert_allclose(one.mean, 2.0, atol=1e-4)
+    assert len(found.errors) <= (6 if each else 5) and found.errors[0] > 0.5
     assert all(b < a for a, b in zip(found.errors[:-1], found.errors[1:], strict=True))
 
 
 @pytest.mark.ranks
-def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
-    """One that hardly pulls leaves the roof as it is, but for where it ends up next to vertices:
-    there edges are longer by the smoothing of short lengths."""
+@pytest.mark.parametrize("hold", ["pocket", "sleeve"])
+def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm, hold: Hold) -> None:
+    """One that does not pull leaves the roof as it is. With the usual penalty of .1 fold points are
+    2 mm off sides in compression, here diagonals, and the roof follows by 3e-5."""
     pattern = patterns.flatten(
         pieces_of(hypar(comm, 6)), FABRIC, shrink=patterns.shrink_for(FABRIC, 2.0)
     )
     places = []
     for cable in (False, True):
-        scene = patterns.sew(pattern)
+        scene = patterns.sew(pattern, penalty=1.0)
         scene.fix("boundary")
         if cable:
             ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
-            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, hold="sleeve", measured_on="facets")
+            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-8, hold=hold, measured_on="facets")
         solver = Solver(scene)
         solver.advance()
         places.append(scene.positions())
         if cable:
             assert comm.allreduce(int(solver.results().folded.sum())) > 10
-    np.testing.assert_allclose(*places, atol=3e-4)
+    np.testing.assert_allclose(*places, atol=1e-10)
 
 
 @pytest.mark.ranks
@@ -171,9 +175,9 @@ def test_compensation_is_adjusted_under_a_cable(
         solver.advance()
         return solver
 
-    found = patterns.adjust(pattern, build, forces=2.0)
-    np.testing.assert_allclose(found.comparisons[-1].whole.mean, 2.0, rtol=1e-4)
-    assert len(found.errors) <= 4 and found.errors[0] > 0.5
+    found = patterns.adjust(pattern, build, forces=2.0, tolerance=5e-5)
+    np.testing.assert_allclose(found.comparisons[-1].whole.mean, 2.0, atol=1e-4)
+    assert len(found.errors) <= 5 and found.errors[0] > 0.5
     folded = found.solver.results().folded
     assert comm.allreduce(int(folded.sum())) > 30
     assert found.solver.scene.cables[0].tension == pytest.approx(0.967, abs=2e-3)

@@ -208,15 +208,41 @@ def test_bad_sheets_are_named_and_nothing_is_written(  # type: ignore[no-untyped
     assert not any(folder.iterdir())
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("suffix", ["dxf", "pdf"])
 def test_a_file_that_cannot_be_written_leaves_no_half_one(
-    pattern: patterns.Pattern, tmp_path: Path
+    comm: MPI.Intracomm, suffix: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
+    """A folder in its place, a file instead of its folder, a writer that fails halfway: what was
+    there stays, on all ranks alike."""
     pytest.importorskip("ezdxf")
-    (tmp_path / "roof.dxf").mkdir()
-    sheet = patterns.Sheet(4.2)
-    with pytest.raises(InputError, match="cannot be written"):
-        patterns.write_dxf(pattern, tmp_path / "roof.dxf", sheet)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        patterns.write_dxf(pattern, tmp_path / "file" / "roof.dxf", sheet)
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "roof.dxf"]
+    folder = comm.bcast(tmp_path_factory.mktemp("files") if comm.rank == 0 else None)
+    pattern, sheet = patterned(comm), patterns.Sheet(4.2)
+    write = patterns.write_dxf if suffix == "dxf" else patterns.draw_sheets
+    if comm.rank == 0:
+        (folder / f"taken.{suffix}").mkdir()
+        (folder / "file").write_text("")
+        (folder / f"old.{suffix}").write_text("old")
+    comm.barrier()
+    for path in (folder / f"taken.{suffix}", folder / "file" / f"roof.{suffix}"):
+        with pytest.raises(InputError, match="cannot be written"):
+            write(pattern, path, sheet)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(InputError, match="disk is full"):
+        patch.setattr(
+            *(("ezdxf.document.Drawing.saveas", _half_a_file) if suffix == "dxf" else
+              ("matplotlib.backends.backend_pdf.PdfPages.savefig", _half_a_page))
+        )  # fmt: skip
+        write(pattern, folder / f"old.{suffix}", sheet)
+    comm.barrier()
+    assert (folder / f"old.{suffix}").read_text() == "old"
+    left = sorted(path.name for path in folder.rglob("*"))
+    assert left == ["file", f"old.{suffix}", f"taken.{suffix}"]
+
+
+def _half_a_file(document: object, path: str) -> None:
+    Path(path).write_text("half")
+    raise OSError("the disk is full")
+
+
+def _half_a_page(pages: object, *arguments: object, **options: object) -> None:
+    raise OSError("the disk is full")
