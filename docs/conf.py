@@ -1,12 +1,15 @@
 """How Sphinx builds the documentation: `./run docs`."""
 
 import shutil
+import sys
 from pathlib import Path
 
 from sphinx_gallery.scrapers import figure_rst
 from sphinx_gallery.sorting import ExplicitOrder
 
 import crms_fenicsx
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 TUTORIALS = [
     "inflated_square",
@@ -41,6 +44,9 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "formulas",
+    "plots",
+    "typed",
 ]
 exclude_patterns = [
     "tutorials/**/*.ipynb",

@@ -1,0 +1,151 @@
+"""Plots of the tables on the pages of benchmarks: the table is the only place of a figure.
+
+    ```{plot}
+    :x: h
+    :y: area | length
+    :log: xy
+
+    What the plot shows, as its alternative text.
+    ```
+
+draws columns of the table above it over the column `x`. With `rows` the series are rows of the table, over
+the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the beginning of a row.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+FOLDER = "plots"
+Series = tuple[str, list[float], list[float]]
+
+
+def number(cell: str) -> float | None:
+    """The number that a cell begins with, if any: 10 092, 0.63 to 0.70, -2e-5, 1.4 s."""
+    found = re.match(r"(-?(?:\d{1,3}(?: \d{3})+|\d*\.?\d+)(?:e[+-]?\d+)?)", cell.strip())
+    return float(found[1].replace(" ", "")) if found else None
+
+
+def table_above(source: str, line: int) -> list[list[str]]:
+    """Cells of the last table before a line of a page; the first row is its head."""
+    rows: list[list[str]] = []
+    for text in reversed(source.splitlines()[:line]):
+        if text.lstrip().startswith("|"):
+            rows.insert(0, [cell.strip() for cell in text.strip().strip("|").split("|")])
+        elif rows:
+            break
+    return [row for row in rows if not set("".join(row)) <= set("-: ")]
+
+
+def columns(table: list[list[str]], x: str, ys: list[str], where: str) -> Iterator[Series]:
+    """Columns over a column, of the rows with the text `where`."""
+    head, *rows = table
+    rows = [row for row in filled(rows) if not where or where in " ".join(row).split("  ")[0]]
+    for y in ys:
+        name, _, label = y.partition("=")
+        i, j = head.index(x), head.index(name.strip())
+        yield series(label.strip() or name, [(row[i], row[j]) for row in rows])
+
+
+def filled(rows: list[list[str]]) -> list[list[str]]:
+    """Rows whose empty first cells have what stands above them."""
+    found: list[list[str]] = []
+    for row in rows:
+        above = found[-1] if found and not row[0] else row
+        found.append([above[0], *row[1:]])
+    return found
+
+
+def rows_of(table: list[list[str]], x: str, ys: list[str]) -> Iterator[Series]:
+    """Rows over the head or over the row `x`, by the beginnings of the rows."""
+    named = {" ".join(cell for cell in row if cell): row for row in filled(table)}
+    over = next((row for name, row in named.items() if x and name.startswith(x)), table[0])
+    for y in ys:
+        name, _, label = y.partition("=")
+        row = next(row for key, row in named.items() if key.startswith(name.strip()))
+        yield series(label.strip() or name, list(zip(over, row, strict=True))[1:])
+
+
+def series(name: str, pairs: list[tuple[str, str]]) -> Series:
+    """A series of the pairs of cells that are both numbers."""
+    numbers = [(number(a), number(b)) for a, b in pairs]
+    kept = [(a, abs(b)) for a, b in numbers if a is not None and b is not None]
+    return name.strip(), [a for a, _ in kept], [b for _, b in kept]
+
+
+class Plot(SphinxDirective):
+    """Draws a plot of the table above it."""
+
+    has_content = True
+    option_spec: ClassVar[dict[str, Any]] = {
+        **dict.fromkeys(("x", "y", "rows", "where", "log", "xlabel", "ylabel"), directives.unchanged),
+        "slope": float,
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """The picture, with its alternative text."""
+        page = Path(self.env.doc2path(self.env.docname))
+        table = table_above(page.read_text(), self.lineno)
+        options = {"log": "xy", "x": "", "where": "", **self.options}
+        names = options.get("rows", options.get("y", "")).split("|")
+        if "rows" in options:
+            lines = list(rows_of(table, options["x"], names))
+        else:
+            lines = list(columns(table, options["x"], names, options["where"]))
+        digest = hashlib.sha256(repr((lines, options)).encode()).hexdigest()[:12]
+        name = f"{FOLDER}/{page.stem}-{digest}.svg"
+        draw(lines, options, Path(self.env.srcdir, name))
+        image = nodes.image(uri=f"/{name}", alt=" ".join(self.content), candidates={"*": name})
+        caption = nodes.caption("", " ".join(self.content))
+        return [nodes.figure("", image, caption, classes=["plot"])]
+
+
+def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
+    """Draw series with matplotlib."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.2, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    styles = zip("o s ^ D v P X * < >".split(), "0173824659", strict=True)
+    for (label, x, y), (marker, colour) in zip(lines, styles, strict=False):
+        axes.plot(x, y, marker=marker, color=f"C{colour}", label=label, linewidth=1.2, markersize=5)
+    if "x" in options["log"]:
+        axes.set_xscale("log")
+        values = sorted({value for _, x, _ in lines for value in x})
+        if len(values) <= 8:
+            axes.set_xticks(values, [f"{value:g}" for value in values])
+            axes.xaxis.minorticks_off()
+    if "y" in options["log"]:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
+    if "slope" in options:
+        _, x, y = lines[0]
+        ends = [min(x), max(x)]
+        top = 0.6 * y[x.index(ends[0])]
+        line = [top, top * (ends[1] / ends[0]) ** options["slope"]]
+        axes.plot(ends, line, "--", color="0.4", linewidth=1, label=f"order {abs(options['slope']):g}")
+    axes.set_xlabel(options.get("xlabel", options["x"]))
+    axes.set_ylabel(options.get("ylabel", ""))
+    axes.grid(True, alpha=0.3)
+    axes.legend(frameon=False, fontsize=9)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    path.parent.mkdir(exist_ok=True)
+    FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Add the directive."""
+    app.add_directive("plot", Plot)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
