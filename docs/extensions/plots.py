@@ -9,7 +9,9 @@
     ```
 
 draws columns of the table above it over the column `x`. With `rows` the series are rows of the table, over
-the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the beginning of a row.
+the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the beginning of a row, with
+another name after "=". `split` makes a series of the rows with one word in that column; `log` names the logarithmic
+axes, `from` is where a linear axis begins, `slope` draws a line of that order.
 """
 
 from __future__ import annotations
@@ -46,14 +48,19 @@ def table_above(source: str, line: int) -> list[list[str]]:
     return [row for row in rows if not set("".join(row)) <= set("-: ")]
 
 
-def columns(table: list[list[str]], x: str, ys: list[str], where: str) -> Iterator[Series]:
-    """Columns over a column, of the rows with the text `where`."""
+def columns(table: list[list[str]], x: str, ys: list[str], split: str) -> Iterator[Series]:
+    """Columns over a column, one series for each word in the column `split`."""
     head, *rows = table
-    rows = [row for row in filled(rows) if not where or where in " ".join(row).split("  ")[0]]
-    for y in ys:
-        name, _, label = y.partition("=")
-        i, j = head.index(x), head.index(name.strip())
-        yield series(label.strip() or name, [(row[i], row[j]) for row in rows])
+    rows = filled(rows)
+    kinds = list(dict.fromkeys(row[head.index(split)] for row in rows)) if split else [""]
+    for kind in kinds:
+        own = [row for row in rows if not split or row[head.index(split)] == kind]
+        for name, label in map(named, ys):
+            i, j = head.index(x), head.index(name)
+            said = [kind.replace("`", "")] if kind else []
+            if len(ys) > 1 or not kind:
+                said.append(label)
+            yield series(", ".join(said), [(row[i], row[j]) for row in own])
 
 
 def filled(rows: list[list[str]]) -> list[list[str]]:
@@ -67,12 +74,19 @@ def filled(rows: list[list[str]]) -> list[list[str]]:
 
 def rows_of(table: list[list[str]], x: str, ys: list[str]) -> Iterator[Series]:
     """Rows over the head or over the row `x`, by the beginnings of the rows."""
-    named = {" ".join(cell for cell in row if cell): row for row in filled(table)}
-    over = next((row for name, row in named.items() if x and name.startswith(x)), table[0])
-    for y in ys:
-        name, _, label = y.partition("=")
-        row = next(row for key, row in named.items() if key.startswith(name.strip()))
-        yield series(label.strip() or name, list(zip(over, row, strict=True))[1:])
+    known = {" ".join(cell for cell in row if cell): row for row in filled(table)}
+    over = next((row for key, row in known.items() if x and key.startswith(x)), table[0])
+    for name, label in map(named, ys):
+        row = next((row for key, row in known.items() if key.startswith(name)), None)
+        if row is None:
+            raise ValueError(f"no row {name!r} in {list(known)}")
+        yield series(label, list(zip(over, row, strict=True))[1:])
+
+
+def named(word: str) -> tuple[str, str]:
+    """The name of a row or column and what to call it, of "name" or "name = label"."""
+    name, equals, label = word.rpartition(" = ")
+    return (name.strip(), label.strip()) if equals else (word.strip(), word.strip())
 
 
 def series(name: str, pairs: list[tuple[str, str]]) -> Series:
@@ -82,28 +96,40 @@ def series(name: str, pairs: list[tuple[str, str]]) -> Series:
     return name.strip(), [a for a, _ in kept], [b for _, b in kept]
 
 
+def bars_of(table: list[list[str]], ys: list[str]) -> Iterator[Series]:
+    """Columns over the numbers of the rows; `draw_bars` has their names."""
+    head, *rows = table
+    for y in ys:
+        j = head.index(y.strip())
+        yield series(y, [(str(k), row[j]) for k, row in enumerate(rows)])
+
+
 class Plot(SphinxDirective):
     """Draws a plot of the table above it."""
 
     has_content = True
     option_spec: ClassVar[dict[str, Any]] = {
-        **dict.fromkeys(("x", "y", "rows", "where", "log", "xlabel", "ylabel"), directives.unchanged),
+        **dict.fromkeys(("x", "y", "rows", "split", "log", "xlabel", "ylabel"), directives.unchanged),
         "slope": float,
+        "from": float,
     }
 
     def run(self) -> list[nodes.Node]:
         """The picture, with its alternative text."""
         page = Path(self.env.doc2path(self.env.docname))
         table = table_above(page.read_text(), self.lineno)
-        options = {"log": "xy", "x": "", "where": "", **self.options}
+        options = {"log": "xy", "x": "", "split": "", **self.options}
         names = options.get("rows", options.get("y", "")).split("|")
-        if "rows" in options:
+        if self.name == "bars":
+            lines = list(bars_of(table, names))
+            options["bars"] = [row[0] for row in table[1:]]
+        elif "rows" in options:
             lines = list(rows_of(table, options["x"], names))
         else:
-            lines = list(columns(table, options["x"], names, options["where"]))
+            lines = list(columns(table, options["x"], names, options["split"]))
         digest = hashlib.sha256(repr((lines, options)).encode()).hexdigest()[:12]
         name = f"{FOLDER}/{page.stem}-{digest}.svg"
-        draw(lines, options, Path(self.env.srcdir, name))
+        (draw_bars if self.name == "bars" else draw)(lines, options, Path(self.env.srcdir, name))
         image = nodes.image(uri=f"/{name}", alt=" ".join(self.content), candidates={"*": name})
         caption = nodes.caption("", " ".join(self.content))
         return [nodes.figure("", image, caption, classes=["plot"])]
@@ -128,7 +154,7 @@ def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     if "y" in options["log"]:
         axes.set_yscale("log")
     else:
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(bottom=options.get("from", 0.0))
     if "slope" in options:
         _, x, y = lines[0]
         ends = [min(x), max(x)]
@@ -145,7 +171,32 @@ def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
 
 
+def draw_bars(lines: list[Series], options: dict[str, Any], path: Path) -> None:
+    """Draw bars, a group for each row."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    rows = options["bars"]
+    figure = Figure(figsize=(6.2, 0.8 + 0.42 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    width = 0.8 / len(lines)
+    for k, (label, x, y) in enumerate(lines):
+        axes.barh([at + (k + 0.5) * width - 0.4 for at in x], y, width, label=label)
+    axes.set_yticks(range(len(rows)), rows)
+    axes.invert_yaxis()
+    axes.set_xlabel(options["xlabel"])
+    if max(max(y) for _, _, y in lines) > 10 * min(min(y) for _, _, y in lines if y) > 0:
+        axes.set_xscale("log")
+    axes.grid(True, axis="x", alpha=0.3)
+    axes.legend(frameon=False, fontsize=9)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    path.parent.mkdir(exist_ok=True)
+    FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directive."""
     app.add_directive("plot", Plot)
+    app.add_directive("bars", Plot)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
