@@ -62,7 +62,8 @@ myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # numpydoc's sections tell them
+autodoc_typehints = "none"  # `typed` writes them into numpydoc's sections
+add_module_names = False  # each page says where to import from
 autosummary_generate = True
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
@@ -71,6 +72,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "crms_fenicsx"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = [("scorer.js", {"priority": 100})]
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,

@@ -12,7 +12,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "loads", "codes", "rain", "bars", "nets", "patterns", "results",
+    "mesh", "form_finding", "tents", "fabric", "edges", "loads", "codes", "rain", "bars", "nets", "patterns", "results",
     "files", "error", "pictures", "own_term", "coupling",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")
@@ -23,7 +23,7 @@ def blocks(page: str) -> list[str]:
     """The Python code of a page, with coarse meshes."""
     text = (DOCS / f"{page}.md").read_text()
     found = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    return [block.replace("size=1.0", "size=2.5") for block in found]
+    return [re.sub(r"size=(?:1|2)\.0", "size=2.5", block) for block in found]
 
 
 def run(code: str, names: dict[str, Any], page: str) -> None:
@@ -69,7 +69,7 @@ def test_code_of_page_runs(
     for name, content in re.findall(
         r"`([\w.]+)`:\n\n```\n(.*?)^```", text, re.DOTALL | re.MULTILINE
     ):
-        Path(name).write_text(content)
+        Path(name).write_text(content.replace("MeshSizeMax = 0.7", "MeshSizeMax = 1.5"))
     names: dict[str, Any] = {}
     if "continues `roof.py`" in text:
         roof["solver"].restore(roof["_at_end"])
@@ -77,6 +77,19 @@ def test_code_of_page_runs(
     for block in blocks(f"how_to/{page}"):
         if not missing(block):
             run(block, names, page)
+
+
+def test_hall_in_30_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tutorial for first-time readers, on coarse cells, ends with a verified report."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks("hall"):
+        run(block, names, "hall")
+    assert len(names["cables"]) == 8
+    assert names["form"].pressure == pytest.approx(0.3, abs=0.01)
+    assert min(cable.tension for cable in names["cables"]) > 5.0
+    assert Path("results/hall/report.html").stat().st_size > 1e5
+    assert Path("results/hall/operation.png").exists()
 
 
 def test_interrupted_script_continues(

@@ -117,7 +117,16 @@ def tell(
                 lines[i] = f"{line} : {', '.join(known)}"
 
 
+def without_arguments(
+    app: Sphinx, what: str, name: str, obj: Any, options: object, signature: object, returns: object
+) -> tuple[str, None] | None:
+    """Leave out the arguments of classes whose objects the package makes."""
+    made = what == "class" and "Parameters\n" not in inspect.cleandoc(obj.__doc__ or "")
+    return ("", None) if made else None
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Listen before numpydoc reads the docstrings."""
     app.connect("autodoc-process-docstring", tell, priority=100)
+    app.connect("autodoc-process-signature", without_arguments, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
