@@ -79,7 +79,9 @@ html_theme_options = {
     "header_links_before_dropdown": 7,
     "use_edit_page_button": False,
 }
-html_sidebars = {page: [] for page in ("index", "start", "hall", "features", "contributing", "changelog")}
+html_sidebars = {
+    page: [] for page in ("index", "start", "hall", "features", "contributing", "changelog")
+}
 html_show_sourcelink = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

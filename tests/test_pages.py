@@ -12,8 +12,8 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "tents", "fabric", "edges", "loads", "codes", "rain", "bars", "nets", "patterns", "results",
-    "files", "error", "pictures", "own_term", "coupling",
+    "mesh", "form_finding", "tents", "fabric", "edges", "loads", "codes", "rain", "bars", "nets",
+    "patterns", "results", "files", "error", "pictures", "own_term", "coupling",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")
 """Modules without which a block of code is left out."""
@@ -23,7 +23,7 @@ def blocks(page: str) -> list[str]:
     """The Python code of a page, with coarse meshes."""
     text = (DOCS / f"{page}.md").read_text()
     found = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    return [re.sub(r"size=(?:1|2)\.0", "size=2.5", block) for block in found]
+    return [block.replace("size=1.0", "size=2.5") for block in found]
 
 
 def run(code: str, names: dict[str, Any], page: str) -> None:
@@ -80,11 +80,12 @@ def test_code_of_page_runs(
 
 
 def test_hall_in_30_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tutorial for first-time readers, on coarse cells, ends with a verified report."""
+    """The tutorial for first-time readers ends with a report: coarse, with half of the loads."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     for block in blocks("hall"):
-        run(block, names, "hall")
+        block = block.replace("size=2.0", "size=3.0").replace("cases,", 'cases, pictures=["warp"],')
+        run(re.sub(r' +"(Operation|Storm along x)": .*\n', "", block), names, "hall")
     assert len(names["cables"]) == 8
     assert names["form"].pressure == pytest.approx(0.3, abs=0.01)
     assert min(cable.tension for cable in names["cables"]) > 5.0

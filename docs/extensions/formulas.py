@@ -43,7 +43,9 @@ def _copy(app: Sphinx, error: Exception | None) -> None:
             shutil.copytree(source, target, dirs_exist_ok=True)
         else:
             shutil.copy(source, target)
-    text = "MathJax 2.7, https://www.mathjax.org, Apache License 2.0, from Debian's libjs-mathjax.\n"
+    text = (
+        "MathJax 2.7, https://www.mathjax.org, Apache License 2.0, from Debian's libjs-mathjax.\n"
+    )
     (folder / "LICENSE.txt").write_text(text + "https://www.apache.org/licenses/LICENSE-2.0\n")
 
 

@@ -8,10 +8,11 @@
     What the plot shows, as its alternative text.
     ```
 
-draws columns of the table above it over the column `x`. With `rows` the series are rows of the table, over
-the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the beginning of a row, with
-another name after "=". `split` makes a series of the rows with one word in that column; `log` names the logarithmic
-axes, `from` is where a linear axis begins, `slope` draws a line of that order.
+draws columns of the table above it over the column `x`. With `rows` the series are rows of the
+table, over the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the
+beginning of a row, with another name after "=". `split` makes a series of the rows with one word in
+that column; `log` names the logarithmic axes, `from` is where a linear axis begins, `slope` draws a
+line of that order. The directive `bars` draws the columns `y` as bars, a group for each row.
 """
 
 from __future__ import annotations
@@ -109,7 +110,9 @@ class Plot(SphinxDirective):
 
     has_content = True
     option_spec: ClassVar[dict[str, Any]] = {
-        **dict.fromkeys(("x", "y", "rows", "split", "log", "xlabel", "ylabel"), directives.unchanged),
+        **dict.fromkeys(
+            ("x", "y", "rows", "split", "log", "xlabel", "ylabel"), directives.unchanged
+        ),
         "slope": float,
         "from": float,
     }
@@ -160,7 +163,9 @@ def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
         ends = [min(x), max(x)]
         top = 0.6 * y[x.index(ends[0])]
         line = [top, top * (ends[1] / ends[0]) ** options["slope"]]
-        axes.plot(ends, line, "--", color="0.4", linewidth=1, label=f"order {abs(options['slope']):g}")
+        axes.plot(
+            ends, line, "--", color="0.4", linewidth=1, label=f"order {abs(options['slope']):g}"
+        )
     axes.set_xlabel(options.get("xlabel", options["x"]))
     axes.set_ylabel(options.get("ylabel", ""))
     axes.grid(True, alpha=0.3)

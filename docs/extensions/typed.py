@@ -67,7 +67,7 @@ def generic(name: str, inner: ast.expr, names: dict[str, Any]) -> str:
 def alias(name: str, names: dict[str, Any]) -> str:
     """A name in words: a class as it is called, another name as what it stands for."""
     value = names.get(name)
-    if value is None or inspect.isclass(value) and not typing.get_args(value):
+    if value is None or (inspect.isclass(value) and not typing.get_args(value)):
         return name
     text = re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", str(value))
     text = re.sub(r"ndarray\[.*?dtype\[\w+\]\]", "Array", text.replace("NoneType", "None"))
@@ -100,9 +100,7 @@ def annotations(obj: Any, owner: Any) -> dict[str, str]:
     return said
 
 
-def tell(
-    app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]
-) -> None:
+def tell(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Write types behind the names in the sections of a docstring."""
     if what not in ("class", "exception", "function", "method") or not lines:
         return
