@@ -63,6 +63,7 @@ myst_dmath_double_inline = True
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # `typed` writes them into numpydoc's sections
+toc_object_entries_show_parents = "hide"
 add_module_names = False  # each page says where to import from
 autosummary_generate = True
 numpydoc_show_class_members = False

@@ -59,6 +59,8 @@ def columns(table: list[list[str]], x: str, ys: list[str], split: str) -> Iterat
         for name, label in map(named, ys):
             i, j = head.index(x), head.index(name)
             said = [kind.replace("`", "")] if kind else []
+            if number(kind) is not None:
+                said = [f"{split} {kind}"]
             if len(ys) > 1 or not kind:
                 said.append(label)
             yield series(", ".join(said), [(row[i], row[j]) for row in own])

@@ -23,6 +23,7 @@ ARRAYS = {
     "Booleans": "array of bool",
     "Flags": "array of bool",
 }
+PLAIN = ("ReadOnly", "ClassVar", "Final", "Annotated")
 SEQUENCES = ("Sequence", "Iterable", "list", "frozenset", "set", "Iterator", "Collection")
 
 
@@ -55,6 +56,8 @@ def generic(name: str, inner: ast.expr, names: dict[str, Any]) -> str:
     if name == "Callable":
         return "function"
     said = [words(item, names) for item in items if ast.unparse(item) != "..."]
+    if name in PLAIN:
+        return said[0]
     if name in ("Mapping", "dict"):
         return f"mapping of {said[0]} to {said[1]}"
     if name == "tuple" and len(said) == len(items):
@@ -100,10 +103,23 @@ def annotations(obj: Any, owner: Any) -> dict[str, str]:
     return said
 
 
+def drop_internal(lines: list[str]) -> None:
+    """Leave out attributes that are said to be internal."""
+    kept: list[str] = []
+    within = False
+    for i, line in enumerate(lines):
+        if line and not line.startswith(" "):
+            within = i + 1 < len(lines) and lines[i + 1].startswith("    Internal:")
+        if not within:
+            kept.append(line)
+    lines[:] = kept
+
+
 def tell(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Write types behind the names in the sections of a docstring."""
     if what not in ("class", "exception", "function", "method") or not lines:
         return
+    drop_internal(lines)
     types = annotations(obj, type(obj))
     within = False
     for i, line in enumerate(lines):
