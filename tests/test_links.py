@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -61,7 +62,7 @@ def test_pages_can_be_read_aloud(page: Path) -> None:
     levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.MULTILINE)]
     if page.name != "changelog.md":  # which includes another page
         assert levels[0] == 1 and levels.count(1) == 1
-    assert all(deeper - level <= 1 for level, deeper in zip(levels, levels[1:], strict=False))
+    assert all(b - a <= 1 for a, b in itertools.pairwise(levels))
     assert all(len(alt) > 10 for alt in re.findall(r"!\[([^\]]*)\]", text))
     heads = re.findall(r"^ *\|(.*)\|\n *\|[-|]+\|$", text, re.MULTILINE)
     assert all(cell.strip() for head in heads for cell in head.split("|"))
