@@ -18,9 +18,11 @@ line of that order. The directive `bars` draws the columns `y` as bars, a group 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import fill
 from typing import Any, ClassVar
 
 from docutils import nodes
@@ -140,6 +142,21 @@ class Plot(SphinxDirective):
         return [nodes.figure("", image, caption, classes=["plot"])]
 
 
+def ticks(axis: Any, values: list[float], named: bool) -> None:
+    """Label a logarithmic axis: with the values if these are few and apart, else with 1, 2, 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    pairs = itertools.pairwise(values)
+    if named and len(values) <= 8 and all(b > 1.15 * a for a, b in pairs):
+        axis.set_ticks(values, [f"{value:g}" for value in values])
+        axis.set_ticks([], minor=True)
+        return
+    few = values[-1] < 100 * values[0]
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     """Draw series with matplotlib."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -150,16 +167,13 @@ def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     styles = zip("o s ^ D v P X * < >".split(), "0173824659", strict=True)
     for (label, x, y), (marker, colour) in zip(lines, styles, strict=False):
         axes.plot(x, y, marker=marker, color=f"C{colour}", label=label, linewidth=1.2, markersize=5)
-    if "x" in options["log"]:
-        axes.set_xscale("log")
-        values = sorted({value for _, x, _ in lines for value in x})
-        if len(values) <= 8:
-            axes.set_xticks(values, [f"{value:g}" for value in values])
-            axes.xaxis.minorticks_off()
-    if "y" in options["log"]:
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=options.get("from", 0.0))
+    for axis, along in ((axes.xaxis, "x"), (axes.yaxis, "y")):
+        if along in options["log"]:
+            values = sorted({value for line in lines for value in line[1 if along == "x" else 2]})
+            getattr(axes, f"set_{along}scale")("log")
+            ticks(axis, values, named=along == "x")
+        elif along == "y":
+            axes.set_ylim(bottom=options.get("from", 0.0))
     if "slope" in options:
         _, x, y = lines[0]
         ends = [min(x), max(x)]
@@ -171,7 +185,7 @@ def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     axes.set_xlabel(options.get("xlabel", options["x"]))
     axes.set_ylabel(options.get("ylabel", ""))
     axes.grid(True, alpha=0.3)
-    axes.legend(frameon=False, fontsize=9)
+    figure.legend(loc="outside upper left", frameon=False, fontsize=9, ncols=2)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     path.parent.mkdir(exist_ok=True)
@@ -189,13 +203,13 @@ def draw_bars(lines: list[Series], options: dict[str, Any], path: Path) -> None:
     width = 0.8 / len(lines)
     for k, (label, x, y) in enumerate(lines):
         axes.barh([at + (k + 0.5) * width - 0.4 for at in x], y, width, label=label)
-    axes.set_yticks(range(len(rows)), rows)
+    axes.set_yticks(range(len(rows)), [fill(row, 26) for row in rows])
     axes.invert_yaxis()
     axes.set_xlabel(options["xlabel"])
     if max(max(y) for _, _, y in lines) > 10 * min(min(y) for _, _, y in lines if y) > 0:
         axes.set_xscale("log")
     axes.grid(True, axis="x", alpha=0.3)
-    axes.legend(frameon=False, fontsize=9)
+    figure.legend(loc="outside upper left", frameon=False, fontsize=9, ncols=5)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     path.parent.mkdir(exist_ok=True)
