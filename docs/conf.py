@@ -73,7 +73,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "crms_fenicsx"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_js_files = [("scorer.js", {"priority": 100})]
+html_js_files = ["site.js", ("scorer.js", {"priority": 100})]
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
@@ -104,12 +104,13 @@ def pictures(block, block_vars, gallery_conf):
     written = sorted(demos.rglob("*.png"), key=lambda path: path.stat().st_mtime)
     new = [path for path in written if seen.get(path) != path.stat().st_mtime]
     seen.update((path, path.stat().st_mtime) for path in new)
-    shown = []
+    shown, names = [], []
     for path in new:
         if path.stem != "both":
             shown.append(next(block_vars["image_path_iterator"]))
+            names.append(f"{path.parent.name}, {path.stem}".replace("_", " "))
             shutil.copy(path, shown[-1])
-    return figure_rst(shown, gallery_conf["src_dir"])
+    return figure_rst(shown, gallery_conf["src_dir"], "; ".join(names))
 
 
 sphinx_gallery_conf = {
