@@ -1,12 +1,15 @@
 """How Sphinx builds the documentation: `./run docs`."""
 
 import shutil
+import sys
 from pathlib import Path
 
 from sphinx_gallery.scrapers import figure_rst
 from sphinx_gallery.sorting import ExplicitOrder
 
 import crms_fenicsx
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 TUTORIALS = [
     "inflated_square",
@@ -41,6 +44,9 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "formulas",
+    "plots",
+    "typed",
 ]
 exclude_patterns = [
     "tutorials/**/*.ipynb",
@@ -56,7 +62,9 @@ myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # numpydoc's sections tell them
+autodoc_typehints = "none"  # `typed` writes them into numpydoc's sections
+toc_object_entries_show_parents = "hide"
+add_module_names = False  # each page says where to import from
 autosummary_generate = True
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
@@ -65,13 +73,16 @@ html_theme = "pydata_sphinx_theme"
 html_title = "crms_fenicsx"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js", ("scorer.js", {"priority": 100})]
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "header_links_before_dropdown": 7,
     "use_edit_page_button": False,
 }
-html_sidebars = {page: [] for page in ("index", "start", "features", "contributing", "changelog")}
+html_sidebars = {
+    page: [] for page in ("index", "start", "hall", "features", "contributing", "changelog")
+}
 html_show_sourcelink = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
@@ -93,12 +104,13 @@ def pictures(block, block_vars, gallery_conf):
     written = sorted(demos.rglob("*.png"), key=lambda path: path.stat().st_mtime)
     new = [path for path in written if seen.get(path) != path.stat().st_mtime]
     seen.update((path, path.stat().st_mtime) for path in new)
-    shown = []
+    shown, names = [], []
     for path in new:
         if path.stem != "both":
             shown.append(next(block_vars["image_path_iterator"]))
+            names.append(f"{path.parent.name}, {path.stem}".replace("_", " "))
             shutil.copy(path, shown[-1])
-    return figure_rst(shown, gallery_conf["src_dir"])
+    return figure_rst(shown, gallery_conf["src_dir"], "; ".join(names))
 
 
 sphinx_gallery_conf = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -52,3 +53,16 @@ def test_code_on_pages_is_python(page: Path) -> None:
         compile(block, str(page), "exec")
     names = {n for b in blocks for n in re.findall(r"\b(?:scene|solver)\.([a-z]\w*)", b)}
     assert not [n for n in names if not (hasattr(Scene, n) or hasattr(Solver, n) or n in KNOWN)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_can_be_read_aloud(page: Path) -> None:
+    """Headings go down by one level at a time, pictures and heads of tables have words."""
+    text = prose(page)
+    levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.MULTILINE)]
+    if page.name != "changelog.md":  # which includes another page
+        assert levels[0] == 1 and levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in itertools.pairwise(levels))
+    assert all(len(alt) > 10 for alt in re.findall(r"!\[([^\]]*)\]", text))
+    heads = re.findall(r"^ *\|(.*)\|\n *\|[-|]+\|$", text, re.MULTILINE)
+    assert all(cell.strip() for head in heads for cell in head.split("|"))

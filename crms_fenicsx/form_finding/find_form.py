@@ -99,7 +99,7 @@ def find_form(
 
     Notes
     -----
-    Some updates of the reference (see `Film`) lead from afar to where Newton's method converges.
+    Some updates of the reference lead from afar to where Newton's method converges.
     It balances the forces across the surface and across cables; within the surface and along
     cables it places the vertices. Then an elasticity holds these.
 

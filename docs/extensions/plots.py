@@ -1,0 +1,223 @@
+"""Plots of the tables on the pages of benchmarks: the table is the only place of a figure.
+
+    ```{plot}
+    :x: h
+    :y: area | length
+    :log: xy
+
+    What the plot shows, as its alternative text.
+    ```
+
+draws columns of the table above it over the column `x`. With `rows` the series are rows of the
+table, over the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the
+beginning of a row, with another name after "=". `split` makes a series of the rows with one word in
+that column; `log` names the logarithmic axes, `from` is where a linear axis begins, `slope` draws a
+line of that order. The directive `bars` draws the columns `y` as bars, a group for each row.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import fill
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+FOLDER = "plots"
+Series = tuple[str, list[float], list[float]]
+
+
+def number(cell: str) -> float | None:
+    """The number that a cell begins with, if any: 10 092, 0.63 to 0.70, -2e-5, 1.4 s."""
+    found = re.match(r"(-?(?:\d{1,3}(?: \d{3})+|\d*\.?\d+)(?:e[+-]?\d+)?)", cell.strip())
+    return float(found[1].replace(" ", "")) if found else None
+
+
+def table_above(source: str, line: int) -> list[list[str]]:
+    """Cells of the last table before a line of a page; the first row is its head."""
+    rows: list[list[str]] = []
+    for text in reversed(source.splitlines()[:line]):
+        if text.lstrip().startswith("|"):
+            rows.insert(0, [cell.strip() for cell in text.strip().strip("|").split("|")])
+        elif rows:
+            break
+    return [row for row in rows if not set("".join(row)) <= set("-: ")]
+
+
+def columns(table: list[list[str]], x: str, ys: list[str], split: str) -> Iterator[Series]:
+    """Columns over a column, one series for each word in the column `split`."""
+    head, *rows = table
+    rows = filled(rows)
+    kinds = list(dict.fromkeys(row[head.index(split)] for row in rows)) if split else [""]
+    for kind in kinds:
+        own = [row for row in rows if not split or row[head.index(split)] == kind]
+        for name, label in map(named, ys):
+            i, j = head.index(x), head.index(name)
+            said = [kind.replace("`", "")] if kind else []
+            if number(kind) is not None:
+                said = [f"{split} {kind}"]
+            if len(ys) > 1 or not kind:
+                said.append(label)
+            yield series(", ".join(said), [(row[i], row[j]) for row in own])
+
+
+def filled(rows: list[list[str]]) -> list[list[str]]:
+    """Rows whose empty first cells have what stands above them."""
+    found: list[list[str]] = []
+    for row in rows:
+        above = found[-1] if found and not row[0] else row
+        found.append([above[0], *row[1:]])
+    return found
+
+
+def rows_of(table: list[list[str]], x: str, ys: list[str]) -> Iterator[Series]:
+    """Rows over the head or over the row `x`, by the beginnings of the rows."""
+    known = {" ".join(cell for cell in row if cell): row for row in filled(table)}
+    over = next((row for key, row in known.items() if x and key.startswith(x)), table[0])
+    for name, label in map(named, ys):
+        row = next((row for key, row in known.items() if key.startswith(name)), None)
+        if row is None:
+            raise ValueError(f"no row {name!r} in {list(known)}")
+        yield series(label, list(zip(over, row, strict=True))[1:])
+
+
+def named(word: str) -> tuple[str, str]:
+    """The name of a row or column and what to call it, of "name" or "name = label"."""
+    name, equals, label = word.rpartition(" = ")
+    return (name.strip(), label.strip()) if equals else (word.strip(), word.strip())
+
+
+def series(name: str, pairs: list[tuple[str, str]]) -> Series:
+    """A series of the pairs of cells that are both numbers."""
+    numbers = [(number(a), number(b)) for a, b in pairs]
+    kept = [(a, abs(b)) for a, b in numbers if a is not None and b is not None]
+    return name.strip(), [a for a, _ in kept], [b for _, b in kept]
+
+
+def bars_of(table: list[list[str]], ys: list[str]) -> Iterator[Series]:
+    """Columns over the numbers of the rows; `draw_bars` has their names."""
+    head, *rows = table
+    for y in ys:
+        j = head.index(y.strip())
+        yield series(y, [(str(k), row[j]) for k, row in enumerate(rows)])
+
+
+class Plot(SphinxDirective):
+    """Draws a plot of the table above it."""
+
+    has_content = True
+    option_spec: ClassVar[dict[str, Any]] = {
+        **dict.fromkeys(
+            ("x", "y", "rows", "split", "log", "xlabel", "ylabel"), directives.unchanged
+        ),
+        "slope": float,
+        "from": float,
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """The picture, with its alternative text."""
+        page = Path(self.env.doc2path(self.env.docname))
+        table = table_above(page.read_text(), self.lineno)
+        options = {"log": "xy", "x": "", "split": "", **self.options}
+        names = options.get("rows", options.get("y", "")).split("|")
+        if self.name == "bars":
+            lines = list(bars_of(table, names))
+            options["bars"] = [row[0] for row in table[1:]]
+        elif "rows" in options:
+            lines = list(rows_of(table, options["x"], names))
+        else:
+            lines = list(columns(table, options["x"], names, options["split"]))
+        digest = hashlib.sha256(repr((lines, options)).encode()).hexdigest()[:12]
+        name = f"{FOLDER}/{page.stem}-{digest}.svg"
+        (draw_bars if self.name == "bars" else draw)(lines, options, Path(self.env.srcdir, name))
+        image = nodes.image(uri=f"/{name}", alt=" ".join(self.content), candidates={"*": name})
+        caption = nodes.caption("", " ".join(self.content))
+        return [nodes.figure("", image, caption, classes=["plot"])]
+
+
+def ticks(axis: Any, values: list[float], named: bool) -> None:
+    """Label a logarithmic axis: with the values if these are few and apart, else with 1, 2, 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    pairs = itertools.pairwise(values)
+    if named and len(values) <= 8 and all(b > 1.15 * a for a, b in pairs):
+        axis.set_ticks(values, [f"{value:g}" for value in values])
+        axis.set_ticks([], minor=True)
+        return
+    few = values[-1] < 100 * values[0]
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def draw(lines: list[Series], options: dict[str, Any], path: Path) -> None:
+    """Draw series with matplotlib."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.2, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    styles = zip("o s ^ D v P X * < >".split(), "0173824659", strict=True)
+    for (label, x, y), (marker, colour) in zip(lines, styles, strict=False):
+        axes.plot(x, y, marker=marker, color=f"C{colour}", label=label, linewidth=1.2, markersize=5)
+    for axis, along in ((axes.xaxis, "x"), (axes.yaxis, "y")):
+        if along in options["log"]:
+            values = sorted({value for line in lines for value in line[1 if along == "x" else 2]})
+            getattr(axes, f"set_{along}scale")("log")
+            ticks(axis, values, named=along == "x")
+        elif along == "y":
+            axes.set_ylim(bottom=options.get("from", 0.0))
+    if "slope" in options:
+        _, x, y = lines[0]
+        ends = [min(x), max(x)]
+        top = 0.6 * y[x.index(ends[0])]
+        line = [top, top * (ends[1] / ends[0]) ** options["slope"]]
+        axes.plot(
+            ends, line, "--", color="0.4", linewidth=1, label=f"order {abs(options['slope']):g}"
+        )
+    axes.set_xlabel(options.get("xlabel", options["x"]))
+    axes.set_ylabel(options.get("ylabel", ""))
+    axes.grid(True, alpha=0.3)
+    figure.legend(loc="outside upper left", frameon=False, fontsize=9, ncols=2)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    path.parent.mkdir(exist_ok=True)
+    FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
+
+
+def draw_bars(lines: list[Series], options: dict[str, Any], path: Path) -> None:
+    """Draw bars, a group for each row."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    rows = options["bars"]
+    figure = Figure(figsize=(6.2, 0.8 + 0.42 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    width = 0.8 / len(lines)
+    for k, (label, x, y) in enumerate(lines):
+        axes.barh([at + (k + 0.5) * width - 0.4 for at in x], y, width, label=label)
+    axes.set_yticks(range(len(rows)), [fill(row, 26) for row in rows])
+    axes.invert_yaxis()
+    axes.set_xlabel(options["xlabel"])
+    if max(max(y) for _, _, y in lines) > 10 * min(min(y) for _, _, y in lines if y) > 0:
+        axes.set_xscale("log")
+    axes.grid(True, axis="x", alpha=0.3)
+    figure.legend(loc="outside upper left", frameon=False, fontsize=9, ncols=5)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    path.parent.mkdir(exist_ok=True)
+    FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Add the directive."""
+    app.add_directive("plot", Plot)
+    app.add_directive("bars", Plot)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
