@@ -225,7 +225,9 @@ class LaidCable(Handle[CableState]):
     @property
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` that clamps hold, 0 elsewhere."""
-        nodes = () if self.parts is None else self.parts.nodes
+        bonds = () if self.bonds is None else self.bonds.supports
+        ends = () if self.parts is None else self.parts.nodes
+        nodes = [k for k in ends if self.nodes[k].support not in bonds]
         return np.isin(self.line_nodes(), nodes).astype(float)
 
     @property

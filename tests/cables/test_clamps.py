@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from taylor import OnMesh, gradient_order, noise
 from term_scene import displaced
+from vtu_file import read_vtu
 
 from crms_fenicsx import (
     Bar,
@@ -500,3 +502,39 @@ def test_a_clamp_comes_down_on_its_vertex(comm, n) -> None:
     assert solver.steps[-1].verification.passed
     after = np.concatenate([cable.tensions for cable in scene.cables])
     np.testing.assert_allclose([after.min(), after.max()], before.mean(), rtol=1e-3)
+
+
+@pytest.mark.ranks
+def test_clamps_and_bonds_in_all_that_is_written(comm, tmp_path) -> None:
+    """History, series for ParaView, combinations and report, of a net whose clamp slips."""
+    folder = Path(comm.bcast(str(tmp_path)))
+    scene, _ = crossed(comm)
+    scene.lay_cable(Cable(EA), [(0.0, 8.0), (10.0, 8.0)], hold="bonded", name="c")
+    solver = Solver(scene, results=folder / "run")
+    solver.advance(pressure=2.0)
+    scene.clamp("a", "b", slip=0.3)
+    found = solver.combine({"calm": {}, "storm": {"half": 1.0}})
+    solver.advance(load={"half": 1.0})
+    force, a = solver.clamp_forces()["a x b"], scene.cable("a")
+    assert force.differences[0] == pytest.approx(0.3 / (1 + a.tension / EA), rel=1e-3)
+    assert solver.history["clamp a x b"][-1] == force.size
+    solver.report(folder / "net.html", found)
+    comm.barrier()
+    if comm.rank == 0:
+        assert "a x b" in (folder / "net.html").read_text()
+        with (folder / "net_clamps.csv").open() as table:
+            calm, storm = csv.DictReader(table)
+        assert (calm["Combination"], storm["Combination"]) == ("calm", "storm")
+        assert float(calm["Force"]) < 0.01 * force.size
+        now = [*force.before, *force.after, force.size]
+        told = [f"Cable {k}, {where}" for where in ("before", "after") for k in (1, 2)]
+        np.testing.assert_allclose(
+            [float(storm[name]) for name in (*told, "Force")], now, rtol=1e-6
+        )
+        lines = read_vtu(sorted((folder / "run" / "steps").glob("cables_*.vtu"))[-1])
+        points = lines.points[lines.point_data["clamp"] > 0.0]
+        np.testing.assert_allclose(points, np.broadcast_to(scene.clamps[0].place, (2, 3)))
+        shown = lines.cell_data["tension"][lines.cell_data["line"] == 0]
+        np.testing.assert_allclose([shown[0], shown[-1]], a.tensions[[0, -1]])
+        assert np.ptp(lines.cell_data["tension"][lines.cell_data["line"] == 2]) > 1e-3  # bonded
+    comm.barrier()
