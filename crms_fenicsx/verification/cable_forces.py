@@ -93,7 +93,7 @@ def contacts(
 
 
 def forces(
-    cable: LaidCable, shape: StripShape, free: float, others: Pulls | None
+    cable: LaidCable, shape: StripShape, free: float, others: Pulls | None = None
 ) -> dict[str, float]:
     """Forces on a cable relative to those with which it presses on the membrane; `others`: the
     pulls of cables that are clamped to it."""
