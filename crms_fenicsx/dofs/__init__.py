@@ -1,1 +1,1 @@
-"""Unknowns: their layout on the ranks and the sizes of matrix rows."""
+"""Unknowns: their layout on the ranks, and the stiffness matrix."""

@@ -1,4 +1,4 @@
-"""Places of the (3, 3) blocks that elements add to a stiffness: of all unknowns, or of clusters."""
+"""Positions of the (3, 3) element blocks in a stiffness matrix: of all unknowns, or of clusters."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class BlockSink(Protocol):
-    """A stiffness that blocks are added to."""
+    """A stiffness matrix that element blocks are added to."""
 
     def take(self, pattern: BlockPattern) -> None:
-        """Add what a pattern's `values` hold."""
+        """Add a pattern's `values`."""
 
 
 def rows_of(table: Indices) -> tuple[Indices, Indices]:
@@ -26,9 +26,9 @@ def rows_of(table: Indices) -> tuple[Indices, Indices]:
 
 
 class BlockPattern:
-    """Blocks at fixed places.
+    """Blocks at fixed positions in the matrix.
 
-    Attributes: `values` (n, 3, 3): what `add` adds there. Shapes: rows, cols (n,).
+    Attributes: `values` (n, 3, 3): blocks that `add` adds. Shapes: rows, cols (n,).
     """
 
     def __init__(self, rows: Indices, cols: Indices) -> None:
@@ -36,13 +36,13 @@ class BlockPattern:
         self.values: Array = np.zeros((len(rows), 3, 3))
 
     def add(self, A: BlockSink) -> None:
-        """Add what `values` holds."""
+        """Add `values` to a stiffness matrix."""
         A.take(self)
 
 
 @numba.njit(cache=True)
 def scatter_blocks(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
-    """Add blocks (n, 3, 3) times their weights to rows of numbers. Block ``sources[k]`` goes to
+    """Add weighted blocks (n, 3, 3) to a flat array of matrix entries: block ``sources[k]`` at
     ``starts[k]``, its three rows ``strides[k]`` apart."""
     for k in range(len(sources)):
         v, w, start = values[sources[k]], weights[k], starts[k]
@@ -52,14 +52,14 @@ def scatter_blocks(values, sources, weights, starts, strides, out):  # type: ign
 
 
 class FormPattern(BlockPattern):
-    """Blocks of vertices that a bilinear form of DOLFINx makes. It is for one layout after the
-    other: those of the cables' points beside the vertices differ."""
+    """Vertex blocks of a DOLFINx bilinear form. It serves successive layouts, whose vertices are
+    the same but whose cable points differ."""
 
     def __init__(self, form: fem.Form, V: fem.FunctionSpace) -> None:
         self._form, self._matrix = form, fem.create_matrix(form)
         rows = np.repeat(np.arange(len(self._matrix.indptr) - 1), np.diff(self._matrix.indptr))
         cols = np.array(self._matrix.indices[: len(rows)])
-        # There are places of other ranks' cells, too, which this one leaves empty.
+        # The pattern includes entries of other ranks' cells, which stay zero here.
         cells = V.dofmap.list[: V.mesh.topology.index_map(2).size_local].astype(np.int64)
         size = int(cols.max(initial=0)) + 1
         own = cells[:, :, None] * size + cells[:, None, :]
@@ -67,12 +67,12 @@ class FormPattern(BlockPattern):
         self._rows, self._cols = rows[self._known], cols[self._known]
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Number the vertices as in a layout."""
+        """Use the block numbers of a layout."""
         blocks = unknowns.vertex_blocks()
         self.rows, self.cols = blocks[self._rows], blocks[self._cols]
 
     def add(self, A: BlockSink) -> None:
-        """Add the form at the current state of its functions."""
+        """Assemble the form at the current state of its functions and add it."""
         self._matrix.data[:] = 0.0
         fem.assemble_matrix(self._matrix, self._form)  # type: ignore[arg-type]
         self.values = np.asarray(self._matrix.data).reshape(-1, 3, 3)[self._known]
@@ -89,7 +89,7 @@ class SegmentPattern(BlockPattern):
         """Value of each segment."""
 
     def add(self, A: BlockSink) -> None:
-        """Add what `own_values` holds."""
+        """Add the blocks made from `own_values`."""
         values = self.values.reshape(4, *self.own_values.shape)
         values[:2] = self.own_values
         np.negative(self.own_values, out=values[2:])
@@ -106,7 +106,7 @@ class ElementPattern(BlockPattern):
 
 @numba.njit(cache=True)
 def _pairs(pointers, blocks, size):  # type: ignore[no-untyped-def]
-    """Rows and columns of the dense blocks of elements in CSR form, by rows."""
+    """Rows and columns of the dense blocks of elements in CSR form, row by row."""
     rows, cols, n = np.empty(size, np.int32), np.empty(size, np.int32), 0
     for e in range(len(pointers) - 1):
         for i in range(pointers[e], pointers[e + 1]):
@@ -117,9 +117,9 @@ def _pairs(pointers, blocks, size):  # type: ignore[no-untyped-def]
 
 
 class ColumnPattern:
-    """Columns c of dyads c c^T, at fixed places: c has entries at some blocks.
+    """Columns c of dyads c c^T, with nonzero entries at fixed blocks.
 
-    Attributes: `values` (n, 3): the entries. Shapes: columns, blocks (n,).
+    Attributes: `values` (n, 3): entries of c. Shapes: columns, blocks (n,).
     """
 
     def __init__(self, columns: Integers, blocks: Indices) -> None:

@@ -1,4 +1,4 @@
-"""Blocks of this process that move, in clusters that no element joins; all others are held."""
+"""Moving blocks of this process in clusters not joined by any element; all others are fixed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 class ClusterLayout:
     """Some blocks of a layout, sorted into clusters.
 
-    Attributes: `blocks` (n,): the blocks, cluster by cluster, those of an element close to each
-    other; `starts` (n_clusters + 1,): where
-    each cluster begins among them; `cluster` (n,): number of each block's cluster; `number`
-    (n_local,): place of the layout's blocks among `blocks`, -1 for others; `groups` (n_local,):
-    cluster that each block of the layout moves with, or -1; `projectors`: which of the blocks have
-    held components or are edge sliders, and what leaves of vectors what they are free to move by,
-    (k,), (k, 3, 3). Shapes: blocks (n,).
+    Attributes: `blocks` (n,): the blocks, cluster by cluster, in an order of small bandwidth;
+    `starts` (n_clusters + 1,): first entry of each cluster in `blocks`; `cluster` (n,): cluster of
+    each; `number` (n_local,): index of the layout's blocks in `blocks`, or -1; `groups` (n_local,):
+    cluster with which each block of the layout moves, or -1; `projectors`: indices (k,) of the
+    blocks with held components and the edge sliders, and projectors (k, 3, 3) on their free
+    directions. Shapes: blocks (n,).
     """
 
     comm = MPI.COMM_SELF
@@ -49,7 +48,7 @@ class ClusterLayout:
         self.projectors = bound, P
 
     def _moved(self) -> Integers:
-        """Free blocks that each block moves with, by number: (n_local, 1), with tied points 3."""
+        """Indices of the free blocks that carry each block: (n_local, 1), or 3 with tied points."""
         whole = self.whole
         if whole.n_tied_points == 0:
             return self.number[:, None]
@@ -61,8 +60,8 @@ class ClusterLayout:
     def _connect(
         self, n: int, elements: Sequence[tuple[Indices, Indices]]
     ) -> tuple[Integers, Integers]:
-        """Sort n free blocks into clusters. Returns their order, and the number of the cluster of
-        each in that order."""
+        """Sort n free blocks into clusters; return their order, and the cluster of each in that
+        order."""
         ends = [0, *(int(pointers[-1]) for pointers, _ in elements)]
         first = [own[:-1] + end for (own, _), end in zip(elements, np.cumsum(ends), strict=False)]
         pointers = np.concatenate([*first, [sum(ends)]]).astype(np.int64)
@@ -71,21 +70,21 @@ class ClusterLayout:
         return found
 
     def clusters_of(self, pointers: Indices, members: Indices) -> Integers:
-        """Cluster of each of some elements in CSR form, (n,); -1 of those that do not move."""
+        """Cluster (n,) of each element in CSR form; -1 if it does not move."""
         if len(pointers) == 1:
             return np.zeros(0, dtype=np.int64)
         return np.asarray(np.maximum.reduceat(self.groups[members], pointers[:-1]), dtype=np.int64)
 
     def project(self, values: Array) -> None:
-        """Leave of vectors of the blocks, (n, 3), what they are free to move by."""
+        """Project block vectors (n, 3) on the free directions, in place."""
         bound, P = self.projectors
         values[bound] = np.einsum("nij,nj->ni", P, values[bound])
 
 
 @numba.njit(cache=True)
 def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
-    """Order n blocks cluster by cluster, as Cuthill and McKee do, and number the clusters. Elements
-    are in CSR form; `moved` (n_local, k) are the blocks that a member moves with, or -1."""
+    """Order n blocks cluster by cluster (reverse Cuthill-McKee), and number the clusters. Elements
+    are in CSR form; `moved` (n_local, k): blocks that a member moves with, or -1."""
     starts = np.zeros(n + 1, dtype=np.int64)
     for q in range(len(members)):
         for m in range(moved.shape[1]):
@@ -108,7 +107,7 @@ def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
             continue
         end, order[begin] = begin, seed
         for sweep in range(2 * count + 1, 2 * count + 3):
-            order[begin] = order[max(begin, end - 1)]  # from the far end of the first one
+            order[begin] = order[max(begin, end - 1)]  # second sweep: start at the far end
             found[order[begin]], at, end = sweep, begin, begin + 1
             while at < end:
                 for k in range(starts[order[at]], starts[order[at] + 1]):
@@ -123,7 +122,7 @@ def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
                                 found[b], order[end] = sweep, b
                                 end += 1
                 at += 1
-        for k in range((end - begin) // 2):  # envelopes are narrower the other way round
+        for k in range((end - begin) // 2):  # the reverse order has a smaller envelope
             a, b = begin + k, end - 1 - k
             order[a], order[b] = order[b], order[a]
         for k in range(begin, end):

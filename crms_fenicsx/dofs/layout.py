@@ -1,15 +1,15 @@
-"""Layout of the unknowns: displacements of mesh vertices, of the cables' points and of joints.
+"""Layout of the unknowns: displacements of mesh vertices, cable points and joints.
 
-Everything is counted in *blocks* of three components. On each rank the local blocks are
+Unknowns are counted in *blocks* of three components. On each rank the local blocks are
 
     [ owned vertices | owned cable points | ghost vertices | ghost cable points | far vertices ]
 
-and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
-other points that cables pass without being mesh vertices. Terms of the potential see one local
-array (n, 3) of displacements, ghosts included, and address its blocks.
+and PETSc vectors own the first two groups. Cable points are fold points on edges, anchors and other
+points of cables that are not mesh vertices. Terms of the potential see one local array (n, 3) of
+displacements, ghosts included, and address its blocks.
 
-There are few bars compared to vertices: the first rank owns all joints and computes all bars, and
-knows their vertices. All ranks know all joints, so that cables can end at them.
+Bars are few compared to vertices: rank 0 owns all joints, computes all bars and knows their
+vertices. All ranks know all joints, so that cables can end at them.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 class ElementTable(ABC):
-    """Base of the frozen dataclasses that hold elements of a term.
+    """Base of the frozen dataclasses that hold a term's elements.
 
-    Attributes: `addresses`: names of the fields that hold blocks.
+    Attributes: `addresses`: names of the fields that hold block numbers.
     """
 
     addresses: ClassVar[tuple[str, ...]]
@@ -43,23 +43,23 @@ class ElementTable(ABC):
         """Blocks of each element in CSR form: pointers (n + 1,), blocks (m,)."""
 
     def rows_on(self, chosen: Booleans) -> Integers:
-        """Elements with chosen blocks, (m,)."""
+        """Elements (m,) with at least one chosen block."""
         rows: Integers = rows_on(*self.element_blocks, chosen)
         return rows
 
     def renumbered(self, number: Indices) -> Self:
-        """The same elements of blocks with other numbers: block b becomes ``number[b]``."""
+        """The same elements with renumbered blocks: block b becomes ``number[b]``."""
         return replace(self, **{name: number[getattr(self, name)] for name in self.addresses})  # type: ignore[type-var]
 
     @classmethod
     def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
-        """The elements of tables of several processes in as few tables as a term of them needs."""
+        """Merge the tables of several processes into as few as a term needs."""
         return tables
 
 
 @numba.njit(cache=True)
 def rows_on(pointers, blocks, chosen):  # type: ignore[no-untyped-def]
-    """Elements in CSR form with chosen blocks, (m,)."""
+    """Elements (m,) in CSR form with at least one chosen block."""
     rows, m = np.empty(len(pointers) - 1, dtype=np.int64), 0
     for e in range(len(rows)):
         for q in range(pointers[e], pointers[e + 1]):
@@ -71,10 +71,9 @@ def rows_on(pointers, blocks, chosen):  # type: ignore[no-untyped-def]
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:
-    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3). Those of
-    the mesh as it was given: DOLFINx's `tabulate_dof_coordinates` maps them from the reference
-    cell, which rounds differently from one of the cells around a vertex to another, and which of
-    them it takes depends on how the mesh is shared out."""
+    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3), read from
+    the mesh geometry. DOLFINx's `tabulate_dof_coordinates` maps them from the reference cell
+    instead: the rounding depends on the cell, and that choice on the mesh's distribution."""
     vertices = V.dofmap.index_map
     places = np.zeros((vertices.size_local + vertices.num_ghosts, 3))
     places[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
@@ -89,27 +88,28 @@ def vertex_dofs(V: fem.FunctionSpace) -> Indices:
 
 
 def edge_ends(V: fem.FunctionSpace) -> Indices:
-    """Local degrees of freedom of the vertices of all local edges, (n, 2)."""
+    """Local degrees of freedom of the end vertices of all local edges, (n, 2)."""
     V.mesh.topology.create_connectivity(1, 0)
     return vertex_dofs(V)[V.mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
 
 
 def vertex_starts(V: fem.FunctionSpace) -> Integers:
-    """Global numbers of the ranks' first vertices, (ranks,). Collective."""
+    """Global number of each rank's first vertex, (ranks,). Collective."""
     return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))
 
 
 EVENLY = "vec_mdot_use_gemv"
-"""PETSc's option for that way, read when a vector is made."""
+"""PETSc option, read when a vector is created: compute several dot products as one matrix-vector
+product."""
 
 
 class Unknowns(LocalBlocks):
     """Numbering, ghosted vectors and held components of the unknowns.
 
-    Attributes: `X` (n, 3) array: positions that belong to zero displacement: stress-free vertices,
-    first positions of cable points (to be filled in by who lays the cable); `starts` (ranks + 1,):
-    global numbers of the ranks' first blocks, and of all blocks; `bounds`: one-sided obstacles, as
-    bounds of displacements. Shapes: ghost_points (n, 2), far_vertices (n, 2).
+    Attributes: `X` (n, 3): positions at zero displacement: stress-free vertices, initial cable
+    points (to be filled in by the caller that lays the cable); `starts` (ranks + 1,): global number
+    of each rank's first block, and number of all blocks; `bounds`: bounds of the displacements, for
+    one-sided obstacles. Shapes: ghost_points (n, 2), far_vertices (n, 2).
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Unknowns(LocalBlocks):
             self.n_owned + self.n_ghost_vertices + self.n_ghost_points + len(far_vertices)
         )
 
-        # The combined global numbering: rank by rank, vertices first.
+        # Combined global numbering: rank by rank, vertices first.
         first_vertices = vertex_starts(V)
         sizes = np.array(self.comm.allgather((self.n_vertices, self.n_points)))
         starts = np.concatenate([[0], np.cumsum(sizes.sum(axis=1))])
@@ -170,23 +170,23 @@ class Unknowns(LocalBlocks):
             g[self.n_owned : end, i] += values[n:, i]
 
     def owned_point_blocks(self) -> Indices:
-        """Local blocks of the cable points that this rank owns."""
+        """Local blocks of the cable points owned by this rank."""
         return np.arange(self.n_vertices, self.n_owned, dtype=np.int32)
 
     def ghost_point_blocks(self) -> Indices:
-        """Local blocks of the cable points of other ranks."""
+        """Local blocks of other ranks' cable points."""
         first = self.n_owned + self.n_ghost_vertices
         return np.arange(first, first + self.n_ghost_points, dtype=np.int32)
 
     def far_vertex_blocks(self) -> Indices:
-        """Local blocks of the vertices at far ends of spans."""
+        """Local blocks of the vertices at the far ends of spans."""
         first = self.n_owned + self.n_ghost_vertices + self.n_ghost_points
         return np.arange(first, self.n_local, dtype=np.int32)
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
-        """A ghosted vector and its local array (n, 3), ghosts included, which share memory. By
-        default PETSc's products of one vector with several take another way, with other last
-        digits, where these happen to lie evenly in memory. A run would not be the same twice."""
+        """A ghosted vector and its local array (n, 3), ghosts included, which share memory. PETSc's
+        default multiple dot product is switched off: its last digits depend on how the vectors
+        happen to be aligned in memory, so that runs would not be reproducible."""
         options = PETSc.Options()
         if not options.hasName(EVENLY):
             options[EVENLY] = False
@@ -203,7 +203,7 @@ class Unknowns(LocalBlocks):
         return np.concatenate([owned, self.ghosts])
 
     def vertex_numbers(self) -> Integers:
-        """DOLFINx's global numbers of the local blocks' vertices, (n_local,); -1 for points.
+        """DOLFINx's global vertex numbers of the local blocks, (n_local,); -1 for points.
         Collective."""
         vector, numbers = self.vector()
         first = self.V.dofmap.index_map.local_range[0]
@@ -214,26 +214,26 @@ class Unknowns(LocalBlocks):
         return numbers[:, 0].astype(np.int64)
 
     def update_ghosts(self, vector: PETSc.Vec) -> None:
-        """Copy owned values to the ghosts of other ranks."""
+        """Copy owned values to the ghosts on other ranks."""
         if self.comm.size > 1:
             vector.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
 
     def add_ghosts(self, vector: PETSc.Vec) -> None:
-        """Add ghost values to their owners."""
+        """Add ghost values to their owners' values."""
         if self.comm.size > 1:
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
-        """Hand the tied points' forces to their vertices and those of ghosts to their owners. `g`
-        is the vector's local array, (n, 3)."""
+        """Transfer forces of tied points to their vertices and of ghosts to their owners. `g`
+        (n, 3) is the vector's local array."""
         self.hand_over(g)
         self.add_ghosts(vector)
 
 
 class GhostFlags:
-    """Exchanges flags of the blocks of a layout, (n_local,). All methods are collective.
+    """Exchange of flags (n_local,) of a layout's blocks. All methods are collective.
 
-    Attributes: `shared` (n_local,): whether a block is known to several ranks.
+    Attributes: `shared` (n_local,): whether several ranks know a block.
     """
 
     def __init__(self, unknowns: Unknowns) -> None:
@@ -247,7 +247,7 @@ class GhostFlags:
         self._vector.destroy()
 
     def of_owners(self, flags: Booleans) -> Booleans:
-        """The owners' flags, on ghosts too."""
+        """The owners' flags on all copies of a block."""
         if self._unknowns.comm.size == 1:
             return flags
         self._values[:] = flags[:, None]
@@ -255,7 +255,7 @@ class GhostFlags:
         return np.asarray(self._values[:, 0] > 0.0)
 
     def on_any(self, flags: Booleans) -> Booleans:
-        """Whether any rank has set a flag."""
+        """Logical OR over the ranks of each block's flags."""
         if self._unknowns.comm.size == 1:
             return flags
         self._values[:] = flags[:, None]
@@ -264,11 +264,11 @@ class GhostFlags:
 
 
 class FrameBlocks:
-    """Blocks of joints and vertices.
+    """Blocks of the joints of bars, and of the vertices they end at.
 
-    Attributes: `joint_blocks` (n,): local blocks of the joints; from `layout` on; `vertex_blocks`
-    (m,): those of the vertices, on the first rank; -1 on others. Shapes and units: names, joints
-    (n,) (length), homes, places (m, 2) (length).
+    Attributes, from `layout` on: `joint_blocks` (n,): local blocks of the joints; `vertex_blocks`
+    (m,): local blocks of the vertices on rank 0, -1 on others. Shapes and units: names, joints (n,)
+    (length), homes, places (m, 2) (length).
     """
 
     def __init__(
@@ -293,7 +293,7 @@ class FrameBlocks:
         far: Sequence[tuple[int, int]] = (),
         of_first: int = 0,
     ) -> Unknowns:
-        """A layout with joints and vertices beside the points of cables. Collective."""
+        """Create a layout with joints and their vertices beside the cable points. Collective."""
         rank, n = V.mesh.comm.rank, len(self.joints)
         starts = vertex_starts(V)
         joints = [(0, of_first + k) for k in range(n)]

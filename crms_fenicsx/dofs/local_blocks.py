@@ -1,9 +1,9 @@
-"""Blocks of three components with their positions, and how some move with others.
+"""Blocks of three components with their positions, and linear constraints between them.
 
-Some cable points have less freedom than three components. *Tied points* are weighted means of
-vertices, *edge sliders* move along a straight line in space. Both are a change of variables x = P
-y: positions are put where P has them, forces and stiffness become P^T g and P^T K P. For an edge
-slider P = d d^T, d the line's direction; so what starts on the line stays there.
+*Tied points* are weighted means of vertices; *edge sliders* move along a straight line in space.
+Both are a change of variables x = P y: positions are set to P y, forces and stiffness become P^T g
+and P^T K P. For an edge slider P = d d^T with the line's direction d, so a point that starts on
+the line stays on it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class LocalBlocks:
-    """Positions, held components, tied points and edge sliders of blocks of this process.
+    """Positions, held components, tied points and edge sliders of this process's blocks.
 
-    Attributes: `n_local`: how many blocks there are; `held` (n, 3) bool array: components with a
-    prescribed value. Shapes and units: X (n, 3) (length).
+    Attributes: `n_local`: number of blocks; `held` (n, 3), bool: components with a prescribed
+    value. Shapes and units: X (n, 3) (length).
     """
 
     def __init__(self, X: Array) -> None:
@@ -34,8 +34,8 @@ class LocalBlocks:
         weights: Array,
         n_loaded: int | None = None,
     ) -> None:
-        """Let points ride on vertices: their position is a weighted mean of the vertices'. `X` must
-        have the places of all these blocks. Shapes: tied points (n,), interpolation, weights
+        """Tie points to vertices: their position is a weighted mean of the vertices'. `X` must hold
+        the positions of all these blocks. Shapes: tied points (n,), interpolation, weights
         (n, 3)."""
         self.tied_points, self.interpolation, self.weights = tied_points, interpolation, weights
         self.n_tied_points, self.n_loaded = (
@@ -50,7 +50,7 @@ class LocalBlocks:
         self._loaded_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
 
     def place_tied_points(self, x: Array) -> None:
-        """Move the tied points that have forces with their vertices."""
+        """Move the tied points with forces, the first `n_loaded`, with their vertices."""
         if self.n_loaded:
             self._place(slice(0, self.n_loaded), x)
 
@@ -64,7 +64,7 @@ class LocalBlocks:
         x[self.tied_points[some]] = moved + self._undisplaced[some]
 
     def set_edge_sliders(self, edge_sliders: Indices, directions: Array) -> None:
-        """Let points be displaced along a direction only. Shapes: edge sliders (n,), directions
+        """Restrict points to displacements along a direction. Shapes: edge sliders (n,), directions
         (n, 3)."""
         self.edge_sliders, self.directions = np.asarray(edge_sliders, dtype=np.intp), directions
         self.n_edge_sliders = len(edge_sliders)
@@ -74,8 +74,8 @@ class LocalBlocks:
         )
 
     def project(self, values: Array) -> None:
-        """Leave of the edge sliders' vectors in `values` (n_local, 3) the part along their lines.
-        Allocates nothing."""
+        """Project the edge sliders' vectors in `values` (n_local, 3) on their lines; allocates
+        nothing."""
         if self.n_edge_sliders:
             np.take(values, self.edge_sliders, axis=0, out=self._at_edge_sliders, mode="clip")
             np.einsum("ni,ni->n", self._at_edge_sliders, self.directions, out=self._along)
@@ -83,16 +83,16 @@ class LocalBlocks:
             values[self.edge_sliders] = self._at_edge_sliders
 
     def hand_over(self, g: Array) -> None:
-        """Hand the tied points' forces to their vertices."""
+        """Transfer the tied points' forces to their vertices."""
         if self.n_loaded:
             tied_points = self.tied_points[: self.n_loaded]
             parts = self.weights[: self.n_loaded, :, None] * g[tied_points][:, None, :]
-            # one by one: six times as fast as by rows of three
+            # component by component: six times as fast as by rows of three
             np.add.at(g.reshape(-1), self._loaded_components, parts.ravel())
             g[tied_points] = 0.0
 
     def carriers(self) -> tuple[Indices, Array]:
-        """Blocks that each block moves with, and its shares of them, (n_local, 3)."""
+        """Blocks that carry each block, and their weights, (n_local, 3)."""
         blocks = np.zeros((self.n_local, 3), dtype=np.int32)
         shares = np.zeros((self.n_local, 3))
         blocks[:, 0], shares[:, 0] = np.arange(self.n_local), 1.0
@@ -100,9 +100,9 @@ class LocalBlocks:
         return blocks, shares
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
-        """Where stiffness blocks go, those of tied points to their vertices. Shapes: rows, cols
-        (n,). Returns places: local blocks of rows and columns, (2, m); sources, weights: which of
-        the n blocks goes there, and what part of it, (m,)."""
+        """Distribute stiffness blocks, those of tied points to their vertices. Shapes: rows, cols
+        (n,). Returns places (2, m): local blocks of rows and columns; sources, weights (m,): the
+        block that goes there, and its weight."""
         if self.n_tied_points == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))
         blocks, share = self.carriers()
@@ -124,7 +124,7 @@ class LocalBlocks:
         return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
 
     def project_blocks(self, rows: Integers, cols: Integers, values: Array) -> Array:
-        """Stiffness blocks (n, 3, 3) with those of edge sliders projected: P_row K P_col."""
+        """Project the edge sliders' stiffness blocks (n, 3, 3): P_row K P_col."""
         number = np.full(self.n_local, -1)
         number[self.edge_sliders] = np.arange(self.n_edge_sliders)
         values = values.copy()

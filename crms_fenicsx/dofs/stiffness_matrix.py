@@ -1,8 +1,8 @@
-"""The sparse stiffness of a layout, which terms add blocks of three to.
+"""The sparse stiffness matrix of a layout, assembled from (3, 3) blocks.
 
-Many elements give something to the same block. Where in the matrix each of theirs goes is found
-once for a layout; then all are added up in the matrix's own values. On several processes these are
-those of a local matrix with the rows of ghosts, which PETSc adds to their owners' rows.
+Many elements contribute to the same block. The position of each contribution is computed once per
+layout; assembly then adds to the matrix's value array. On several processes this array belongs to a
+local matrix with ghost rows, which PETSc adds to their owners' rows.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
-"""Blocks of a pattern, what part of each counts, where it begins among the matrix's values, and how
-far apart its rows are there."""
+"""Of a pattern: indices of its blocks, their weights, the position of each block in the matrix's
+values, and the distance between its rows there."""
 
 
 class StiffnessMatrix:
-    """Sparse matrix of all blocks of a layout, or of the vertices alone. Collective.
+    """Sparse matrix of all blocks of a layout, or of its vertices only. Collective.
 
-    Attributes: `petsc`: the matrix, complete from `assemble` on.
+    Attributes: `petsc`: the matrix, complete after `assemble`.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class StiffnessMatrix:
         self.petsc = self._create(numbers, len(owned), 3 * np.diff(first))
 
     def _create(self, numbers: Integers, n_owned: int, widths: Integers) -> PETSc.Mat:
-        """The matrix, and on one process its memory: the values are its own."""
+        """Create the PETSc matrix; on one process it uses `_values` as its memory."""
         unknowns = self.unknowns
         self._pointers = np.append(0, np.cumsum(np.repeat(widths, 3))).astype(PETSc.IntType)
         self._columns = np.empty(len(self._values), dtype=PETSc.IntType)
@@ -81,10 +81,10 @@ class StiffnessMatrix:
         return A
 
     def _allocate(self, A: PETSc.Mat, n_owned: int) -> None:
-        """Give a matrix on several processes its memory."""
+        """Preallocate a matrix on several processes."""
         n = self.unknowns.n_owned
         vector, counts = self.unknowns.vector()
-        # Columns: all blocks, and those that may belong to another rank.
+        # Columns: number of blocks in each row, and of those that may belong to another rank.
         counts[:, 0] = np.bincount(self._rows, minlength=len(counts))
         elsewhere = (self._rows >= n) | (self._cols >= n)
         counts[:, 1] = np.bincount(self._rows, weights=elsewhere, minlength=len(counts))
@@ -107,13 +107,13 @@ class StiffnessMatrix:
         self._values[:] = 0.0
 
     def take(self, pattern: BlockPattern) -> None:
-        """Add a pattern's values. Points that ride on vertices hand their part on to them."""
+        """Add a pattern's values; tied points pass theirs on to their vertices."""
         if pattern not in self._places:
             self._places[pattern] = self._find(pattern)
         scatter_blocks(pattern.values, *self._places[pattern], self._values)
 
     def _spread(self, pattern: BlockPattern) -> tuple[Indices, Indices, Indices, Array]:
-        """Places (m,) and (m,), sources and weights of a pattern's blocks in this matrix."""
+        """Rows (m,), columns (m,), sources and weights of a pattern's blocks in this matrix."""
         unknowns = self.unknowns
         found: tuple[Indices, Indices, Indices, Array] = _spread(
             pattern.rows, pattern.cols, self._kept, self._rides, unknowns.interpolation,
@@ -122,7 +122,7 @@ class StiffnessMatrix:
         return found
 
     def _find(self, pattern: BlockPattern) -> Places:
-        """Where a pattern's blocks go that has not been named, all of which others have filled."""
+        """Positions of a pattern not given at construction, within the existing nonzeros."""
         rows, cols, sources, weights = self._spread(pattern)
         size = self.unknowns.n_local
         keys, wanted = (
@@ -134,8 +134,8 @@ class StiffnessMatrix:
         return sources, weights, self._starts[block], self._strides[block]
 
     def assemble(self) -> None:
-        """Complete the matrix with what has been added. Of edge sliders the part along their lines
-        counts. Collective."""
+        """Assemble the PETSc matrix from the added values, edge sliders projected on their lines.
+        Collective."""
         if len(self._sliding):
             self._project()
         if self.unknowns.comm.size == 1:
@@ -148,7 +148,7 @@ class StiffnessMatrix:
         self.petsc.assemble()
 
     def _project(self) -> None:
-        """Project the blocks of edge sliders."""
+        """Project the edge sliders' blocks on their lines."""
         own = self._sliding
         at = self._starts[own][:, None, None] + np.arange(3)
         at = at + np.arange(3)[:, None] * self._strides[own][:, None, None]
@@ -158,7 +158,7 @@ class StiffnessMatrix:
 
 @numba.njit(cache=True)
 def _expand(cols, starts, strides, columns):  # type: ignore[no-untyped-def]
-    """Columns of the entries of blocks (n,)."""
+    """Column numbers of the entries of blocks (n,)."""
     for k in range(len(cols)):
         for i in range(3):
             for j in range(3):
@@ -167,7 +167,7 @@ def _expand(cols, starts, strides, columns):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no-untyped-def]
-    """As `LocalBlocks.spread`, of what is `kept`; `rides` are numbers of tied points, or -1."""
+    """`LocalBlocks.spread` for the `kept` blocks; `rides`: indices of tied points, or -1."""
     m = 0
     for k in range(len(rows)):
         tied = (rides[rows[k]] >= 0) + (rides[cols[k]] >= 0)
@@ -190,10 +190,10 @@ def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no
 
 @numba.njit(cache=True)
 def distinct_pairs(rows, cols, size):  # type: ignore[no-untyped-def]
-    """Sort pairs of numbers (n,) from 0 to `size` - 1 by rows, then by columns. There are many more
-    pairs than numbers, and few different ones in a row: these are told from each other first, and
-    then sorted. Returns where each row begins, (size + 1,), rows and columns of the different
-    pairs, and which of them each pair is, (n,)."""
+    """Sort pairs of numbers (n,) in [0, size) by rows, then columns, without duplicates. Duplicates
+    are removed first, as rows have many pairs but few distinct ones. Returns the start of each row
+    (size + 1,), rows and columns of the distinct pairs, and the index of each pair among them
+    (n,)."""
     begins = np.zeros(size + 1, dtype=np.int64)
     for n in range(len(rows)):
         begins[rows[n] + 1] += 1
@@ -215,7 +215,7 @@ def distinct_pairs(rows, cols, size):  # type: ignore[no-untyped-def]
     number, order = np.empty(len(rows), dtype=np.int32), np.empty(size, dtype=np.int64)
     for row in range(size):
         start, m = begins[row], ends[row] - begins[row]
-        for i in range(m):  # one by one into those that are sorted
+        for i in range(m):  # insertion sort
             j = i
             while j > 0 and found[start + order[j - 1]] > found[start + i]:
                 order[j] = order[j - 1]

@@ -1,1 +1,1 @@
-"""What every other module stands on: errors, checks of arguments, files, progress."""
+"""Base layer: errors, checks of arguments, files, progress."""

@@ -1,4 +1,4 @@
-"""Types of arrays, and of lists of different lengths in one array."""
+"""Array types, and operations on ragged lists stored in one array."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int32]
-"""Local numbers, as DOLFINx and PETSc take them."""
+"""Local indices, in the integer type of DOLFINx and PETSc."""
 Integers = npt.NDArray[np.int64]
-"""Global numbers."""
+"""Global indices."""
 
 EPSILON = float(np.finfo(float).eps)
-"""Relative spacing of floating-point numbers."""
+"""Machine epsilon of float64."""
 
 
 def pointers(counts: npt.NDArray[np.integer]) -> Integers:
-    """Where lists of `counts` (n,) members begin, one after the other, and the end, (n + 1,)."""
+    """CSR pointers (n + 1,) of n consecutive lists with `counts` (n,) members."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
 
 
 def runs(first: Integers, counts: Integers) -> Integers:
-    """The numbers from `first` on, `counts` of them, for each of n such runs, in one array."""
+    """Concatenated integer ranges: `counts` numbers from `first` on, for each of n ranges."""
     ends = np.cumsum(counts)
     return np.repeat(first - ends + counts, counts) + np.arange(counts.sum())
 
 
 def floats(values: Array) -> list[float]:
-    """The numbers of a vector (n,), which loops read faster."""
+    """A vector (n,) as a list of Python floats, which loops read faster."""
     return cast(list[float], values.tolist())
 
 
 def ints(values: npt.NDArray[np.integer]) -> list[int]:
-    """The same of whole numbers (n,)."""
+    """An integer array (n,) as a list of Python ints."""
     return cast(list[int], values.tolist())
 
 
 def flags(values: Booleans) -> list[bool]:
-    """The same of Booleans (n,)."""
+    """A Boolean array (n,) as a list of Python bools."""
     return cast(list[bool], values.tolist())
 
 
 class Rows(Enum):
-    """What the rows of a distributed array belong to: files have them in the mesh's own numbers."""
+    """Entities of the rows of a distributed array; files store them in the mesh's numbering."""
 
     VERTICES = "vertices by degree of freedom, with ghosts"
     SHARES = "what this rank gives to its vertices, with ghosts; sums over the ranks count"
@@ -55,4 +55,4 @@ class Rows(Enum):
 
 
 UNSAVED = object()
-"""Marks fields, in their type hints, that files do not keep."""
+"""Marks, in type hints, the fields that are not saved to files."""

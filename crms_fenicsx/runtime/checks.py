@@ -1,4 +1,4 @@
-"""Checks of values that users give; errors name the thing, its value and the remedy."""
+"""Checks of user input; errors name the argument, its value and the remedy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 LONGEST = 200
-"""Letters of a value that a message quotes."""
+"""Number of characters of a value quoted in a message."""
 
 
 Named = TypeVar("Named")
@@ -27,7 +27,7 @@ Found = TypeVar("Found")
 
 
 def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
-    """Return the one with a name."""
+    """Return the entry of `ones` with the given name."""
     if not isinstance(name, str) or name not in ones:
         names = ", ".join(map(repr, ones)) or "none"
         raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
@@ -35,14 +35,14 @@ def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
 
 
 def finite(what: str, value: object) -> float:
-    """Return a finite number."""
+    """Return `value` as a finite float; `what` names it in the error."""
     try:
         if isinstance(value, str | bytes) or np.ndim(value) != 0:  # type: ignore[arg-type]
             raise TypeError
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InputError(f"{what} = {value!r} is no number; give a finite one.") from None
-    except OverflowError:  # an integer of more than 300 digits
+    except OverflowError:  # an integer of more than about 300 digits
         number = math.inf
     if not math.isfinite(number):
         raise InputError(f"{what} = {value!r} is not finite; give a finite number.")
@@ -50,7 +50,7 @@ def finite(what: str, value: object) -> float:
 
 
 def positive(what: str, value: object) -> float:
-    """Return a positive, finite number; `what` and errors as for `finite`."""
+    """Return a positive, finite float; `what` and errors as for `finite`."""
     number = finite(what, value)
     if number <= 0:
         raise InputError(f"{what} = {value!r} is not positive; give a positive number.")
@@ -58,7 +58,7 @@ def positive(what: str, value: object) -> float:
 
 
 def whole(what: str, value: object, least: int) -> int:
-    """Return a whole number that is `least` or more; `what` and errors as for `finite`."""
+    """Return an integer not less than `least`; `what` and errors as for `finite`."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -69,7 +69,7 @@ def whole(what: str, value: object, least: int) -> int:
 
 
 def vector(what: str, value: object) -> Array:
-    """Return three finite numbers, (3,); `what` and errors as for `finite`."""
+    """Return a vector (3,) of finite numbers; `what` and errors as for `finite`."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -80,14 +80,14 @@ def vector(what: str, value: object) -> Array:
 
 
 def text(what: str, value: object) -> str:
-    """Return a text that is not empty; `what` and errors as for `finite`."""
+    """Return a non-empty string; `what` and errors as for `finite`."""
     if not isinstance(value, str) or not value:
         raise InputError(f"{what} = {value!r} is no text; give one.")
     return value
 
 
 def options_prefix(what: str, value: object) -> str:
-    """Return a prefix of options in PETSc's database; `what` and errors as for `finite`."""
+    """Return a PETSc options prefix; `what` and errors as for `finite`."""
     if not isinstance(value, str) or value.startswith("-"):
         raise InputError(
             f"{what} = {value!r} is no options prefix; give a text without the leading '-'."
@@ -96,7 +96,7 @@ def options_prefix(what: str, value: object) -> str:
 
 
 def one_of(what: str, value: object, known: Iterable[object]) -> None:
-    """Refuse a value that is not among those known."""
+    """Refuse a value that is not among the known ones."""
     if value not in (known := list(known)):
         *others, last = map(repr, known)
         raise InputError(f"{what} = {value!r} is not known; use {', '.join(others)} or {last}.")
@@ -109,14 +109,14 @@ def of_type(what: str, value: object, kind: type) -> None:
 
 
 def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
-    """Refuse what is no `Mapping` or `Sequence` of members, or has fewer of them than `least`."""
+    """Refuse a value that is no `Mapping` or `Sequence`, or has fewer than `least` members."""
     if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
         name = "list" if kind is Sequence else "mapping"
         raise InputError(f"{what} = {value!r} is no {name} to use; write {example}.")
 
 
 def returned(function: str, values: object, places: Array, shape: tuple[int, ...]) -> Array:
-    """Return what a user's function has made of `places` (3, n): finite numbers of a shape."""
+    """Check what a user's function returned at `places` (3, n): finite numbers of a given shape."""
     found = np.asarray(values)
     if found.shape != shape or found.dtype.kind not in "fiu":
         raise InputError(
@@ -146,7 +146,7 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
         return
     own = {name: _text(value) for name, value in arguments.items()}
     first = comm.bcast(own)
-    names = {**first, **own}  # some ranks may leave out what others give
+    names = {**first, **own}  # a rank may omit an argument that others give
     differing = next((name for name in names if own.get(name) != first.get(name)), None)
     rank = comm.allreduce(comm.size if differing is None else comm.rank, op=MPI.MIN)
     if rank == comm.size:
@@ -163,7 +163,7 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
 
 
 def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
-    """What a function returns on the first rank, on all; so are its errors. Collective."""
+    """Call a function on rank 0 and return its result, or raise its error, on all. Collective."""
     found = None
     with raised_together(comm):
         if comm.rank == 0:
@@ -172,13 +172,13 @@ def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
 
 
 def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:
-    """A mapping, the same on all ranks but for the order, with rank 0's order of names. Collective.
-    `same` accepts any order, so that what goes through a mapping by steps together needs one."""
+    """Return a mapping in rank 0's order of names, for collective loops over it: `same` accepts
+    any order. Collective."""
     return {name: given[name] for name in comm.bcast(list(given))}
 
 
 def _text(value: object) -> str:
-    """All digits of a value, without what differs between processes: addresses, order of keys."""
+    """Full-precision text of a value, without addresses and independent of the order of keys."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(sorted(f'{_text(k)}: {_text(v)}' for k, v in value.items()))}}}"
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
@@ -186,7 +186,7 @@ def _text(value: object) -> str:
 
 
 def span(values: Sequence[float] | Array) -> str:
-    """From the least value to the largest; NaN are left out.
+    """Range of the values as text; NaN are ignored.
 
     >>> span([3.0, 1.0])
     '1 to 3'
@@ -200,7 +200,7 @@ def span(values: Sequence[float] | Array) -> str:
 
 
 def counted(n: int, what: str) -> str:
-    """How many there are of something.
+    """A number with its noun, in the plural unless it is 1.
 
     >>> counted(2, "cell")
     '2 cells'

@@ -1,6 +1,6 @@
-"""The calls that differ between DOLFINx 0.9, 0.10 and 0.11, each in one place.
+"""The calls that differ between DOLFINx 0.9, 0.10 and 0.11.
 
-Features are asked for, not version numbers, so that development versions work as well.
+Each tests for the feature rather than the version, so that development versions work as well.
 """
 
 from __future__ import annotations
@@ -26,18 +26,16 @@ def create_mesh(
     points: Array,
     ranks: Indices | None = None,
 ) -> dolfinx.mesh.Mesh:
-    """Distribute a triangulated surface in space, without ghost cells. Shapes: cells (m, 3), points
-    (n, 3), ranks (m,). Returns a mesh of topological dimension 2 and geometric dimension 3 with P1
-    geometry."""
+    """Create a distributed triangulated surface in space, with P1 geometry and no ghost cells.
+    Shapes: cells (m, 3), points (n, 3), ranks (m,)."""
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
-    # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names stayed.
+    # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names are the same.
     partitioner = None if ranks is None else lambda *_: AdjacencyList_int32(ranks[:, None])
     return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element, partitioner=partitioner)
 
 
 def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
-    """Return a mesh of the same topology and distribution with other coordinates. Shapes: nodes
-    (n, 3)."""
+    """Return a mesh of the same topology and distribution with coordinates `nodes` (n, 3)."""
     old: Any = mesh._cpp_object
     given = old.geometry
     cmap = given.cmap if hasattr(given, "cmap") else given.cmaps[0]  # several since 0.11
@@ -49,12 +47,11 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
 
 
 def default_ranks(comm: MPI.Intracomm, cells: Integers) -> Indices:
-    """Return the ranks that DOLFINx would send cells to. Collective. Shapes: cells (m, 3). Returns
-    a rank for each cell of this rank's share, shape (m,)."""
+    """Return the ranks (m,) to which DOLFINx would send this rank's cells (m, 3). Collective."""
     mode = dolfinx.mesh.GhostMode.none
     try:
         partitioner = dolfinx.mesh.create_cell_partitioner(mode)
-    except TypeError:  # it needs to know how many cells an edge may have: any number
+    except TypeError:  # newer versions also ask for the most cells per edge: unlimited here
         partitioner = dolfinx.mesh.create_cell_partitioner(mode, None)
     triangles: Any = [dolfinx.mesh.CellType.triangle]
     found = partitioner(comm, comm.size, triangles, [cells.ravel()])
@@ -75,15 +72,15 @@ def geometric_dimension(domain: ufl.AbstractDomain) -> int:
 
 
 def interpolation_points(element: Any) -> NDArray[np.floating]:
-    """Return the reference points of a DOLFINx element, shape (points, topological dimension). A
-    method in 0.9, a property since 0.10. Pass the result to `dolfinx.fem.Expression`."""
+    """Return the reference points of an element, shape (points, topological dimension), for
+    `dolfinx.fem.Expression`. A method in 0.9, a property since 0.10."""
     points: Any = element.interpolation_points
     points = points() if callable(points) else points
     return np.asarray(points)
 
 
 def require_real() -> None:
-    """Refuse a DOLFINx whose PETSc does not have real numbers of 64 bits."""
+    """Refuse a DOLFINx whose PETSc scalars are not 64-bit reals."""
     kind = np.dtype(PETSc.ScalarType)
     if kind != np.float64:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Errors that name the thing, its value and the remedy, and reach all ranks together."""
+"""Exceptions and warnings, and how an error of one rank is raised on all ranks."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from petsc4py import PETSc  # noqa: F401 (its end is registered before what is r
 from crms_fenicsx.runtime.arrays import Array
 
 PATIENCE = 60.0
-"""Seconds for which a rank with an error waits for the others to have one as well."""
+"""Time a rank with an error waits for the other ranks to fail as well (s)."""
 FAILED = 30081
-"""Tag of the messages by which ranks tell each other that they have an error."""
+"""Tag of the messages by which ranks announce an error to each other."""
 
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used: says what, its value and what to do."""
+    """Invalid input; the message names the argument, its value and the remedy."""
 
 
 class MeshError(InputError):
-    """A mesh that is no orientable triangulated surface."""
+    """A mesh that is not an orientable triangulated surface."""
 
 
 class PathError(InputError):
@@ -40,27 +40,27 @@ class PathError(InputError):
 
 
 class ConvergenceError(RuntimeError):
-    """A load step did not reach equilibrium, however small its increment was made."""
+    """A load step did not reach equilibrium, even with the smallest load increment."""
 
 
 class PathWarning(UserWarning):
-    """A cable is where it cannot go on, or cannot be.
+    """A cable is blocked, or lies where it cannot lie.
 
-    A fold point has run into a mesh vertex, where its path is blocked; or an end has come to lie
-    under the membrane.
+    A fold point has run into a mesh vertex, which blocks its path; or a cable end has moved to the
+    lower side of the membrane.
     """
 
 
 class NetWarning(UserWarning):
-    """A net that ends before the membrane does, as its meshes would fold, or crossings without a
-    clamp, as cables lie apart there."""
+    """A net that ends before the membrane's edge because its meshes would fold, or crossings
+    without a clamp because their cables lie apart."""
 
 
 class FrictionWarning(UserWarning):
-    """Friction forces that are crude.
+    """Friction forces of low accuracy.
 
-    Those of the paper's law have pushed a cable back, as sticking is beyond it; or forces went
-    round in circles, as the state answers a small change of them by a large one.
+    The paper's law has pushed a cable backwards, since it has no sticking; or the friction
+    iteration does not converge, because a small change of the forces changes the state much.
     """
 
 
@@ -69,31 +69,30 @@ class PenaltyWarning(UserWarning):
 
 
 class PatternWarning(UserWarning):
-    """Too few cells across a piece of a cutting pattern to know its flat shape well."""
+    """Too few cells across a panel of a cutting pattern to compute its flat shape accurately."""
 
 
 class SnapThroughWarning(UserWarning):
-    """No stable equilibria connect a load step's state to the one before.
+    """No path of stable equilibria connects a load step's state to the previous one.
 
-    Between them the structure has fallen, or been turned inside out. The warning says at which
-    loads.
+    The structure has snapped through between them; the warning gives the loads.
     """
 
 
 class InstabilityWarning(UserWarning):
-    """An equilibrium that is not stable: the least disturbance makes the structure leave it."""
+    """An unstable equilibrium: the structure leaves it under the smallest disturbance."""
 
 
 class PondWarning(InstabilityWarning):
-    """Water on a membrane in an equilibrium that is not stable: it would gather on."""
+    """An unstable equilibrium of a ponded membrane: water would keep accumulating."""
 
 
 class PictureWarning(UserWarning):
-    """A mesh too large for a picture, which one process draws from all of it."""
+    """A mesh too large for a picture, which one process draws from the whole mesh."""
 
 
 def show_warnings() -> None:
-    """Let Python show warnings again, which FFCx has sent to a log when nobody reads it."""
+    """Let Python show warnings again if FFCx has redirected them to a log without handlers."""
     logger: logging.Logger | None = logging.getLogger("py.warnings")
     while logger is not None:
         if any(not isinstance(one, logging.NullHandler) for one in logger.handlers):
@@ -103,20 +102,19 @@ def show_warnings() -> None:
 
 
 def as_text(position: Sequence[float] | Array) -> str:
-    """A place as messages show it: what rounding has left of a zero is one."""
+    """Format a position for messages, with rounding errors of zero shown as zero."""
     least = 1e-12 * max(map(abs, position))
     return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.6g}" for x in position) + ")"
 
 
 @contextmanager
 def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
-    """Let an exception in the block on any rank be raised on all ranks of `comm`. The block must
-    not communicate, so that a rank that leaves it early keeps nobody waiting. Every rank raises the
-    error of the lowest rank that has one."""
+    """Raise an exception of the block, on any rank, on all ranks of `comm`: that of the lowest rank
+    that has one. The block must not communicate, as a rank may leave it early."""
     error: Exception | None = None
     try:
         yield
-    except Exception as exception:  # passed on below, on all ranks
+    except Exception as exception:  # raised below, on all ranks
         error = exception
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
@@ -126,29 +124,28 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
         if comm.rank != failed:
             try:
                 passed_on = kind(text)
-            except TypeError:  # made of more than a text, as errors of codecs are
+            except TypeError:  # its constructor takes more than a text, as for codec errors
                 passed_on = RuntimeError(f"{kind.__name__}: {text}")
-            raise passed_on from None  # its own, if it has one, is most often the same
+            raise passed_on from None  # this rank's own error is usually the same
     if error is not None:
         raise error
 
 
 def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
-    """What makes the same error on another rank."""
+    """Type and text from which another rank can build the same error."""
     kind, text = type(error or RuntimeError()), str(error)
     try:
         pickle.dumps(kind)
-    except Exception:  # of a class that is known here only, as one inside of a function
+    except Exception:  # the class exists on this rank only, such as one local to a function
         return RuntimeError, f"{kind.__name__}: {text}"
     return kind, text
 
 
 def collective(method: Method) -> Method:
-    """Let no rank wait for ever in a method that another one has left with an error. The errors of
-    this package are raised on all ranks. A bug, a lack of memory or an interrupt may strike one
-    rank alone, while the others are in a reduction that it will never reach. So a rank with an
-    error waits for the others to have one too, for `PATIENCE` seconds, and if they do not it prints
-    its traceback and ends all ranks."""
+    """Decorate a method so that an error on one rank cannot leave the others waiting for ever. This
+    package raises its errors on all ranks, but a bug, a lack of memory or an interrupt may hit one
+    rank alone while the others are in a reduction. A rank with an error waits `PATIENCE` seconds
+    for the others to fail too; otherwise it prints its traceback and aborts all ranks."""
 
     @functools.wraps(method)
     def guarded(*args: Any, **kwargs: Any) -> Any:
@@ -156,8 +153,8 @@ def collective(method: Method) -> Method:
         try:
             return method(*args, **kwargs)
         except BaseException as error:
-            # A collective method that is called by another one has asked already. What has no
-            # ranks is no object of the kind: an argument that was refused.
+            # An inner collective method has already asked the other ranks. Without `comm`, the
+            # first argument is not such an object but a refused value.
             comm: Any = getattr(next(iter((*args, *kwargs.values())), None), "comm", None)
             if not getattr(error, "on_all_ranks", comm is None):
                 if not all_failed(comm):
@@ -169,8 +166,8 @@ def collective(method: Method) -> Method:
 
 
 def all_failed(comm: MPI.Intracomm) -> bool:
-    """Whether all ranks come here, because of an error, within `PATIENCE` seconds."""
-    # Messages between two ranks, as a collective operation would meet those of the others.
+    """Whether all ranks arrive here with an error within `PATIENCE` seconds."""
+    # Point-to-point messages: a collective operation would match those of the other ranks.
     others = [rank for rank in range(comm.size) if rank != comm.rank]
     nothing: Any = [None, 0, MPI.BYTE]
     requests = [comm.Isend(nothing, rank, FAILED) for rank in others]
@@ -185,7 +182,7 @@ def all_failed(comm: MPI.Intracomm) -> bool:
 
 
 def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
-    """Print an error that one rank alone has had somewhere, and end all ranks."""
+    """Print an error that occurred on this rank only, and abort all ranks."""
     print(
         f"{error}\n{where}: this was raised on rank {comm.rank} of {comm.size}, and not on all "
         f"ranks within {PATIENCE:g} seconds; all ranks are ended.",
@@ -196,8 +193,8 @@ def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
 
 
 def _abort_after_an_error() -> None:
-    """Let `python -m mpi4py` end all ranks when the program has failed on one, as it promises. It
-    does so at the very end, and PETSc's own end, which comes before, waits for all ranks."""
+    """Let `python -m mpi4py` abort all ranks when the program has failed on one, as it promises. It
+    does so only at exit, after PETSc's finalization, which waits for all ranks."""
     failed = getattr(sys, "last_value", None) is not None
     if failed and "mpi4py.run" in sys.modules and MPI.COMM_WORLD.size > 1:
         sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Files that are complete at any moment, whenever the run is killed."""
+"""Atomic writing of files: a file is complete whenever the run is killed."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from mpi4py import MPI
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 PARTIAL = ".partial-"
-"""Prefix of a file that is still being written; it keeps the suffix, which says the format."""
+"""Prefix of a file being written; its suffix stays, as that selects the format."""
 
 
 def partial_of(path: Path) -> Path:
-    """Where a file or folder is written before it takes the place of `path`."""
+    """Path under which a file or folder is written before it replaces `path`."""
     return path.with_name(PARTIAL + path.name)
 
 
 def absolute(path: str | Path, comm: MPI.Intracomm) -> Path:
-    """The path from the root, that of rank 0: where it leads now, and wherever the run goes later.
-    Collective."""
+    """Rank 0's absolute path, fixed now even if the run changes its folder later. Collective."""
     with raised_together(comm), explained(Path(path)):
         path = Path(path).absolute()
     return Path(comm.bcast(path))
@@ -32,7 +31,7 @@ def absolute(path: str | Path, comm: MPI.Intracomm) -> Path:
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Say of what the system refuses to write in the block that it is `path`."""
+    """Turn write errors of the block into an `InputError` that names `path`."""
     try:
         yield
     except OSError as error:
@@ -47,7 +46,7 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextmanager
 def readable(what: object, remedy: str) -> Iterator[None]:
-    """Say of what the system refuses to read in the block what it is."""
+    """Turn read errors of the block into an `InputError` that names `what`."""
     try:
         yield
     except OSError as error:
@@ -55,11 +54,11 @@ def readable(what: object, remedy: str) -> Iterator[None]:
 
 
 LARGEST_TEXT = 2**30
-"""Most bytes of a file of text that is read."""
+"""Size limit of text files to be read (bytes)."""
 
 
 def size_of_file(path: Path) -> int:
-    """Size of a file that can be read to its end (bytes)."""
+    """Size of a regular file (bytes)."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is no regular file")
@@ -67,7 +66,7 @@ def size_of_file(path: Path) -> int:
 
 
 def read_text(path: Path) -> bytes:
-    """Read a file of text."""
+    """Read a text file of at most `LARGEST_TEXT` bytes."""
     size = size_of_file(path)
     if size > LARGEST_TEXT:
         raise OSError(errno.EFBIG, f"it has {size} bytes, more than {LARGEST_TEXT}")
@@ -76,8 +75,7 @@ def read_text(path: Path) -> bytes:
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Write a file beside `path` in the block; it takes the place of `path` when it is complete.
-    Yields where to write instead, in the same folder."""
+    """Yield a temporary path beside `path` to write to; the file replaces `path` when complete."""
     partial = partial_of(path)
     try:
         with explained(path):
@@ -90,7 +88,7 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 def flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Flush a file, or the entries of a folder, to disk."""
     number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)
@@ -99,12 +97,12 @@ def flush(path: Path) -> None:
 
 
 def make_writable(folder: Path) -> None:
-    """Create a folder where it is missing, and try to write in it."""
+    """Create a folder if it is missing, and test that it is writable."""
     trial = folder / (PARTIAL + "trial")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         trial.touch()
-        trial.unlink(missing_ok=True)  # another process may have tried at the same time
+        trial.unlink(missing_ok=True)  # another process may test at the same time
     except OSError as error:
         raise InputError(
             f"the folder {folder} cannot be written ({error.strerror or error}): "
@@ -113,7 +111,7 @@ def make_writable(folder: Path) -> None:
 
 
 def forget(partial: Path) -> None:
-    """Remove a file that has not become complete."""
+    """Remove an incomplete file."""
     try:
         partial.unlink(missing_ok=True)
     except OSError:  # the error that led here says more

@@ -1,4 +1,4 @@
-"""Attributes that users read and only the package writes, and things that own a state."""
+"""Read-only attributes of the objects users hold, and owners of a replaceable state."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ Value = TypeVar("Value")
 
 
 class ReadOnly(Generic[Value]):
-    """Shows a private attribute under a public name. An assignment to the public name would be on
-    one rank only, unchecked and unknown to the solver. It raises an `AttributeError` that tells
-    what to do instead."""
+    """Descriptor that shows a private attribute under a public name. Assigning to it raises an
+    `AttributeError` with a remedy: the value would be unchecked, on one rank only and unknown to
+    the solver."""
 
     def __init__(self, source: str, remedy: str) -> None:
         self._get, self._remedy = attrgetter(source), remedy
@@ -39,17 +39,17 @@ StateT = TypeVar("StateT")
 
 
 class Stateful(Generic[StateT]):
-    """Something that owns a `state`, a frozen dataclass, and alone replaces it."""
+    """Owner of a `state`, a frozen dataclass that only it replaces."""
 
     state: StateT
 
     def update(self, **changes: Any) -> None:
-        """Replace fields of the state, by name; for the package alone."""
+        """Replace fields of the state, by name; internal to the package."""
         self.state = replace(self.state, **changes)  # type: ignore[type-var]
 
 
 class Handle(Stateful[StateT]):
-    """A named part of a scene that users hold, such as a cable: files know it by its name."""
+    """A named part of a scene held by users, such as a cable; files identify it by its name."""
 
     name: ReadOnly[str] = ReadOnly("_name", "give the name when it is made")
 

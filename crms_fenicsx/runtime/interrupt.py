@@ -1,9 +1,9 @@
-"""Ctrl-C, and the signal by which batch systems end a job, in the middle of collective work.
+"""Ctrl-C, and the termination signal of batch systems, during collective work.
 
-A signal reaches each rank at another moment, or one rank only. An exception raised there and then
-would leave the other ranks in a reduction for ever. So a signal is only noted while load steps are
-computed; the reduction of each evaluation of the potential carries the notes of all ranks, and all
-of them stop at the same one. A second signal ends the process at once.
+A signal reaches the ranks at different moments, or one rank only; an exception raised at once would
+leave the other ranks in a reduction for ever. So signals are only recorded during load steps. The
+reduction of each evaluation of the potential exchanges the records, and all ranks stop at the same
+evaluation. A second signal ends the process at once.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ USUAL: dict[int, Handler] = {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGTERM: signal.SIG_DFL,
 }
-"""What is taken over, where nobody else has: signals and Python's own reaction to them."""
+"""Signals handled here, with Python's default handlers; a handler set by others stays."""
 
 _noted = 0
-"""The signal that has come; 0 if none. It belongs to the process, as handlers of signals do."""
+"""Number of the signal received, 0 if none; global, as signal handlers belong to the process."""
 
 
 def noted() -> bool:
-    """Whether a signal has come on this rank that has not been obeyed yet."""
+    """Whether this rank has received a signal that it has not acted on."""
     return _noted != 0
 
 
 def _note(number: int, frame: FrameType | None) -> None:
     global _noted
     _noted = number
-    signal.signal(number, signal.SIG_DFL)  # the next one also ends what is in compiled code
+    signal.signal(number, signal.SIG_DFL)  # a second signal also interrupts compiled code
 
 
 def _restore_handler(number: int) -> None:
-    """Give a signal the handler that Python knows, whatever a library has made of it since."""
+    """Reinstall the handler that Python knows, which a library may have replaced since."""
     known = signal.getsignal(number)
     if known is not None and threading.current_thread() is threading.main_thread():
         signal.signal(number, known)
@@ -56,8 +56,8 @@ _restore_handler(signal.SIGPIPE)
 
 @contextmanager
 def postponed(comm: MPI.Intracomm) -> Iterator[None]:
-    """Note signals in the block, for `stop_together`. Collective. Handlers that are not Python's
-    own stay, and other threads than the main one have none."""
+    """Record signals during the block for `stop_together`. Collective. Handlers other than Python's
+    defaults stay; only the main thread can handle signals."""
     taken = {}
     if threading.current_thread() is threading.main_thread():
         taken = {n: usual for n, usual in USUAL.items() if signal.getsignal(n) is usual}
@@ -72,7 +72,7 @@ def postponed(comm: MPI.Intracomm) -> Iterator[None]:
 
 
 def stop_together(comm: MPI.Intracomm) -> None:
-    """Stop on all ranks if one of them has been told to. Collective."""
+    """Stop on all ranks if one of them has received a signal. Collective."""
     global _noted
     number = comm.allreduce(_noted, op=MPI.MAX)
     if number == 0:

@@ -1,4 +1,4 @@
-"""How far a run has come: a bar on a terminal, log records elsewhere."""
+"""Progress of a run: a bar on a terminal, log records elsewhere."""
 
 from __future__ import annotations
 
@@ -19,22 +19,21 @@ _BAR_FORMAT = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}<{remaining}{postfix}]"
 def progress(comm: MPI.Intracomm, total: float, title: str) -> Progress:
     """Return a context manager that shows how much of `total` is done; not collective.
 
-    Rank 0 draws a bar where its standard error is a terminal, and else logs to the logger
-    "crms_fenicsx" at level INFO, whose handlers are the caller's to set up. The other ranks are
-    silent.
+    Rank 0 draws a bar if its standard error is a terminal; otherwise it logs to the logger
+    "crms_fenicsx" at level INFO, whose handlers the caller sets up. Other ranks are silent.
 
     Parameters
     ----------
     comm : MPI communicator
     total : float
-        The whole, such as a number of load steps; finite, not negative.
+        The whole amount, such as a number of load steps; finite, not negative.
     title : str
-        What is going on.
+        Title of the bar.
 
     Raises
     ------
     InputError
-        For a total that is negative or not finite.
+        If the total is negative or not finite.
 
     Examples
     --------
@@ -46,7 +45,7 @@ def progress(comm: MPI.Intracomm, total: float, title: str) -> Progress:
 
 
 class Progress:
-    """What `progress` returns."""
+    """Context manager returned by `progress`."""
 
     def __init__(self, comm: MPI.Intracomm, total: float, title: str) -> None:
         if not (math.isfinite(total) and total >= 0):
@@ -61,7 +60,7 @@ class Progress:
         if self._speaks and sys.stderr is not None and sys.stderr.isatty():
             try:
                 from tqdm import tqdm
-            except ImportError:  # no more than a convenience: the log tells the same
+            except ImportError:  # the bar is only a convenience: the log has the same information
                 return self
             self._bar = tqdm(
                 total=self.total, desc=self.title, file=sys.stderr, bar_format=_BAR_FORMAT
@@ -79,7 +78,7 @@ class Progress:
             self._bar = None
 
     def advance(self, n: float = 1, note: str = "") -> None:
-        """Say that `n` more of the total is done."""
+        """Report that `n` more of the total is done."""
         self.done += n
         if self._bar is not None:
             self._bar.set_postfix_str(note, refresh=False)

@@ -1,4 +1,4 @@
-"""Work on items that all ranks have, of which each is done on one rank."""
+"""Distribution of independent work items, known to all ranks, over the ranks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Result = TypeVar("Result")
 def share_out(
     comm: MPI.Intracomm, items: Sequence[Item], work: Callable[[Item], Result]
 ) -> list[Result]:
-    """Results of some work on each item, on all ranks. Collective. The work must not communicate;
-    what it changes on its rank, it changes there alone."""
+    """Apply `work` to each item on one rank; return all results on all ranks. Collective. The work
+    must not communicate; its side effects stay on the rank that does it."""
     with raised_together(comm):
         mine = [work(item) for item in items[comm.rank :: comm.size]]
     if comm.size == 1:
