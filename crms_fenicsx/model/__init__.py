@@ -1,1 +1,1 @@
-"""What a scene is made of: membranes, cables, friction. Values only."""
+"""Values that make up a scene: membranes, cables, bars, friction, loads on the membrane."""

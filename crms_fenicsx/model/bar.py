@@ -1,4 +1,4 @@
-"""Bars in tension and compression, their joints, and what load steps change of both."""
+"""Bars in tension and compression, their joints, and the state of both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.handle import Handle, ReadOnly
 
 SHORTEST = 1e-12
-"""Length of a bar, relative to its unstressed one, up to which it has no direction."""
+"""Length of a bar, relative to its unstressed length, below which its direction is undefined."""
 FOUND = "it follows from the loads, call solver.advance(...)"
 ANOTHER_BAR = "add another bar with scene.add_bar(...)"
 ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
@@ -23,21 +23,21 @@ ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
 class Bar:
     """A linearly elastic, straight bar with hinges at both ends: a mast, a strut or a guy.
 
-    Its energy is ``EA/2 (l - L0)^2 / L0``, its axial force ``EA (l - L0) / L0``, l the current and
-    L0 the unstressed length. It does not buckle: its utilisation compares its compression with what
-    it can bear, the smaller one of strength and Euler's load.
+    Its energy is ``EA/2 (l - L0)^2 / L0``, its axial force ``EA (l - L0) / L0``, with the current
+    length l and the unstressed length L0. Buckling is not modelled; the utilisation compares the
+    compression with the smaller of strength and Euler load.
 
     Parameters
     ----------
     EA
         Axial stiffness (force).
     tension_only
-        Whether it is slack, without any force, where it is shorter than L0: a guy.
+        Whether it is slack, without force, when shorter than L0: a guy.
     EI
-        Least bending stiffness (force x length squared), for Euler's buckling load; None: unknown.
+        Smallest bending stiffness (force x length squared), for the Euler load; None: unknown.
     strength
-        In tension and, without buckling, in compression, divided by the partial factor (force);
-        None: unknown.
+        Strength in tension, and in compression without buckling, divided by the partial factor
+        (force); None: unknown.
     """
 
     EA: float
@@ -58,7 +58,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class JointState:
-    """All that is known of a joint; see the attributes of `Joint`."""
+    """State of a joint; see the attributes of `Joint`."""
 
     first: Annotated[Array, 3]
     held: Annotated[Booleans, 3]
@@ -73,20 +73,20 @@ class JointState:
 class Joint(Handle[JointState]):
     """A point off the membrane at which bars end: a hinge, free or held. Read-only.
 
-    Made by `Scene.add_joint`, and by `Scene.add_bar` for an end that is a point in space.
+    Made by `Scene.add_joint`, and by `Scene.add_bar` for an end given as a point in space.
 
     Attributes
     ----------
     name
-        Name in messages and checkpoints, and for loads.
+        Name in messages, checkpoints and loads.
     first : (3,)
-        Where it was made (length).
+        Initial position (length).
     held : (3,) bool
-        Components of its displacement that are held.
+        Held components of its displacement.
     position : (3,)
-        Where it is (length).
+        Current position (length).
     reaction : (3,)
-        Force of what holds it on it (force); zero in directions in which it is free.
+        Force of the support on the joint (force); zero in free directions.
     """
 
     first: ReadOnly[Array] = ReadOnly("state.first", ANOTHER_JOINT)
@@ -100,14 +100,14 @@ class Joint(Handle[JointState]):
 
 @dataclass(frozen=True)
 class MeshVertex:
-    """A vertex of the membrane as the end of bars; `Scene.vertex_at` finds one.
+    """A vertex of the membrane as the end of bars, found by `Scene.vertex_at`.
 
     Attributes
     ----------
     number
-        Its number in the mesh as it was given, the same on all ranks.
+        Its number in the mesh as given, the same on all ranks.
     place
-        Where it is when stress-free, (x, y, z) (length).
+        Stress-free position (x, y, z) (length).
     """
 
     number: int
@@ -119,7 +119,7 @@ BarEnd = Joint | MeshVertex
 
 @dataclass(frozen=True)
 class BarState:
-    """All that is known of a bar; see the attributes of `PlacedBar`."""
+    """State of a bar; see the attributes of `PlacedBar`."""
 
     bar: Bar
     start: BarEnd
@@ -132,20 +132,20 @@ class BarState:
 
 
 class PlacedBar(Handle[BarState]):
-    """A bar at its place. Made by `Scene.add_bar`, and read-only.
+    """A bar of a scene. Made by `Scene.add_bar`, and read-only.
 
     Attributes
     ----------
     name
         Name in tables and pictures.
     bar
-        Its data.
+        Its stiffness and strength.
     start, end
-        The joints or vertices at which it ends.
+        The joints or vertices at its ends.
     L0
         Unstressed length (length).
     points : (2, 3)
-        Where its ends are (length).
+        Current positions of its ends (length).
     """
 
     bar: ReadOnly[Bar] = ReadOnly("state.bar", "call scene.set_stiffness(...) or add another one")
@@ -161,30 +161,30 @@ class PlacedBar(Handle[BarState]):
 
     @property
     def force(self) -> float:
-        """Axial force (force): tension is positive, compression negative."""
+        """Axial force (force), tension positive."""
         force = self.bar.EA * (self.length - self.L0) / self.L0
         return max(force, 0.0) if self.bar.tension_only else force
 
     @property
     def slack(self) -> bool:
-        """Whether it is a guy that has no tension now."""
+        """Whether it is a guy without tension."""
         return self.bar.tension_only and self.force == 0.0
 
     @property
     def buckling(self) -> float | None:
-        """Euler's load between hinges, pi^2 EI / l^2 (force); None without EI."""
+        """Euler load between hinges, pi^2 EI / l^2 (force); None without EI."""
         return None if self.bar.EI is None else float(np.pi**2 * self.bar.EI / self.length**2)
 
     @property
     def utilisation(self) -> float | None:
-        """Its force over its strength, in compression over the smaller one of strength and Euler's
-        load; None where neither is known."""
+        """Force over strength, or in compression over the smaller of strength and Euler load; None
+        if neither is known."""
         known = [self.bar.strength] if self.force > 0.0 else [self.bar.strength, self.buckling]
         limits = [limit for limit in known if limit is not None]
         return abs(self.force) / min(limits) if limits else None
 
     def pull(self, end: BarEnd) -> Array:
-        """Force (3,) with which it acts on one of its ends (force)."""
+        """Force (3,) of the bar on one of its ends (force)."""
         way = (self.points[1] - self.points[0]) / max(self.length, SHORTEST * self.L0)
         return self.force * (float(end == self.start) - float(end == self.end)) * way
 

@@ -1,4 +1,4 @@
-"""The data of a cable."""
+"""Properties of a cable."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Cable:
     EA
         Axial stiffness (force).
     law
-        "total": tension ``EA (L - L0)/L0`` where positive, L0 the unstressed length. "step": the
-        paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
-        the length at the step's start.
+        "total": tension ``EA (L - L0)/L0`` where positive, with the unstressed length L0. "step":
+        the paper's (2.2-2), a tension that grows by ``EA/l_n`` times the elongation in the step,
+        with the length l_n at the step's start.
     friction
-        Friction on the membrane: a coefficient, or a `Friction` with more data. 0, the default,
-        costs nothing.
+        Friction on the membrane: a coefficient, or a `Friction` with more data. The default 0 costs
+        nothing.
     """
 
     EA: float
@@ -44,7 +44,7 @@ class Cable:
 
     @property
     def sideways(self) -> Friction | None:
-        """Friction against sliding sideways; None if it slides freely."""
+        """Friction against sideways sliding; None if it slides freely."""
         friction = self.friction
         if not isinstance(friction, Friction):
             friction = Friction(friction)
@@ -52,10 +52,10 @@ class Cable:
 
     @property
     def along(self) -> float:
-        """Coefficient of friction along its axis."""
+        """Coefficient of friction along the cable's axis."""
         return self.friction.along if isinstance(self.friction, Friction) else 0.0
 
     @property
     def cone(self) -> bool:
-        """Whether friction sideways and along its axis have one limit."""
+        """Whether one limit couples friction sideways and along the axis."""
         return isinstance(self.friction, Friction) and self.friction.cone

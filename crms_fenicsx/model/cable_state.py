@@ -1,4 +1,4 @@
-"""What load steps change of a laid cable: its path, its tension, what friction remembers."""
+"""State of a laid cable, changed by load steps: path, tension, friction history."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """A place where two cables cross: one free point that both share, known by its number."""
+    """A crossing of two cables: one free point that both share, identified by its number."""
 
-    lower: int  # number of the cable below
-    upper: int  # number of the cable on top
-    support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) that it is in
-    links: tuple[int, int]  # nodes of both before it, crossings not counted
+    lower: int  # number of the lower cable
+    upper: int  # number of the upper cable
+    support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) it lies in
+    links: tuple[int, int]  # preceding node of each cable, crossings not counted
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
     between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first
-    separated: bool = False  # whether the upper cable has lifted off, so that they share no point
-    clamp: str | None = None  # name of the clamp that holds them to each other
+    separated: bool = False  # whether the upper cable has lifted off: no shared point
+    clamp: str | None = None  # name of the clamp that joins them
 
 
 NodeId = tuple[int, int]
-"""A node of a cable: the cable's number, the node's number."""
+"""A node of a cable: number of the cable, number of the node."""
 
 
 End = Literal["tied", "held", "off"]
-"""How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
+"""How a cable's end is held: tied to a point of the membrane, held at its point on a held part of
 the membrane, or by an anchor off the membrane."""
 
 
@@ -42,33 +42,33 @@ the membrane, or by an anchor off the membrane."""
 class CableNode:
     """A point of a cable's polyline."""
 
-    # "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "edge slider":
-    # slides freely along an edge that is held, and so stays straight. "tied": is tied to a place of
-    # the membrane. "anchor": held in space. "crossing": free, shared with another cable.
+    # "vertex": at a mesh vertex. "fold": slides freely on an edge, which folds there. "edge
+    # slider": slides freely along a held edge, which stays straight. "tied": tied to a point of the
+    # membrane. "anchor": held in space. "crossing": free, shared with another cable.
     kind: Literal["vertex", "fold", "edge slider", "tied", "anchor", "crossing"]
-    point: SurfacePoint | None = None  # its place on the mesh; None for an anchor
-    crossing: int | None = None  # also of a fold point on an edge that another cable follows
+    point: SurfacePoint | None = None  # its point on the mesh; None for an anchor
+    crossing: int | None = None  # also set for a fold point on an edge that another cable follows
 
     @property
     def slides(self) -> bool:
-        """Whether its place on its edge is an unknown."""
+        """Whether its position on its edge is an unknown."""
         return self.kind in ("fold", "edge slider")
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Ids of the vertices on which it lies, or between which; it is no anchor."""
+        """Ids of the vertices of the mesh entity it lies on; not for anchors."""
         assert self.point is not None, "an anchor has no place on the mesh"
         return self.point.support
 
     @property
     def touches_cable(self) -> bool:
-        """Whether another cable lies over or under it."""
+        """Whether another cable crosses over or under it."""
         return self.kind == "crossing" or self.crossing is not None
 
     def interpolation(
         self, fraction: float | None = None
     ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-        """Vertices (ids) and weights that give the place on the unfolded mesh."""
+        """Vertex ids and weights that interpolate its position on the unfolded mesh."""
         assert self.point is not None, "an anchor has no place on the mesh"
         if fraction is not None and isinstance(self.point, EdgePoint):
             return self.point.edge, (1 - fraction, fraction)
@@ -86,7 +86,7 @@ class StepStart:
 
 @dataclass(frozen=True)
 class CableState:
-    """All that is known of a laid cable, as one value: see the attributes of `LaidCable`."""
+    """State of a laid cable, as one value; see the attributes of `LaidCable`."""
 
     # Checkpoints are checked against the shapes in the type hints.
 

@@ -1,4 +1,4 @@
-"""Other numbers of a scene's materials, for studies of parameters: no form is compiled anew."""
+"""Changing the parameters of a scene's materials, for parameter studies, without recompiling."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 BUILT_IN = ("psi", "warp")
-"""Fields that are built into forms and fields on the mesh: they cannot change."""
+"""Fields compiled into forms or stored on the mesh, which cannot change."""
 
 
 def numbers(material: MembraneMaterial) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def numbers(material: MembraneMaterial) -> dict[str, Any]:
 
 
 def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> MembraneMaterial:
-    """The material with fields that `numbers` has told and a file has kept."""
+    """Return the material with the fields `numbers`, as read from a file."""
     own = {name: tuple(one) if isinstance(one, list) else one for name, one in saved.items()}
     if own == numbers(material):
         return material
@@ -38,7 +38,7 @@ def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> Membra
 def checked_materials(
     membrane: Membrane, material: MembraneMaterial | Mapping[str, MembraneMaterial]
 ) -> dict[int, MembraneMaterial]:
-    """New materials of a membrane, by their numbers."""
+    """Checked new materials of a membrane, by material number."""
     if isinstance(material, Mapping):
         checks.collection("set_material: material", material, Mapping, '{"roof": ...}', 1)
         number = {part: k for k, part in membrane.parts.items()}
@@ -52,7 +52,7 @@ def checked_materials(
 
 
 def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> None:
-    """Refuse what is more than other numbers."""
+    """Refuse a new material that differs in more than its parameters."""
     if new is old:
         return
     reason = ""

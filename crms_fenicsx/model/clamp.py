@@ -1,4 +1,4 @@
-"""Clamps that hold two crossing cables to each other."""
+"""Clamps that join two crossing cables."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ class Clamp:
     Attributes
     ----------
     name
-        Name: those of the cables, "A1 x B2", with a number where they have several.
+        Names of the cables, "A1 x B2", with a number if they have several clamps.
     cables
         Names of the two cables.
     at
-        Unstressed lengths from the starts of the cables to the clamp, as shares of those of the
-        whole cables: they stay while it holds.
+        Unstressed lengths from the cables' starts to the clamp, relative to the whole cables';
+        constant while it holds.
     place
-        Where it is, (3,) (length).
+        Its position, (3,) (length).
     slip
-        Difference of the tensions of a cable on its two sides at which that slips through it
+        Difference of a cable's tensions on the clamp's two sides at which the cable slips (force);
+        None if it never does.
         (force); None if it never does.
     """
 
@@ -37,16 +38,16 @@ class Clamp:
 
 @dataclass(frozen=True)
 class ClampedParts:
-    """The m + 1 parts of a cable between m clamps, each with a tension of its own."""
+    """The m + 1 parts of a cable between m clamps, each with its own tension."""
 
-    at: Annotated[Array, "m"]  # unstressed lengths up to the clamps, as shares of the whole
+    at: Annotated[Array, "m"]  # unstressed lengths up to the clamps, relative to the whole cable's
     nodes: tuple[int, ...]  # nodes at the clamps, in order; () until crossings are arranged
     tensions: Annotated[Array, "p"]  # of the parts (force)
-    smoothing: Annotated[Array, "p"]  # what smoothing has added to their lengths (length)
-    grips: Annotated[Array, "m"]  # most that the clamps hold, 0 where there is no limit (force)
+    smoothing: Annotated[Array, "p"]  # lengths added to the parts by smoothing (length)
+    grips: Annotated[Array, "m"]  # slip forces of the clamps, 0 if unlimited (force)
     slips: Annotated[
         Array, "m"
-    ]  # of the cable in its direction, in this step, the elastic one left
-    # before included (length)
-    loss: float = 0.0  # energy dissipated by slips in the step so far (force x length)
-    dissipated: float = 0.0  # and up to the step's start
+    ]  # of the cable, in its direction, in this step, including the elastic slip of earlier steps
+    # (length)
+    loss: float = 0.0  # energy dissipated by slips in this step (force x length)
+    dissipated: float = 0.0  # energy dissipated before this step (force x length)

@@ -15,7 +15,7 @@ from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.surface.points import Support
 
 MOST_TOLERANCE = 0.1
-"""Slip tolerances above this (parts of a cell) are no friction any more."""
+"""Largest slip tolerance (parts of a cell): beyond it the model is no longer dry friction."""
 
 
 @dataclass(frozen=True)
@@ -25,36 +25,35 @@ class Friction:
     Parameters
     ----------
     mu
-        Coefficient of friction against sliding sideways, of a cable that slides (kinetic). 0: it
-        slides sideways freely.
+        Kinetic coefficient of friction against sideways sliding. 0: slides sideways freely.
     static
-        Coefficient for a cable that is at rest, `mu` or more; None: as `mu`.
+        Static coefficient, at least `mu`; None: equal to `mu`.
     along
-        Coefficient against sliding along the cable's axis; with one the tension varies along the
-        cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). The angle
-        is the turn around the membrane; in a pocket, which pulls in the surface as well, the whole
-        turn. An unstressed length that changes is taken in or let out at the
-        cable's last end. 0: the cable slides along itself freely, assumption 6 of the paper.
+        Coefficient against sliding along the cable's axis. The tension then varies along the cable,
+        between two nodes by at most ``exp(along * angle)`` (`LaidCable.tensions`). The angle is the
+        cable's turn around the membrane; in a pocket, which also exerts in-plane forces, the whole
+        turn. A change of unstressed length is fed in or out at the cable's last end. 0: slides
+        along itself freely, assumption 6 of the paper.
     cone
-        How the limits sideways, ``mu N``, and along, ``along N``, of a contact force N go together.
-        False: each on its own, a box; the force of a cable that slides obliquely is too large by
-        up to 1.41. True: an ellipse, with `along` equal to `mu` Coulomb's cone, and a cable slides
-        in the direction that dissipates most. It takes more passes.
+        How the limits sideways, ``mu N``, and along, ``along N``, of a contact force N combine.
+        False: independently, a box, which overestimates the force on an obliquely sliding cable by
+        up to 1.41. True: an ellipse (Coulomb's cone if `along` equals `mu`), and the cable slides
+        in the direction of greatest dissipation. It takes more passes.
     law
         "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
-        keeps its direction and size in a load step (assumption 7), so that nothing can stick: a
-        cable that should stay is pushed back.
+        keeps direction and size during a load step (assumption 7); it cannot stick, so a cable that
+        should stay is pushed back.
     tolerance
-        Elastic slip at which the friction force is fully mobilised: the width that the jump of the
-        friction force is smoothed to. Sideways it is relative to the size of the cells, along the
-        cable to what the friction force of a node stretches the cable by in a cell.
+        Elastic slip at which the friction force is fully mobilised, the width over which its jump
+        is smoothed: sideways relative to the cell size, along the cable to the elongation that a
+        node's friction force causes in a cell.
 
     Raises
     ------
     InputError
-        A coefficient that is negative, `static` below `mu`, an unknown law, `cone` without `mu`
-        and `along`, with a static coefficient or with the law "step", or a tolerance that is not
-        between 0 and 0.1.
+        If a coefficient is negative, `static` is below `mu`, the law is unknown, `cone` comes
+        without `mu` and `along`, with a static coefficient or with the law "step", or the tolerance
+        is not between 0 and 0.1.
     """
 
     mu: float
@@ -102,28 +101,28 @@ class Friction:
 
     @property
     def at_rest(self) -> float:
-        """Coefficient for a cable that is at rest."""
+        """Static coefficient."""
         return self.mu if self.static is None else self.static
 
     @property
     def any(self) -> bool:
-        """Whether there is friction at all."""
+        """Whether there is any friction."""
         return self.at_rest > 0 or self.along > 0
 
 
 @dataclass(frozen=True)
 class MaterialCurve:
-    """Where a cable lay on the stress-free membrane."""
+    """Line of a cable on the stress-free membrane."""
 
     points: Annotated[Array, "m", 3]  # (m, 3) its points (length)
     arc: Annotated[Array, "m"]  # (m,) arc length from its first point (length)
-    # (m,) number of the part that lies on the membrane; between parts the cable was off it
+    # (m,) number of the contiguous part on the membrane; between parts the cable was lifted off
     part: Annotated[Integers, "m"]
-    elastic: Annotated[Array, "m"]  # (m,) elastic slip left at the points (length)
-    moving: Annotated[Array, "m"]  # (m,) how they slid in the last step: 1 left, -1 right, 0 not
+    elastic: Annotated[Array, "m"]  # (m,) remaining elastic slip at the points (length)
+    moving: Annotated[Array, "m"]  # (m,) sliding in the last step: 1 left, -1 right, 0 none
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
-        """Arc lengths, points and parts nearest to places (n, 3); part -1 without a curve."""
+        """Arc lengths, points and parts closest to places (n, 3); part -1 without a curve."""
         joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
@@ -136,7 +135,7 @@ class MaterialCurve:
         rows = np.arange(len(places))
         first, at, t = joined[best], inside[rows, best], t[rows, best]
         length = np.sqrt(size[best])
-        # Only at the ends of a part does it matter how far beyond a place lies.
+        # Beyond the ends of a part, the arc length is extrapolated.
         part = self.part[first]
         begins = np.concatenate([[True], self.part[1:] != self.part[:-1]])[first] & (t < 0.0)
         ends = np.concatenate([self.part[1:] != self.part[:-1], [True]])[first + 1] & (t > 1.0)
@@ -144,8 +143,8 @@ class MaterialCurve:
         return self.arc[first] + share * length, feet[rows, best], part
 
     def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
-        """Mean directions, unit (n, 3), between a distance `reach` (n,) before and after places."""
-        # the direction between two points that lie close together is rounding
+        """Unit chords (n, 3) from a distance `reach` (n,) before each place to as far behind it."""
+        # a chord between two points close together is dominated by rounding
         found = np.zeros((len(at), 3))
         for part in np.unique(parts):
             own, rows = self.part == part, parts == part
@@ -158,7 +157,7 @@ class MaterialCurve:
         return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
     def history(self, at: Array, parts: Integers) -> tuple[Array, Array]:
-        """Elastic slips (n,) (length) at arc lengths, and how the nearest points slid, (n,)."""
+        """Elastic slips (n,) (length) at arc lengths, and sliding (n,) of the nearest points."""
         elastic, moving = np.zeros((2, len(at)))
         for part in np.unique(parts):
             own, rows = self.part == part, parts == part
@@ -170,31 +169,31 @@ class MaterialCurve:
 
 @dataclass(frozen=True)
 class SidewaysLaw:
-    """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each."""
+    """Factors by which the cone changes the box's sideways law at n nodes."""
 
-    bound: Annotated[Array, "n"]  # most friction force
+    bound: Annotated[Array, "n"]  # largest friction force
     width: Annotated[Array, "n"]  # slip at which it is reached
-    elastic: Annotated[Array, "n"]  # most elastic slip
+    elastic: Annotated[Array, "n"]  # largest elastic slip
 
 
 @dataclass(frozen=True)
 class LateralFrictionState:
-    """Friction of a laid cable in a load step."""
+    """Sideways friction of a laid cable in a load step."""
 
-    curve: MaterialCurve  # where the cable lay when the step began
-    supports: Annotated[tuple[Support, ...], "n"]  # places of the nodes that the bounds are of
-    bounds: Annotated[Array, "n"]  # (n,) most friction force of each (force)
-    moving: Annotated[Array, "n"]  # (n,) how each slides in this step: 1 left, -1 right, 0 not
+    curve: MaterialCurve  # the cable's line at the start of the step
+    supports: Annotated[tuple[Support, ...], "n"]  # supports of the nodes that have bounds
+    bounds: Annotated[Array, "n"]  # (n,) largest friction force of each (force)
+    moving: Annotated[Array, "n"]  # (n,) sliding in this step: 1 left, -1 right, 0 none
     dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)
-    known: bool = False  # whether the bounds come from a state, and not from a first guess
-    cone: SidewaysLaw | None = None  # what friction along the cable takes; None: nothing
+    known: bool = False  # whether the bounds come from a solved state, not from a first guess
+    cone: SidewaysLaw | None = None  # reduction by friction along the cable; None: none
 
     def rows(self, supports: Iterable[Support]) -> list[int]:
         """Rows of nodes in the arrays."""
         return [self.row_of[support] for support in supports]
 
     def law(self, supports: Iterable[Support], eps: Array) -> tuple[Array, Array, Array]:
-        """Bounds (force), slips at which they are reached, and most elastic slips (length)."""
+        """Bounds (force), slips at which they are reached, and largest elastic slips (length)."""
         rows = self.rows(supports)
         bounds, own = self.bounds[rows], self.cone
         if own is None:
@@ -207,27 +206,27 @@ class LateralFrictionState:
 
     @cached_property
     def row_of(self) -> dict[Support, int]:
-        """Place of each node in the arrays."""
+        """Row of each node in the arrays."""
         return {support: row for row, support in enumerate(self.supports)}
 
 
 @dataclass(frozen=True)
 class AxialFrictionState:
-    """Friction of a laid cable along its axis, in a load step."""
+    """Friction of a laid cable along its axis in a load step."""
 
-    curve: MaterialCurve  # where the cable lay when the step began, and
-    rest: Annotated[Array, "p"]  # the unstressed arcs that rest at its points (length)
-    supports: Annotated[tuple[Support, ...], "n"]  # places of the n nodes that friction holds
-    # (n,) most friction force of each (force), times the stretch there, so that its work is that on
-    # the unstressed arc
+    curve: MaterialCurve  # the cable's line at the start of the step
+    rest: Annotated[Array, "p"]  # unstressed arc lengths at its points (length)
+    supports: Annotated[tuple[Support, ...], "n"]  # supports of the n nodes with friction
+    # (n,) largest friction force of each (force), times the local stretch, so that it is conjugate
+    # to the unstressed arc length
     bounds: Annotated[Array, "n"]
     eps: Annotated[Array, "n"]  # (n,) slip at which it is reached (length)
-    elastic: Annotated[Array, "n"]  # (n,) most elastic slip (length): `eps`, with a cone less
-    # in the state last solved: tensions (m,) between the nodes that the cable touches (force),
-    # lengths (n + 1,) between the nodes held, unstressed arcs and slips (n,) at these (length)
+    elastic: Annotated[Array, "n"]  # (n,) largest elastic slip (length): `eps`, less with a cone
+    # last solved state: tensions (m,) between contacts (force), lengths (n + 1,) between the nodes
+    # with friction, unstressed arc lengths and slips (n,) at these (length)
     tensions: Annotated[Array, "m"]
     spans: Annotated[Array, "s"]
     arcs: Annotated[Array, "a"]
     slips: Annotated[Array, "n"]
-    loss: float = 0.0  # energy dissipated in the step so far (force x length)
-    dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)
+    loss: float = 0.0  # energy dissipated in this step (force x length)
+    dissipated: float = 0.0  # energy dissipated before this step (force x length)

@@ -1,4 +1,4 @@
-"""What holds a cable on the membrane."""
+"""How a cable is attached to the membrane."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Hold = Literal["outside", "sleeve", "pocket", "bonded"]
 
 @dataclass(frozen=True)
 class Freedom:
-    """What a cable is free to do on the membrane."""
+    """Motions relative to the membrane that an attachment leaves free."""
 
     lifts: bool  # off the membrane
-    sideways: bool  # to slide sideways, over the fabric
-    along: bool  # to slide along itself
+    sideways: bool  # sliding sideways over the fabric
+    along: bool  # sliding along its axis
 
 
 HOLDS: dict[Hold, Freedom] = {
@@ -26,12 +26,12 @@ HOLDS: dict[Hold, Freedom] = {
     "pocket": Freedom(lifts=False, sideways=False, along=True),
     "bonded": Freedom(lifts=False, sideways=False, along=False),
 }
-"""What holds a cable, by a word."""
+"""Free motions of each kind of attachment."""
 
 
 @dataclass(frozen=True)
 class Bonds:
-    """Where a cable is bonded to the fabric, between its ends."""
+    """Points between its ends at which a cable is bonded to the fabric."""
 
-    supports: tuple[Support, ...]  # places of its m points, in order
-    at: Annotated[Array, "m"]  # unstressed lengths up to there, as shares of the whole
+    supports: tuple[Support, ...]  # supports of its m points, in order
+    at: Annotated[Array, "m"]  # unstressed lengths up to them, relative to the whole cable's

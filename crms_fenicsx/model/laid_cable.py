@@ -1,4 +1,4 @@
-"""A cable that has been laid on a membrane."""
+"""A cable laid on a membrane."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from crms_fenicsx.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
-"""What to do instead of assigning attributes of laid cables."""
+"""Remedy for assignments to attributes of laid cables."""
 
 ROUNDED = 1e-12
-"""Strain by which a cable must be too short for its path to count as taut."""
+"""Strain that a cable needs on its path to count as taut."""
 NEARLY_TAUT = 2e-3
-"""Strain by which a cable may be too long for its path and still count as taut at first."""
+"""Compressive strain up to which a cable counts as nearly taut."""
 BULGE, MOST_BULGE = 1.2, 0.02
-"""The same, where folds bulge: relative to the square of the mean turn (rad) at nodes, and at most.
-On cells of 9 a side cables keep some tension up to 1.0."""
+"""As `NEARLY_TAUT` where folds bulge: factor of the squared mean turn (rad) at nodes, and maximum.
+On meshes with 9 cells along a side, cables keep some tension up to a factor of 1.0."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class CableEnd:
 
     @property
     def reaction(self) -> Array:
-        """Force (3,) with which the anchor holds the cable: its tension, along its end (force).
+        """Force (3,) of the anchor on the cable: its tension, along its end (force).
 
-        At a held edge that the cable was laid to the anchor carries it, not the membrane's support.
+        At a held edge the anchor of the cable carries this force, not the membrane's support.
         """
         cable = self.cable
         if cable.nodes[cable.node_of(self.which)].kind != "anchor":
@@ -71,57 +71,55 @@ class LaidCable(Handle[CableState]):
     name
         Name in tables and pictures.
     cable
-        Its data.
+        Its stiffness, law and friction.
     nodes
-        Internal: points of its way over the mesh, anchors and crossings included, also those that
-        it passes straight above. Its own line is `line`.
+        Internal: points of its path over the mesh, with anchors and crossings, also where the cable
+        spans straight above the membrane. The cable itself is `line`.
     positions : (n, 3)
-        Internal: current positions of the nodes, on all ranks; those of lifted ones mark the way.
+        Internal: current positions of the nodes, on all ranks; lifted nodes only mark the path.
     fractions : (n,)
-        Internal: current places of fold points on their unfolded edges and of edge sliders on their
-        held ones, where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off
-        edges.
+        Internal: current positions of fold points on their unfolded edges, and of edge sliders on
+        their held edges, outside 0 ... 1 if pulled beyond an end; NaN for nodes off edges.
     lifted : (n,) bool
-        Internal: nodes at which the cable is off the membrane. They take no part: it passes them
-        straight.
+        Internal: nodes at which the cable is off the membrane; it passes them in a straight line.
     reference_positions : (n, 3)
         Positions of the nodes on the stress-free membrane: the cable's material curve (length). NaN
         where the cable is off the membrane.
     L0
         Unstressed length (length).
     length, tension
-        Current length, that of `line`, and tension (force), ``EA (length - L0)/L0`` where the cable
-        has the total law and is in tension. With friction along the cable this is the mean tension
-        by unstressed length; see `tensions`.
+        Current length, that of `line`, and tension (force): ``EA (length - L0)/L0`` for a taut
+        cable with the total law. With friction along the cable, the mean tension by unstressed
+        length; see `tensions`.
     step_start
-        State at the start of a step, where the cable has the step-wise law.
+        State at the start of a step, for the step-wise law.
     taut
-        Whether it has tension; the sliding points of a slack cable take no part.
+        Whether it has tension; sliding points of a slack cable are not solved for.
     hold
-        What holds it on the membrane, "outside", "sleeve", "pocket" or "bonded"; see
+        Attachment to the membrane: "outside", "sleeve", "pocket" or "bonded"; see
         `Scene.lay_cable`.
     layer
-        Of two cables that cross the one with the higher layer lies on top; of equal ones the one
+        Of two crossing cables the one with the higher layer lies on top; with equal layers, the one
         laid later.
     joints
         Names of the joints of bars to which its first and last end are fixed; None elsewhere.
     parts
         Internal: its parts between clamps and bonds; None without any.
     bonds
-        Internal: where it is bonded to the fabric; None unless it is.
+        Internal: its bonds to the fabric; None if not bonded.
     path_is_geodesic
-        Whether its path has been pulled taut once: it has been in tension, free to slide.
+        Whether its path has been straightened once, under tension and free to slide.
     ends_before : (2, 3)
-        Where its ends were in the last equilibrium; None before the first.
+        Positions of its ends in the last equilibrium; None before the first.
     blocked
         Nodes that have run into a mesh vertex.
     lateral
-        What friction holds it with sideways; None before its first load step, or without.
+        State of sideways friction; None before the first load step, or without friction.
     axial
-        What friction holds it with along its axis; None without.
+        State of friction along the axis; None without friction.
     smoothing_length
-        Internal: by how much the smoothed lengths of its segments were longer than these in the
-        last equilibrium (length).
+        Internal: excess of the smoothed lengths of its segments over their true lengths in the last
+        equilibrium (length).
     """
 
     cable: ReadOnly[Cable] = ReadOnly(
@@ -151,7 +149,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def lifts_off(self) -> bool:
-        """Internal: whether it may leave the membrane."""
+        """Internal: whether it may lift off the membrane."""
         return HOLDS[self.hold].lifts
 
     @property
@@ -161,18 +159,18 @@ class LaidCable(Handle[CableState]):
 
     @property
     def slides_freely(self) -> bool:
-        """Whether no friction holds it sideways."""
+        """Whether it slides sideways without friction."""
         return self.cable.sideways is None
 
     @property
     def has_coulomb(self) -> bool:
-        """Whether friction with stick and slip holds it sideways."""
+        """Whether it has sideways friction with stick and slip."""
         friction = self.cable.sideways
         return friction is not None and friction.law == "coulomb"
 
     @property
     def dissipated(self) -> float:
-        """Energy that friction and slips through clamps have dissipated (force x length)."""
+        """Energy dissipated by friction and by slip through clamps (force x length)."""
         grips = (self.lateral, self.axial, self.parts)
         return sum(grip.dissipated for grip in grips if grip is not None)
 
@@ -180,26 +178,26 @@ class LaidCable(Handle[CableState]):
     def line(self) -> Array:
         """Its polyline in space, from end to end, as (n, 3) positions on all ranks (length).
 
-        `length` is its length. As a path of `Scene.lay_cable` it gives a cable that lies the same.
+        Its length is `length`. As a path of `Scene.lay_cable`, it gives a cable on the same line.
         """
         return np.asarray(self.positions[self.line_nodes()])
 
     @property
     def free_spans(self) -> Booleans:
-        """Which of the n - 1 parts of its `line` are off the membrane."""
+        """Which of the n - 1 segments of its `line` are off the membrane."""
         nodes = self.line_nodes()
         anchors = [self.nodes[k].kind == "anchor" for k in nodes]
         return (np.diff(nodes) > 1) | np.logical_or(anchors[1:], anchors[:-1])
 
     @property
     def tensions(self) -> Array:
-        """Tensions of the n - 1 parts of its `line` (force)."""
+        """Tensions of the n - 1 segments of its `line` (force)."""
         first = int(self.line_nodes()[0] != 0)
         return self.part_tensions[first:][: len(self.line_nodes()) - 1]
 
     @property
     def part_tensions(self) -> Array:
-        """Internal: tensions of its parts between `contacts`, in order (force)."""
+        """Internal: tensions between consecutive `contacts` (force)."""
         parts = int(np.count_nonzero(~self.lifted)) - 1
         if self.axial is not None and self.taut and len(self.axial.tensions) == parts:
             return self.axial.tensions
@@ -208,23 +206,23 @@ class LaidCable(Handle[CableState]):
         return np.full(parts, self.tension)
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
-        """Internal: numbers of the parts between clamps in which the cable goes on from nodes."""
+        """Internal: numbers of the parts between clamps that begin at or contain the nodes."""
         clamps = () if self.parts is None else self.parts.nodes
         return np.searchsorted(np.array(clamps, dtype=np.int64), nodes, side="right")
 
     @property
     def is_divided(self) -> bool:
-        """Internal: whether its tension may vary along it, by friction or clamps."""
+        """Internal: whether friction or clamps let its tension vary along it."""
         return self.axial is not None or self.parts is not None
 
     @property
     def may_slip(self) -> bool:
-        """Internal: whether it can slip through some of its clamps."""
+        """Internal: whether it can slip through a clamp."""
         return self.parts is not None and bool(self.parts.grips.any())
 
     @property
     def at_clamps(self) -> Array:
-        """Internal: 1 at the points of its `line` that clamps hold, 0 elsewhere."""
+        """Internal: 1 at the points of its `line` held by clamps, 0 elsewhere."""
         bonds = () if self.bonds is None else self.bonds.supports
         ends = () if self.parts is None else self.parts.nodes
         nodes = [k for k in ends if self.nodes[k].support not in bonds]
@@ -249,7 +247,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def path(self) -> Path:
-        """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
+        """Its current path over the mesh; where it is lifted, over the cells below it."""
         points = self.points(self.path_nodes())
         first, last = (
             tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
@@ -258,11 +256,11 @@ class LaidCable(Handle[CableState]):
         return Path(tuple(points), start_anchor=first, end_anchor=last)
 
     def point(self, k: int) -> SurfacePoint:
-        """Place of node k on the mesh as it is now; it is no anchor."""
+        """Current point of node k on the mesh; not for anchors."""
         return self.points([k])[0]
 
     def points(self, nodes: Sequence[int]) -> list[SurfacePoint]:
-        """Places of some nodes on the mesh as it is now; none of them is an anchor."""
+        """Current points of nodes on the mesh; not for anchors."""
         found: list[SurfacePoint] = []
         all_nodes, fractions = self.nodes, floats(self.fractions)
         for k in nodes:
@@ -276,7 +274,7 @@ class LaidCable(Handle[CableState]):
     def set_nodes(
         self, nodes: Sequence[CableNode], positions: Array, fractions: Array, lifted: Booleans
     ) -> None:
-        """Replace the points of the polyline."""
+        """Replace the nodes of the polyline."""
         self.update(
             nodes=tuple(nodes), positions=positions, fractions=fractions, lifted=lifted,
             reference_positions=np.full_like(positions, np.nan), blocked=(),
@@ -285,7 +283,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def ends(self) -> tuple[End, End]:
-        """How its two ends are held; one that passes a fixed place counts as held there."""
+        """How its two ends are held; an anchor at the same point as a tied node counts as held."""
 
         def end(anchor: int, beside: int) -> End:
             if self.nodes[anchor].kind != "anchor":
@@ -297,7 +295,7 @@ class LaidCable(Handle[CableState]):
         return end(0, 1), end(-1, -2)
 
     def interpolation(self, k: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
-        """Vertices (ids) and weights that give node k's place; see `CableNode.interpolation`."""
+        """Vertex ids and weights that give node k's position; see `CableNode.interpolation`."""
         fraction = float(self.fractions[k])
         return self.nodes[k].interpolation(None if np.isnan(fraction) else fraction)
 
@@ -307,11 +305,11 @@ class LaidCable(Handle[CableState]):
         return [k for k, node in enumerate(self.nodes) if node.kind not in off]
 
     def contacts(self) -> list[int]:
-        """Nodes that the cable touches, its ends included, in order."""
+        """Nodes where the cable is not lifted, ends included, in order."""
         return [k for k, lifted in enumerate(flags(self.lifted)) if not lifted]
 
     def line_nodes(self) -> list[int]:
-        """Nodes of its line: its contacts, but an anchor that lies on the next one only once."""
+        """Nodes of its line: its contacts, without an anchor that coincides with the next one."""
         nodes = self.contacts()
         for at, beside in ((0, 1), (-1, -2)):
             away = np.linalg.norm(self.positions[nodes[at]] - self.positions[nodes[beside]])
@@ -320,15 +318,15 @@ class LaidCable(Handle[CableState]):
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
-        """Internal: whether its length lets it be in tension, or `nearly` once it folds cells."""
+        """Internal: whether it is long enough to be taut, or `nearly`, allowing for fold bulges."""
         steps = np.diff(self.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -ROUNDED
         if nearly:
             apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]
-            # Folds bulge out to a longer way. Turns over some nodes: from one to the next small and
-            # large ones, left and right alternate.
+            # Folds bulge and lengthen the path. Turns are averaged over some nodes, as those from
+            # node to node alternate between small and large, left and right.
             some = min(4, len(ways) - 1)
             turns = np.linalg.norm(ways[some:] - ways[:-some], axis=1) / some if some else [0.0]
             bulge = BULGE * float(np.median(turns)) ** 2

@@ -1,8 +1,8 @@
 """Membrane materials: energy densities, stresses and tangents.
 
-All of them act on the Green-Lagrange strain in two in-plane material axes, by UFL expressions of
-the strain's components. Section forces and moduli are per length (modulus times thickness), so
-that energies are per area of the stress-free surface.
+All are functions of the Green-Lagrange strain in two in-plane material axes, as UFL expressions of
+its components. Section forces and moduli are per length (modulus times thickness), energies per
+area of the stress-free surface.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from crms_fenicsx.runtime.errors import InputError
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
-"""Codes of the stress laws, shared with the kernels of `crms_fenicsx.energies.stress_laws`, which
-know all but the last, a user's own."""
+"""Codes of the stress laws, as in the kernels of `crms_fenicsx.energies.stress_laws`, which have
+all but the last, a user's own law."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""
 
 UNSTRAINED = 1e-12
-"""Strain that is rounding. Where a membrane starts without strain its tangent is that of the taut
-membrane, whatever the signs that rounding gives the strain."""
+"""Strain below which a membrane counts as unstrained: its tangent there is that of the taut
+membrane, whatever the sign of rounding errors in the strain."""
 
 
 def check_warp(owner: str, warp: object) -> None:
-    """Refuse a direction of the warp that is zero."""
+    """Refuse a zero warp direction."""
     if not callable(warp) and not np.any(checks.vector(f"{owner}: warp", warp)):
         raise InputError(f"{owner}: warp = {warp} is no direction; one is not zero.")
 
@@ -57,16 +57,16 @@ class MembraneMaterial(ABC):
     @property
     @abstractmethod
     def reference_modulus(self) -> float:
-        """One modulus times thickness, E t, that sets the size of the penalty (force/length)."""
+        """Modulus times thickness, E t, that scales the penalty (force per length)."""
 
     @property
     @abstractmethod
     def law_parameters(self) -> tuple[float, float, float]:
-        """Numbers of the wrinkling law: isotropic E t, nu, 0; orthotropic E1 t, rho, kappa."""
+        """Parameters of the wrinkling law: isotropic E t, nu, 0; orthotropic E1 t, rho, kappa."""
 
     @property
     def warp(self) -> Direction | None:
-        """Direction of material axis 1, None where it does not matter."""
+        """Direction of material axis 1; None if irrelevant."""
         return None
 
     @property
@@ -116,9 +116,9 @@ class IsotropicMembrane(MembraneMaterial):
     prestress
         Section force at zero strain (force per length), equal in all directions or (11, 22).
     wrinkling
-        True: tension-field theory, the relaxed energy: no compression, by wrinkles that are finer
-        than the mesh. False: the membrane resists compression; then compressed regions have no
-        unique equilibrium.
+        True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
+        the mesh. False: the membrane resists compression, and compressed regions have no unique
+        equilibrium.
     """
 
     E: float
@@ -174,19 +174,19 @@ class OrthotropicMembrane(MembraneMaterial):
     G12
         Shear modulus (force per area).
     nu21
-        Poisson's ratio for a stress along weft: the strain along warp is -nu21 times the strain
-        along weft. The stiffness is positive definite for ``nu21**2 < E2 / E1``.
+        Poisson's ratio for stress along weft: the strain along warp is -nu21 times the strain along
+        weft. The stiffness is positive definite for ``nu21**2 < E2 / E1``.
     thickness
         Thickness (length).
     warp
-        Direction of the warp in space, (3,), or a function of points (3, n) that gives directions
-        (3, n); its projection on the surface counts.
+        Direction of the warp in space, (3,), or a function of points (3, n) that returns directions
+        (3, n); it is projected on the surface.
     prestress
         Section force at zero strain (force per length): one value or (warp, weft).
     wrinkling
-        True: tension-field theory, the relaxed energy: no compression, by wrinkles that are finer
-        than the mesh. False: the membrane resists compression; then compressed regions have no
-        unique equilibrium.
+        True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
+        the mesh. False: the membrane resists compression, and compressed regions have no unique
+        equilibrium.
     """
 
     E1: float
@@ -224,7 +224,7 @@ class OrthotropicMembrane(MembraneMaterial):
 
     @property
     def law_parameters(self) -> tuple[float, float, float]:
-        # rho = (c11 / c22)^(1/4), kappa = (2 c12 + c66) / (2 (c11 c22)^(1/2)); c the compliance
+        # rho = (c11 / c22)^(1/4), kappa = (2 c12 + c66) / (2 (c11 c22)^(1/2)) with compliances c
         kappa = np.sqrt(self.E1 * self.E2) * (0.5 / self.G12 - self.nu21 / self.E2)
         return self.E1 * self.thickness, float((self.E2 / self.E1) ** 0.25), float(kappa)
 
@@ -240,13 +240,13 @@ class LawTerms:
     energy: Any  # energy per area of the stress-free surface, zero at zero strain
     stress: Any  # second Piola-Kirchhoff section forces S, (2, 2)
     state: Any  # 2 taut, 1 wrinkled, 0 slack
-    # bilinear forms of two strain increments: the consistent tangent, that of the taut membrane
+    # bilinear forms of two strain increments: consistent tangent, tangent of the taut membrane
     tangent: Callable[[Any, Any], Any]
     taut_tangent: Callable[[Any, Any], Any]
 
 
 def voigt(E: Any) -> Any:
-    """A symmetric UFL tensor (2, 2) of strain as (E11, E22, 2 E12)."""
+    """Voigt vector (E11, E22, 2 E12) of a symmetric UFL strain tensor (2, 2)."""
     return ufl.as_vector([E[0, 0], E[1, 1], 2 * E[0, 1]])
 
 
@@ -256,17 +256,17 @@ def symmetric(s: Any) -> Any:
 
 
 def taut_stiffness(p: Any) -> tuple[Any, Callable[[Any, Any], Any]]:
-    """Stiffness (3, 3) of the taut membrane, of parameters p, and its bilinear form."""
+    """Stiffness (3, 3) of the taut membrane from the parameters p, and its bilinear form."""
     D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
     return D, lambda a, b: ufl.dot(voigt(a), D * voigt(b))
 
 
 def law_terms(law: int, E: Any, p: Any) -> LawTerms:
-    """UFL expressions of a stress law at a strain (2, 2), with the material's parameters p."""
+    """UFL expressions of a stress law at a strain E (2, 2), with the material's parameters p."""
     # Relaxed energy of the isotropic tension field with principal strains E1 >= E2 (A. C. Pipkin,
-    # IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1 >= 0 (taut); E t/2 E1^2 where that is
-    # negative and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may
-    # divide by zero; the conditionals drop them.
+    # IMA J. Appl. Math. 36, 1986): the taut energy for E2 + nu E1 >= 0, otherwise E t/2 E1^2 if
+    # E1 > 0 (wrinkled) or zero (slack). Unselected branches may divide by zero; the conditionals
+    # drop them.
     if law not in (LINEAR, TENSION_FIELD):
         raise ValueError(
             f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}"
@@ -276,7 +276,7 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     prestress = ufl.as_vector([p[12], p[13], p[14]])
     Et, nu = p[15], p[16]
 
-    # Without the energy at rest, S^2 / E t, in which small changes would be lost.
+    # The constant prestress energy S^2 / E t is left out: small changes would be lost in it.
     s = prestress + D * voigt(E)
     taut_energy = ufl.dot(prestress + s, voigt(E)) / 2
     if law == LINEAR:

@@ -1,4 +1,4 @@
-"""The membrane: mesh, displacements, supports, materials, penalty and where pressure acts."""
+"""The membrane: mesh, displacements, supports, materials, penalty and pressurised cells."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from crms_fenicsx.runtime.errors import (
 )
 
 STABLE_PENALTY = (1e-3, 1.0)
-"""Penalty factors between which folded cells are stable and do not lock."""
+"""Range of penalty factors in which folded cells are stable and do not lock."""
 
 
 def warn_of_penalty(comm: MPI.Intracomm, penalty: float) -> None:
-    """Warn on rank 0 of a factor for which folded cells are not sound."""
+    """Warn on rank 0 of a penalty factor outside `STABLE_PENALTY`."""
     lower, upper = STABLE_PENALTY
     if lower <= penalty <= upper or comm.rank > 0:
         return
@@ -54,18 +54,18 @@ def warn_of_penalty(comm: MPI.Intracomm, penalty: float) -> None:
 
 
 Marker = Callable[[Array], Booleans]
-"""A function of stress-free coordinates (3, n) that returns (n,) booleans."""
+"""Function of stress-free coordinates (3, n) that returns Booleans (n,)."""
 COMPONENTS = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True)
 class MembraneState:
-    """What can change of a membrane; see the attributes of `Membrane`."""
+    """Variable data of a membrane; see the attributes of `Membrane`."""
 
-    u: Annotated[Array, Rows.VERTICES, 3] = field(repr=False)  # as `u`, by vertices
+    u: Annotated[Array, Rows.VERTICES, 3] = field(repr=False)  # displacements of the vertices
     held: Annotated[Booleans, Rows.VERTICES, 3] = field(repr=False)
     held_edges: Annotated[Booleans, Rows.EDGES] = field(repr=False)
-    materials: tuple[MembraneMaterial, ...]  # by their numbers
+    materials: tuple[MembraneMaterial, ...]  # by material number
 
 
 class Membrane:
@@ -80,31 +80,31 @@ class Membrane:
     ) -> None:
         require_real()
         self.mesh, self.comm = mesh, mesh.comm
-        _ = mesh.overlaps  # known from now on, wherever parts are named
-        # materials by number, and the number of each cell's; no tags if there is one for all
+        _ = mesh.overlaps  # computed now; needed wherever parts are named
+        # tags: material number of each cell, None with a single material; materials by number
         self.cell_tags, self.materials = _assign_materials(mesh, material)
         self.first_materials = dict(self.materials)  # before `Scene.set_material`
         named = material if isinstance(material, Mapping) else {}
-        self.parts = dict(enumerate(sorted(named, key=repr)))  # with a material of their own
+        self.parts = dict(enumerate(sorted(named, key=repr)))  # by number of their material
         self.pressed = _pressed_cells(mesh, pressure_on)  # whether pressure acts on each local cell
         self.pressure_on = pressure_on
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")  # from the stress-free shape (length)
-        # (n, 3) held components of the vertices, and whether edges are held over their whole length
+        # (n, 3) held components of the vertices; edges held over their whole length
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
-        # (n, 2, 3) what unit vectors along warp and weft of local cells' own stress-free shapes are
-        # in the mesh; None where the mesh is stress-free
+        # (n, 2, 3) images in the mesh of the unit vectors along warp and weft of the cells' own
+        # stress-free shapes; None where the mesh is stress-free
         self.frames = None if frames is None else _checked_frames(mesh, frames)
-        # for results, and no part of the state: strengths by part, and what they are divided by
-        # while loads act, by the names of these
+        # for results only, not part of the state: strengths by part, and their partial factors by
+        # the names of the acting loads
         self.strengths: dict[str, Strengths] = {}
         self.strength_factors: dict[str, float] = {}
 
     @property
     def state(self) -> MembraneState:
-        """What can change of it, copied."""
+        """Copy of the variable data."""
         return MembraneState(
             self.u.x.array.reshape(-1, 3).copy(), self.held.copy(), self.held_edges.copy(),
             tuple(self.materials.values()),
@@ -118,7 +118,7 @@ class Membrane:
 
     @cached_property
     def open_edges(self) -> OpenEdges:
-        """Edges that pressure needs to be held. Collective."""
+        """Edges of the pressurised cells that must be held. Collective."""
         return open_edges(self.V, self.pressed)
 
     @cached_property
@@ -137,24 +137,24 @@ class Membrane:
 
     @cached_property
     def nodal_values(self) -> fem.FunctionSpace:
-        """Space of results with a value at each vertex, linear between them. Collective."""
+        """P1 space of results at vertices. Collective."""
         return fem.functionspace(self.mesh.mesh, ("Lagrange", 1))
 
     @cached_property
     def cell_values(self) -> fem.FunctionSpace:
-        """Space of results with a value in each cell. Collective."""
+        """DG0 space of results in cells. Collective."""
         return fem.functionspace(self.mesh.mesh, ("Discontinuous Lagrange", 0))
 
     @cached_property
     def vertex_ids(self) -> Integers:
-        """Numbers of the vertices in the mesh as it was given, by degree of freedom, (n,)."""
+        """Vertex numbers in the mesh as given, by degree of freedom, (n,)."""
         ids = np.zeros(len(self.held), dtype=np.int64)
         ids[self.V.dofmap.list] = cell_vertex_ids(self.mesh.mesh)
         return ids
 
     @cached_property
     def centre(self) -> Array:
-        """Mean stress-free position (length), from which volumes count. Collective."""
+        """Mean stress-free position (length), the origin of volumes. Collective."""
         vertices = self.V.dofmap.index_map
         total = self.comm.allreduce(self.stress_free[: vertices.size_local].sum(axis=0))
         return np.asarray(total / vertices.size_global)
@@ -171,11 +171,11 @@ class Membrane:
 
     @property
     def owned_u(self) -> Array:
-        """Displacements of this rank's own vertices, flat: ghosts follow those of other ranks."""
+        """Displacements of this rank's own vertices, flat, without ghosts."""
         return self.u.x.array[: 3 * self.V.dofmap.index_map.size_local]
 
     def check_finite(self, purpose: str) -> None:
-        """Refuse to go on from a displacement that is not finite."""
+        """Refuse displacements that are not finite."""
         with raised_together(self.comm):
             u = self.u.x.array.reshape(-1, 3)
             bad = ~np.isfinite(u).all(axis=1)
@@ -188,7 +188,7 @@ class Membrane:
 
     @collective
     def vertices(self, where: str | Marker) -> Indices:
-        """Local degrees of freedom of the vertices of a named group or marked by a function."""
+        """Local degrees of freedom of the vertices of a group or marked by a function."""
         checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
         dofs: Indices = np.zeros(0, dtype=np.int32)
@@ -220,11 +220,11 @@ class Membrane:
         return dofs
 
     def owner_of_material(self, number: int) -> str:
-        """Name what has a material, for messages."""
+        """Owner of a material in messages: a part or the membrane."""
         return f"part {self.parts[number]!r}" if self.parts else "the membrane"
 
     def refuse_step_strain(self) -> None:
-        """Refuse what the paper's step-wise strain does not know."""
+        """Refuse frames and materials that the paper's step-wise strain does not support."""
         if self.frames is not None:
             raise InputError(
                 'Scene: strain="step" starts from the mesh as the stress-free shape, but there are '
@@ -244,7 +244,7 @@ class Membrane:
                 )
 
     def refuse_folds(self, cells: Indices, cable: str) -> None:
-        """Refuse cables over cells whose material has no compiled law. Collective."""
+        """Refuse a cable over cells whose material has no compiled law. Collective."""
         uncompiled = [k for k, own in self.materials.items() if own.law == UFL_LAW]
         if not uncompiled:
             return
@@ -281,12 +281,12 @@ class Membrane:
 
 
 def own_areas(frames: Array) -> Array:
-    """What areas (n,) of cells' own stress-free shapes are to theirs in the mesh."""
+    """Ratio (n,) of the areas of the cells' own stress-free shapes to those in the mesh."""
     return np.asarray(1.0 / np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1))
 
 
 def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
-    """Frames of this rank's cells, right-handed with their normals. Collective."""
+    """Check that frames lie in this rank's cells, right-handed with the normals. Collective."""
     with raised_together(mesh.comm):
         given, normals = np.asarray(frames, dtype=float), cell_normals(mesh.mesh)
         if given.shape != (len(normals), 2, 3) or not np.isfinite(given).all():
@@ -307,7 +307,7 @@ def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
 def _assign_materials(
     mesh: MembraneMesh, material: MembraneMaterial | Mapping[str, MembraneMaterial]
 ) -> tuple[MeshTags | None, dict[int, MembraneMaterial]]:
-    """Cell tags of the parts with a material of their own (None if there is one for all)."""
+    """Material number of each cell (None with a single material), and materials by number."""
     if isinstance(material, MembraneMaterial):
         return None, {0: material}
     if not isinstance(material, Mapping):
@@ -347,10 +347,10 @@ def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Boo
 class StepHistory:
     """This rank's history of the step-wise laws."""
 
-    # (n, 6) section forces and shapes of cells, as `StepMembraneEnergy.history`; None where the
-    # strain has the total law
+    # (n, 6) section forces and shapes of cells, as in `StepMembraneEnergy.history`; None with the
+    # total law
     cells: Annotated[Array, Rows.CELLS, 6] | None = None
-    energy: float = 0.0  # strain energy so far of plain cells (force x length)
-    folded_energy: float = 0.0  # that of folded cells
-    volume: float = 0.0  # volume gained so far under plain cells (length cubed)
-    folded_volume: float = 0.0  # that under folded cells
+    energy: float = 0.0  # accumulated strain energy of plain cells (force x length)
+    folded_energy: float = 0.0  # of folded cells
+    volume: float = 0.0  # volume gained under plain cells (length cubed)
+    folded_volume: float = 0.0  # under folded cells

@@ -1,8 +1,8 @@
-"""Loads on the membrane by their nodal forces, which keep direction and size as the shape changes.
+"""Loads on the membrane as nodal forces that keep direction and size as the shape changes.
 
-Wind has no potential, as its suction stays normal to the surface and varies over it. A load step
-is solved with the wind's forces on the shape found before until they are those on its own shape;
-what it adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`.
+Wind has no potential, as its suction stays normal to the surface and varies over it. A load step is
+solved with the wind's forces on the previously found shape, repeatedly, until they agree with those
+on the new shape. The correction on folded cells is a separate term, `folded_pressure.FoldedWind`.
 """
 
 from __future__ import annotations
@@ -25,40 +25,38 @@ from crms_fenicsx.runtime.arrays import Array, Rows
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
-"""Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""
+"""Force per area: (3,), or a function of points and unit normals, both (3, n), returning (3, n)."""
 
 Coefficient = float | Mapping[str, float] | Callable[[Array, Array], Array]
-"""Pressure coefficient of the wind: one number, one of each part of the mesh by its name, or a
-function of points and unit normals, both (3, n), giving (n,)."""
+"""Pressure coefficient of the wind: a number, one for each named part of the mesh, or a function of
+points and unit normals, both (3, n), returning (n,)."""
 
 Area = Literal["surface", "plan", "material"]
-"""Area that a load is counted by: that of the current surface, of its plan, or stress-free."""
+"""Reference area of a load: the current surface, its plan projection, or the stress-free area."""
 
 
 @dataclass(frozen=True)
 class MembraneLoad:
     """A load on the membrane."""
 
-    name: str  # what load steps, history and checkpoints know it by
-    # (n, 3) what this rank's cells give to its vertices at the factor 1 (force)
+    name: str  # name in load steps, history and checkpoints
+    # (n, 3) nodal forces from this rank's cells at the factor 1 (force)
     forces: Annotated[Array, Rows.SHARES, 3] = field(repr=False)
-    intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
+    intensity: float  # mean force per area at the factor 1, over the whole membrane
     # (m,) force per area along the normals of this rank's cells; None for a fixed direction
     suction: Annotated[Array, Rows.CELLS] | None = field(default=None, repr=False)
-    peak: float = (
-        0.0  # velocity pressure q_p of wind (force per area), by which suction is -q_p c_p
-    )
-    factor: float = 0.0  # what the forces are multiplied by; load steps change it
-    # forces (force) on joints of bars, by their names
+    peak: float = 0.0  # velocity pressure q_p of wind (force per area): the suction is -q_p c_p
+    factor: float = 0.0  # load factor, changed by load steps
+    # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def blows(self) -> bool:
-        """Whether it follows the normals, and its factor is not zero."""
+        """Whether it follows the normals, with a nonzero factor."""
         return self.suction is not None and self.factor != 0.0
 
     def turned(self, membrane: Membrane) -> MembraneLoad:
-        """The load with the forces of the current shape; one of fixed direction as it is."""
+        """The load with forces of the current shape; unchanged if of fixed direction."""
         if self.suction is None or self.factor == 0.0:
             return self
         shape = _Shape(membrane)
@@ -71,27 +69,27 @@ class _Shape:
     def __init__(self, membrane: Membrane) -> None:
         self.membrane, self._cells = membrane, membrane.V.dofmap.list
         self._corners: Array = membrane.positions()[self._cells]
-        self.vectors: Array = double_areas(self._corners) / 2  # areas (m, 3) times unit normals
+        self.vectors: Array = double_areas(self._corners) / 2  # area vectors (m, 3)
 
     @cached_property
     def areas(self) -> Array:
-        """Their areas, (m,) (length squared)."""
+        """Areas of the cells, (m,) (length squared)."""
         return norm(self.vectors)
 
     @cached_property
     def centres(self) -> Array:
-        """Their centres, (m, 3) (length)."""
+        """Centroids of the cells, (m, 3) (length)."""
         return np.asarray(self._corners.mean(axis=1))
 
     def values(
         self, what: str, function: Callable[[Array, Array], Array], due: tuple[int, ...]
     ) -> Array:
-        """Values of a user's function at the cells' centres and unit normals."""
+        """Values of a user's function at the cells' centroids and unit normals."""
         normals = self.vectors / self.areas[:, None]
         return checks.returned(what, function(self.centres.T, normals.T), self.centres.T, due)
 
     def counted(self, by: Area) -> Array:
-        """The areas that a load is counted by, (m,)."""
+        """Reference areas of a load, (m,)."""
         if by == "plan":
             return np.abs(self.vectors[:, 2])
         return self.membrane.cell_areas if by == "material" else self.areas
@@ -103,7 +101,7 @@ class _Shape:
         return forces
 
     def load(self, name: str, loads: Array, suction: Array | None = None) -> MembraneLoad:
-        """A load by its forces (m, 3) on the cells. Collective."""
+        """A load from forces (m, 3) on the cells. Collective."""
         local = np.array([np.linalg.norm(loads, axis=1).sum(), self.areas.sum()])
         total, area = self.membrane.comm.allreduce(local, op=MPI.SUM)
         return MembraneLoad(name, self.nodal(loads), float(total / area), suction)
@@ -113,8 +111,8 @@ def fixed_direction_load(
     membrane: Membrane, traction: Traction, name: str = "load", per: Area = "surface"
 ) -> MembraneLoad:
     """A load of fixed direction on the membrane's current shape. Collective."""
-    # A cell gives a third of its load, taken at its centre, to each vertex, also where a cable
-    # folds it: the triangles of corners cover the same surface up to the depth of the folds.
+    # Each vertex gets a third of a cell's load, taken at the centroid, also where a cable folds the
+    # cell: the corner triangles cover the same surface up to the depth of the folds.
     checks.one_of("put_load: per", per, get_args(Area))
     shape = _Shape(membrane)
     loads = np.zeros_like(shape.vectors)
@@ -131,7 +129,7 @@ def fixed_direction_load(
 def wind_load(
     membrane: Membrane, pressure: float, coefficient: Coefficient, name: str = "wind"
 ) -> MembraneLoad:
-    """A load along the normals of the membrane's current shape, which it follows. Collective."""
+    """A load along the normals, which it follows as the shape changes. Collective."""
     pressure = checks.positive("put_wind: pressure", pressure)
     shape = _Shape(membrane)
     suction = np.zeros(len(shape.areas))
@@ -141,7 +139,7 @@ def wind_load(
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
-    """A load of fixed direction by its forces on the vertices. Collective."""
+    """A load of fixed direction given by forces on the vertices. Collective."""
     nodal = np.zeros(membrane.held.shape)
     with raised_together(membrane.comm):
         if not isinstance(forces, fem.Function) or forces.function_space != membrane.V:

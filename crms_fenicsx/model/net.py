@@ -1,4 +1,4 @@
-"""The layout of a net: paths of cables by family, with names, lengths and crossings."""
+"""The layout of a net: cable paths by family, with names, lengths and crossings."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from crms_fenicsx.runtime.checks import counted, span
 
 @dataclass(frozen=True)
 class NetLine:
-    """A line of a net, on which a cable can be laid.
+    """A line of a net on which a cable can be laid.
 
     Attributes
     ----------
     name
         Name: the family's letter and a number, "A1", "A2" ...
     path
-        Its way over the membrane, from rim to rim, (k, 3) (length), as `Scene.lay_cable` takes it.
+        Path over the membrane, from rim to rim, (k, 3) (length), as `Scene.lay_cable` takes it.
     length
-        Its length on the smooth surface behind the facets (length): the unstressed length of a
-        cable that is just taut on it, but where it spans hollows.
+        Length on the smooth surface approximated by the facets (length): the unstressed length of a
+        cable just taut on it, except where it spans hollows.
     """
 
     name: str
@@ -30,14 +30,14 @@ class NetLine:
 
 @dataclass(frozen=True)
 class NetCrossing:
-    """A place where two lines of a net cross.
+    """A crossing of two lines of a net.
 
     Attributes
     ----------
     lines
         Names of the two lines, that of the earlier family first.
     place
-        Where it is, (3,) (length).
+        Its position, (3,) (length).
     at
         Distances from the starts of these lines, measured as their lengths (length).
     """
@@ -56,11 +56,11 @@ class Net:
     lines
         The lines, family by family.
     crossings
-        Where they cross each other.
+        Crossings of the lines.
     nodes : (n, m, 3)
-        Nodes of an equidistant net (length): ``nodes[i, j]`` is joined to ``nodes[i + 1, j]`` by a
-        line of the first family and to ``nodes[i, j + 1]`` by one of the second. NaN where there is
-        none; None for other nets.
+        Nodes of an equidistant net (length): a line of the first family joins ``nodes[i, j]`` to
+        ``nodes[i + 1, j]``, one of the second to ``nodes[i, j + 1]``. NaN for missing nodes; None
+        for other nets.
     """
 
     lines: tuple[NetLine, ...]

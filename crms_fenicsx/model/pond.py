@@ -1,4 +1,4 @@
-"""Water that stands on a membrane, up to a level of its own or of the amount that there is."""
+"""Ponding water on a membrane, up to a given level or of a given volume."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from crms_fenicsx.runtime.arrays import Booleans
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 
 UPRIGHT = 1e-6
-"""Area of the plan, relative to that of the surface, from which on cells have an upper side."""
+"""Plan area over surface area above which cells have an upper side."""
 
 
 @dataclass(frozen=True)
@@ -25,22 +25,21 @@ class Pond:
     Attributes
     ----------
     name
-        What load steps, history and checkpoints know it by.
+        Name in load steps, history and checkpoints.
     weight
-        Weight by volume (force / length cubed) at the factor 1.
+        Specific weight (force / length cubed) at the factor 1.
     given
-        Whether the "level" or the "volume" stays as it is.
+        Which of "level" and "volume" is prescribed.
     level
-        Height z of the water's surface (length).
+        Height z of the water surface (length).
     volume
-        Amount of water (length cubed).
+        Volume of water (length cubed).
     parts
-        Names of the parts of the mesh that it stands on; without any, where the outer side faces
-        up.
+        Names of the mesh parts it stands on; if empty, all cells whose `side` faces up.
     side
         1 if it stands on the outer side of the cells, else -1.
     factor
-        What the weight is multiplied by; load steps change it.
+        Load factor of the weight, changed by load steps.
     """
 
     name: str
@@ -53,7 +52,7 @@ class Pond:
     factor: float = 0.0
 
     def cells(self, membrane: Membrane) -> Booleans:
-        """Whether this rank's cells can have water on them, (m,)."""
+        """Whether water can stand on this rank's cells, (m,)."""
         if self.parts:
             return cells_of(membrane.mesh, self.parts)
         up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -UPRIGHT

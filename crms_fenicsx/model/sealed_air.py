@@ -1,18 +1,18 @@
-"""Sealed air, whose pressure follows from its volume, and fans, which answer a load.
+"""Sealed air, whose pressure follows from its volume, and fan control by a load factor.
 
-A quantity of gas at the absolute pressure P0 and the volume V0, heated to tau times its absolute
+Gas sealed at the absolute pressure P0 and the volume V0, heated to tau times its absolute
 temperature and then brought to the volume V, has the absolute pressure
 
     P = tau P0 (V0 / V)^gamma.
 
-The exponent gamma is 1 where it has time to take its surroundings' temperature (isothermal, Boyle),
-and the ratio of specific heats, 1.4 for air, where it has not (adiabatic, Poisson), as in a gust.
-With the atmosphere's pressure p_a outside, its potential is
+The exponent gamma is 1 if the gas has time to take the temperature of its surroundings (isothermal,
+Boyle), and the ratio of specific heats, 1.4 for air, if not (adiabatic, Poisson), as in a gust.
+With the atmospheric pressure p_a outside, its potential is
 
     Pi = p_a V + tau P0 V0 / (gamma - 1) (V0 / V)^(gamma - 1),    isothermal:
     Pi = p_a V - tau P0 V0 ln(V / V0),
 
-whose derivative by V is minus the pressure P - p_a on the membrane.
+whose derivative by V is minus the gauge pressure P - p_a on the membrane.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from crms_fenicsx.runtime.arrays import EPSILON
 from crms_fenicsx.runtime.errors import InputError
 
 LEAST = 0.02
-"""Volume, relative to that at sealing, below which the pressure goes on as its tangent: no air is
-pressed together that far, but steps of a minimiser may try to."""
+"""Volume, relative to that at sealing, below which the pressure is extrapolated linearly: trial
+steps of a minimiser may go there, equilibria do not."""
 
 SERIES = 0.1
-"""Change of the volume, relative to it, up to which what the potential has of second order is
-summed up in powers: as a difference it would drown in rounding."""
+"""Relative volume change up to which the second-order part of the potential is summed as a power
+series: as a difference it would be lost in rounding."""
 
 
 @dataclass(frozen=True)
 class SealedAir:
-    """A quantity of air under the cells that are under pressure.
+    """A sealed quantity of air under the pressurised cells.
 
     Attributes
     ----------
     volume
-        Its volume at sealing (length cubed).
+        Volume at sealing (length cubed).
     gained
-        `Scene.volume` at sealing (length cubed); what that is more later, the air has more.
+        `Scene.volume` at sealing (length cubed); any later increase is one of the air's volume.
     sealed_at
-        Its pressure over that of the atmosphere, at sealing (force per area).
+        Gauge pressure at sealing (force per area).
     absolute
-        Its absolute pressure at sealing (force per area).
+        Absolute pressure at sealing (force per area).
     exponent
         1 if isothermal, 1.4 for air if adiabatic.
     atmosphere
-        Current pressure of the atmosphere (force per area).
+        Current atmospheric pressure (force per area).
     temperature
-        Current absolute temperature, relative to that at sealing. If adiabatic that is what heat
-        has made of it, before it changes with the volume.
+        Current absolute temperature, relative to that at sealing; if adiabatic, the effect of heat
+        alone, without that of the volume change.
     """
 
     volume: float
@@ -68,11 +68,11 @@ class SealedAir:
     temperature: float = 1.0
 
     def _change(self, gained: float) -> float:
-        """Change of the volume, relative to that at sealing."""
+        """Volume change relative to the volume at sealing."""
         return (gained - self.gained) / self.volume
 
     def pressure(self, gained: float) -> float:
-        """Pressure over that of the atmosphere (force per area), for a gained volume (length^3)."""
+        """Gauge pressure (force per area) at a gained volume (length cubed)."""
         v, hot = self._change(gained), self.temperature * self.absolute
         known = max(v, LEAST - 1.0)
         p = (hot - self.atmosphere) + hot * math.expm1(-self.exponent * math.log1p(known))
@@ -84,7 +84,7 @@ class SealedAir:
         return self.exponent * hot * (1.0 + known) ** (-self.exponent - 1.0) / self.volume
 
     def energy(self, gained: float) -> float:
-        """Potential (force x length); that of the pressure before, at sealing."""
+        """Potential (force x length), at sealing equal to that of the constant pressure before."""
         v, hot = self._change(gained), self.temperature * self.absolute
         known = max(v, LEAST - 1.0)
         energy = hot * _second_order(known, self.exponent) - (hot - self.atmosphere) * known
@@ -110,24 +110,24 @@ def _second_order(v: float, exponent: float) -> float:
 
 @dataclass(frozen=True)
 class FanControl:
-    """Inner pressure by the factor of a load, as fans of an air hall are set for wind or snow.
+    """Inner pressure as a function of a load factor, as set by the fans of an air hall.
 
-    Between the factors given the pressure is interpolated, beyond them it is that of the last one.
+    The pressure is interpolated between the given factors, and constant beyond them.
 
     Parameters
     ----------
     load
         Name of the load.
     factors
-        Factors of it, rising.
+        Load factors, increasing.
     pressures
-        Pressure at each (force per area).
+        Pressure at each factor (force per area).
 
     Raises
     ------
     InputError
-        A load that is no text, numbers that are not finite, factors that do not rise, or not as
-        many pressures.
+        If the load is no text, numbers are not finite, the factors do not increase, or there are
+        not as many pressures.
 
     Examples
     --------
@@ -158,5 +158,5 @@ class FanControl:
             )
 
     def pressure(self, factor: float) -> float:
-        """Pressure (force per area) at a factor of the load."""
+        """Pressure (force per area) at a load factor."""
         return float(np.interp(factor, self.factors, self.pressures))

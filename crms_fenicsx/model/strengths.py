@@ -1,4 +1,4 @@
-"""Strengths of fabrics, and the factors by which they are divided under some loads."""
+"""Strengths of fabrics, and their partial factors under some loads."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 Strengths = tuple[float, float]
-"""In warp and weft (force per length)."""
+"""Strengths in warp and weft (force per length)."""
 
 ALL = ""
-"""What the strengths are known by that belong to the whole membrane; no name of a part."""
+"""Key of strengths that hold for the whole membrane; not a valid part name."""
 
 
 def checked_strengths(
     call: str, strengths: Strengths | Mapping[str, Strengths], mesh: MembraneMesh
 ) -> dict[str, Strengths]:
-    """Strengths by part, or under `ALL` those of the whole membrane."""
+    """Checked strengths by part, or under `ALL` those of the whole membrane."""
     given: dict[str, Any] = {ALL: strengths}
     if isinstance(strengths, Mapping):
         parts = outer_first(mesh, call, "pair of strengths", strengths)
@@ -45,7 +45,7 @@ def checked_strengths(
 def checked_factors(
     call: str, factors: Mapping[str, float] | None, loads: Iterable[str]
 ) -> dict[str, float]:
-    """By what strengths are divided while loads act, by their names."""
+    """Checked partial factors of the strengths, by the names of the acting loads."""
     given = {} if factors is None else factors
     checks.collection(f"{call}: factors", given, Mapping, '{"snow": 1.6}')
     known = {name: name for name in loads}

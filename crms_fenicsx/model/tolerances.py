@@ -1,43 +1,43 @@
-"""How near is near: what the modules that lay, hold and move cables take for one place.
+"""Tolerances shared by the modules that lay, attach and move cables.
 
-Parts of an edge, from an end of it; the least first. Each is larger than the one before for the
-reason given, so that what one module has placed is not taken for something else by another.
+Except for `SAME_PLACE`, they are fractions of an edge, from one of its ends, in increasing order.
+Each exceeds the one before for the reason given, so that modules agree on what a point lies on.
 """
 
 from __future__ import annotations
 
 SAME_PLACE = 1e-9
-"""Distance, relative to a cable's length or to the size of the membrane or of the cells around, of
-points that were given as one place."""
+"""Distance of points that coincide, relative to a cable's length or to the size of the membrane or
+of the surrounding cells."""
 
 SMOOTHING = 3e-3
-"""Lengths of segments are smoothed by this part of the size of the cells around. Fold points that
-are held at a vertex converge the faster the larger it is, and lengthen the cable by 0.4 of it each;
-that is taken off again, see `crms_fenicsx.equilibrium.system.System.renew_smoothing_length`."""
+"""Smoothing of segment lengths, relative to the size of the surrounding cells. The larger it is,
+the faster fold points held at a vertex converge; each lengthens the cable by 0.4 of it, which
+`crms_fenicsx.equilibrium.system.System.renew_smoothing_length` subtracts again."""
 
 BLOCKED = SMOOTHING
-"""A sliding point nearer than this has run into the vertex. Farther off nothing but the cable and
-the membrane holds it."""
+"""A sliding point closer to a vertex has run into it. Farther away, only the cable and the membrane
+hold it."""
 
 PRESSED = 2 * SMOOTHING
-"""A point without friction nearer than this is held by the vertex as if it were on it: beyond,
-lengths are exact, and it slides freely."""
+"""A frictionless point closer to a vertex is held as if on it; beyond, smoothing does not affect
+lengths, and the point slides freely."""
 
 BEYOND = 0.01
-"""Where a path starts on the other side of a vertex, off the smoothing; and from where on a vertex
-beside a crossing holds the path that a geodesic would take."""
+"""Start of a path on the other side of a vertex, outside the smoothing; also the distance from
+which a vertex beside a crossing blocks the path of a geodesic."""
 
 INSIDE = 0.02
-"""Points that are put on an edge keep off its ends by this, more than those of a path that has just
-passed the vertex."""
+"""Distance of points put on an edge from its ends, larger than that of a path that has just passed
+the vertex."""
 
 GRIPPED = 0.025
-"""A point as near as this, to which friction lets it slide, has run into the vertex: also one that
-was put on the edge at `INSIDE`."""
+"""A point that friction lets slide this close to a vertex has run into it, including one put on
+the edge at `INSIDE`."""
 
 STAYS = 0.1
-"""By how much a point of a cable with friction may have to move on a new path, and still stays
-where it was: others are those that are put back in place."""
+"""Largest move of a point with friction on a new path for which it keeps its position; points that
+move more are placed anew."""
 
 PAST = 0.25
-"""Up to here a span that passes beyond an edge's end is judged by it; see `contact.lift_off`."""
+"""Reach beyond an edge's end within which a span is judged by the edge; see `contact.lift_off`."""

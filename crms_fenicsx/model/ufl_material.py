@@ -1,4 +1,4 @@
-"""Membrane materials by an energy density that the user writes in UFL."""
+"""Membrane materials with a user-defined energy density in UFL."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ PROBED = 0.01
 PROBES = PROBED * np.array([e for e in product((-1.0, 0.0, 1.0), repeat=3) if any(e)])
 """These strains (n, 3), (E11, E22, 2 E12)."""
 BELOW = 1e-10
-"""How far it may be below that, relative to the stiffness times the square of the strain."""
+"""Tolerance below the tangent plane, relative to the stiffness times the squared strain."""
 
 
 @dataclass(frozen=True)
 class UflMembrane(MembraneMaterial):
-    """Membrane with an energy density of your own, in UFL.
+    """Membrane with a user-defined energy density in UFL.
 
-    Its forces and its stiffness in H0 are UFL's derivatives of it. It is for cells that no cable
-    folds: those have compiled laws, which this one has not. It wrinkles if its density does: one
-    without compression is an energy that is zero there.
+    Forces and stiffness in H0 are its UFL derivatives. It is only for cells that no cable folds,
+    since those need compiled laws. It wrinkles if its density does: a density without compression
+    is zero under it.
 
     Parameters
     ----------
     psi
         Energy per area of the stress-free surface (force / length): a function of the UFL
-        Green-Lagrange strain in two in-plane axes, (2, 2), that returns a UFL scalar. It must be
-        zero at zero strain, and convex, with a positive definite second derivative there. It is
-        made of the strain and of numbers. Its slope at zero strain is a prestress.
+        Green-Lagrange strain in two in-plane axes, (2, 2), that returns a UFL scalar made of the
+        strain and of numbers. It must be zero at zero strain and convex, with a positive definite
+        second derivative there. Its slope at zero strain is a prestress.
     warp
-        Direction of the first of these axes in space, as for `OrthotropicMembrane`; None where the
-        density has no direction.
+        Direction of the first in-plane axis in space, as for `OrthotropicMembrane`; None for an
+        isotropic density.
 
     Raises
     ------
     InputError
-        It is no function of the strain that returns a scalar, or is not convex.
+        If it is not a function of the strain that returns a scalar, or is not convex.
 
     Examples
     --------
@@ -119,7 +119,7 @@ class UflMembrane(MembraneMaterial):
 
     @cached_property
     def samples(self) -> tuple[float, ...]:
-        """Values at some strains (force / length), which tell one density from another."""
+        """Values at sample strains (force / length), to tell densities apart."""
         values = []
         for x, y, shear in map(floats, vectors(PROBES)):
             E = ufl.as_matrix([[x, shear / 2], [shear / 2, y]])
@@ -182,14 +182,14 @@ class UflMembrane(MembraneMaterial):
 
 
 def _values(tensor: Any, rank: int) -> Array:
-    """Components of a UFL tensor that depends on numbers only, (2,) * rank."""
+    """Components of a UFL tensor that contains only numbers, (2,) * rank."""
     tensor = apply_derivatives(apply_algebra_lowering(tensor))
     shape = (2,) * rank
     return np.array([float(tensor[index]) for index in np.ndindex(shape)]).reshape(shape)
 
 
 def _by_voigt(tensor: Array, pairs: int) -> Array:
-    """A derivative by E as one by (E11, E22, 2 E12)."""
+    """A derivative by E in Voigt form, by (E11, E22, 2 E12)."""
     to_voigt = np.zeros((3, 2, 2))
     to_voigt[0, 0, 0] = to_voigt[1, 1, 1] = 1.0
     to_voigt[2, 0, 1] = to_voigt[2, 1, 0] = 0.5

@@ -1,4 +1,4 @@
-"""Versions of model and state, whether the state is in equilibrium, and warnings of it."""
+"""Version numbers of model and state, whether the state is in equilibrium, and its warnings."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from crms_fenicsx.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class StateWarning:
-    """One thing that a state's user has been warned of.
+    """A warning about a state.
 
     Attributes
     ----------
     kind
-        "snap-through": no stable equilibria connect it to the states before. "instability": bars
-        make its equilibrium one that is not stable. "pond": water does. "cable end": one lies under
-        the membrane.
+        "snap-through": no path of stable equilibria leads to it. "instability": bars make its
+        equilibrium unstable. "pond": water does. "cable end": an end lies under the membrane.
     text
         What, where and from which load on.
     loads
-        Of a snap-through: the factors of each load that changed between which it was, by its
-        name, and as "pressure" the pressures (force per area).
+        Of a snap-through: the factors of each changed load before and after it, by name, and as
+        "pressure" the pressures (force per area).
     """
 
     kind: Literal["snap-through", "instability", "pond", "cable end"]
@@ -34,12 +33,12 @@ class StateWarning:
 
     @property
     def is_unstable(self) -> bool:
-        """Whether the state's equilibrium is not stable."""
+        """Whether the state's equilibrium is unstable."""
         return self.kind in ("instability", "pond")
 
     @property
     def lasts(self) -> bool:
-        """Whether the states of later load steps have it as well."""
+        """Whether it also holds for the states of later load steps."""
         return self.kind == "snap-through"
 
     def __str__(self) -> str:
@@ -47,34 +46,34 @@ class StateWarning:
 
 
 UNBALANCED = "not in equilibrium"
-"""What is said of a scene that has been changed since its last load step."""
+"""Status of a scene changed since its last load step."""
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """The equilibrium that the last load step has found, and what its checks said."""
+    """The last equilibrium found, and the result of its checks."""
 
-    model_version: int  # of then
+    model_version: int  # at that time
     state_version: int
-    digest: bytes  # of this rank's displacements, which users may write
-    verification: Any  # what the checks said; None if there were none in this run
+    digest: bytes  # of this rank's displacements, which users may change
+    verification: Any  # result of the checks; None if there were none in this run
 
 
 @dataclass(frozen=True)
 class Version:
-    """A model and a state by their numbers, with the equilibrium that was found last."""
+    """Version numbers of a model and a state, with the last equilibrium found."""
 
-    # which materials, cables, bars, loads, supports ... there are; the solver is set up for one.
+    # of materials, cables, bars, loads, supports ...; the solver is set up for one model
     model_version: int = 0
-    # which state load steps, checkpoints or snapshots have brought the scene to
+    # of the state reached by load steps, checkpoints or snapshots
     state_version: int = 0
-    equilibrium: Equilibrium | None = None  # the last one found; None before the first
+    equilibrium: Equilibrium | None = None  # None before the first
 
 
 class Versions:
-    """Numbers the models and states of a scene; a number is given once, and restored with them."""
+    """Numbers the models and states of a scene; a number is used once, and restored with them."""
 
     def __init__(self) -> None:
         self.current = Version()
@@ -82,16 +81,16 @@ class Versions:
 
     @property
     def model_version(self) -> int:
-        """The number of the model."""
+        """Number of the current model."""
         return self.current.model_version
 
     @property
     def state_version(self) -> int:
-        """The number of the state, which does not see displacements that users write."""
+        """Number of the current state; displacements written by users do not change it."""
         return self.current.state_version
 
     def change_model(self, acts: bool = True) -> None:
-        """Number another model, in which what has changed acts, or keeps the equilibrium."""
+        """Number a new model; the equilibrium stays valid unless the change `acts`."""
         was, self._models = self.current, self._models + 1
         found = was.equilibrium
         if not acts and found is not None and found.model_version == was.model_version:
@@ -99,28 +98,28 @@ class Versions:
         self.current = replace(was, model_version=self._models, equilibrium=found)
 
     def change_state(self, above: int = 0) -> None:
-        """Number another state, by more than the numbers of states that a checkpoint has."""
+        """Number a new state, `above` the numbers in a checkpoint."""
         self._states = max(self._states, above) + 1
         self.current = replace(self.current, state_version=self._states)
 
     def settle(self, u: Array, verification: object) -> None:
-        """Record that displacements are an equilibrium of the present model and state."""
+        """Record that the displacements are an equilibrium of the current model and state."""
         found = Equilibrium(self.model_version, self.state_version, _digest(u), verification)
         self.current = replace(self.current, equilibrium=found)
 
     def unsettle(self) -> None:
-        """Record that the present state, as one that was read from a file, is no equilibrium."""
+        """Record that the current state, such as one read from a file, is no equilibrium."""
         self.current = replace(self.current, equilibrium=Equilibrium(-1, -1, b"", None))
 
     @property
     def trouble(self) -> str:
-        """Why the present state is no equilibrium."""
+        """Why the current state is no equilibrium."""
         if self.current.equilibrium is None:
             return "no load step has found an equilibrium yet"
         return f"the scene has been changed since its last load step, and is {UNBALANCED}"
 
     def are_settled(self, u: Array) -> bool:
-        """Whether nothing has changed since the last equilibrium, as far as this rank can see."""
+        """Whether this rank has seen no change since the last equilibrium."""
         now, found = self.current, self.current.equilibrium
         return (
             found is not None
@@ -135,7 +134,7 @@ def _digest(u: Array) -> bytes:
 
 
 def changes_model(method: Method) -> Method:
-    """Let a method of a scene, unless it raises an error, give the scene's model another number."""
+    """Decorate a method of a scene: unless it raises, the model gets a new version number."""
 
     @functools.wraps(method)
     def changing(scene: Any, *args: Any, **kwargs: Any) -> Any:
