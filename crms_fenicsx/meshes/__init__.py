@@ -1,4 +1,4 @@
-"""Meshes of membranes: generators, files, and arrays, all checked, oriented and distributed."""
+"""Membrane meshes from generators, files and arrays: checked, oriented and distributed."""
 
 from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.dolfinx_mesh import from_dolfinx, mesh_tags

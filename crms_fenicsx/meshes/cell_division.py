@@ -1,8 +1,8 @@
-"""Finer meshes: all cells divided into four, or some of them bisected.
+"""Mesh refinement: all cells divided into four, or some of them bisected.
 
-The first rank makes the finer mesh, as it makes all meshes. Vertices keep their numbers; the middle
-of the k-th divided edge, in the order of `EdgeTable`, is the vertex n + k. The finer mesh is
-therefore the same on any number of ranks. Cells stay on the rank of the cell that they are part of.
+Rank 0 makes the finer mesh, as it makes all meshes. Vertices keep their numbers; the midpoint of
+the k-th divided edge, in the order of `EdgeTable`, is vertex n + k. The result is therefore
+independent of the number of ranks. Child cells stay on the rank of their parent.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 CORNERS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1)]) / 2
-"""Barycentric weights, in a cell, of the vertices that its parts have: its own, and the middles of
+"""Barycentric coordinates of the possible child vertices: a cell's corners, and the midpoints of
 its sides 0-1, 1-2 and 2-0."""
 QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
-"""Rows of `CORNERS` of the four parts of a cell."""
+"""Rows of `CORNERS` of a cell's four children."""
 
 
 @dataclass(frozen=True)
 class Division:
-    """The parts that cells are divided into; one that is not divided is its only part."""
+    """Child cells; an undivided cell is its own only child."""
 
-    parents: Integers  # (k,) the cells that the parts belong to, ascending
-    corners: Integers  # (k, 3) rows of `CORNERS`, in the direction of the cell's own
+    parents: Integers  # (k,) parent cell of each child, ascending
+    corners: Integers  # (k, 3) rows of `CORNERS`, in the parent's orientation
 
 
 def refine(
@@ -48,24 +48,24 @@ def refine(
 ) -> MembraneMesh:
     """Divide all cells of a mesh into four, or bisect some of them. Collective.
 
-    Groups are kept, and every vertex of the mesh is one of the finer mesh. DOLFINx bisects cells at
-    their longest sides, and neighbours so that the mesh fits together (A. Plaza and G. F. Carey,
-    Local refinement of simplicial grids based on the skeleton, 2000): no angle becomes less than
-    half the least one of the first mesh, but for moving new vertices to the surface.
+    Groups and vertices are kept. DOLFINx bisects cells at their longest sides, and neighbours to
+    keep the mesh conforming (A. Plaza and G. F. Carey, Local refinement of simplicial grids based
+    on the skeleton, 2000): apart from the projection of new vertices on the surface, no angle drops
+    below half the smallest one of the initial mesh.
 
     Parameters
     ----------
     mesh
-        The mesh, which stays as it is.
+        The mesh; it is not changed.
     cells : (n,)
-        Local numbers of this rank's own cells to bisect, as of `mesh.parts`; None divides all
+        Local numbers of this rank's own cells to bisect, as in `mesh.parts`; None divides all
         cells.
     project
-        Where new vertices belong: a function of points (3, n) near the stress-free surface that
-        returns points (3, n) in it (length). By default they go to the surface that the generator
-        knows (circle, ellipse, spherical cap and air hall) or that was given before; on meshes of
-        arrays and files to the smooth surface behind the facets, with boundary edges, seams and
-        ridges straight.
+        Projection of new vertices: a function of points (3, n) near the stress-free surface that
+        returns points (3, n) on it (length). By default the surface of the generator (circle,
+        ellipse, spherical cap, air hall) or an earlier `project`; for meshes from arrays and files,
+        the smooth surface approximated by the facets, with straight boundary edges, seams and
+        ridges.
 
     Returns
     -------
@@ -75,9 +75,9 @@ def refine(
     Raises
     ------
     InputError
-        On all ranks: cells that this rank does not own, or a function that returns no such points.
+        On all ranks: cells not owned by this rank, or invalid values of `project`.
     MeshError
-        On all ranks: points that leave cells without area.
+        On all ranks: points that make cells degenerate.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def refine(
 
 
 def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Division:
-    """The division that DOLFINx's finer cells are: parents (k,) and corners' places (k, 3, 3)."""
+    """The division given by DOLFINx's children: parents (k,), positions of corners (k, 3, 3)."""
     corners = surface.points[surface.cells]
     around = np.einsum("ck,mki->mci", CORNERS, corners)[parents]
     gaps = ((places[:, :, None] - around[:, None]) ** 2).sum(axis=-1)
@@ -114,9 +114,9 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
-    """The finer cells' parents (k,) and corners (k, 3, 3), in any order, on rank 0. Collective."""
-    # Of sides that are equally long DOLFINx takes the first in the cell's own order, which is the
-    # same on any number of ranks.
+    """Children's parents (k,) and corners (k, 3, 3), in any order, on rank 0. Collective."""
+    # Of equally long sides DOLFINx takes the first in the cell's own order, which does not depend
+    # on the number of ranks.
     topology, comm = mesh.mesh.topology, mesh.comm
     edges = compute_incident_entities(topology, marked, 2, 1)
     finer, parents, _ = bisect(
@@ -124,8 +124,8 @@ def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
     )
     own = finer.topology.index_map(2).size_local
     parts = comm.gather((
-        topology.original_cell_index[parents],  # of the cells as DOLFINx has made them
-        finer.topology.original_cell_index[:own],  # of which these are the numbers now
+        topology.original_cell_index[parents],  # indices into DOLFINx's input cells
+        finer.topology.original_cell_index[:own],  # input index of each child
         finer.geometry.x[geometry_dofmap(finer)[:own]],
     ))  # fmt: skip
     if parts is None:
@@ -135,7 +135,7 @@ def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
 
 
 def _checked_cells(mesh: MembraneMesh, cells: ArrayLike) -> Indices:
-    """Local numbers of this rank's own cells."""
+    """Check local numbers of this rank's own cells."""
     found, own = np.asarray(cells), mesh.mesh.topology.index_map(2).size_local
     if found.size == 0:
         return np.zeros(0, dtype=np.int32)
@@ -153,7 +153,7 @@ def _checked_cells(mesh: MembraneMesh, cells: ArrayLike) -> Indices:
 
 
 def _checked(project: Callable[[Array], Array]) -> Projection:
-    """The user's function, with its values checked."""
+    """Wrap a user's projection so that its values are checked."""
     if not callable(project):
         raise InputError(
             f"project = {project!r} is no function; give one of points (3, n) that returns those "
@@ -169,10 +169,10 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
 def _divided(
     surface: CheckedSurface, division: Division, onto: Projection | None
 ) -> CheckedSurface:
-    """A surface whose cells are divided."""
+    """Return the surface with divided cells."""
     n, parents = len(surface.points), division.parents
     table = EdgeTable.of(surface.cells)
-    sides = np.empty((len(surface.cells), 3), dtype=np.int64)  # the edge of each
+    sides = np.empty((len(surface.cells), 3), dtype=np.int64)  # edge of each side
     sides.ravel()[table.order] = np.repeat(np.arange(len(table.counts)), table.counts)
     middle = np.full(len(table.counts), -1)
     own, k = np.nonzero(division.corners >= 3)

@@ -1,4 +1,4 @@
-"""Membranes from meshes of DOLFINx with their tags, and groups of membranes as such tags."""
+"""Conversion of DOLFINx meshes and tags to membranes, and of membrane groups to tags."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import MeshError, raised_together
 
 Names = Mapping[str, tuple[int, int]]
-"""Groups by name: topological dimension (0: vertices, 1: edges, 2: cells) and tag."""
+"""Topological dimension (0: vertices, 1: edges, 2: cells) and tag of each group, by name."""
 
 KINDS = {0: "vertex_tags", 1: "facet_tags", 2: "cell_tags"}
 
@@ -32,14 +32,13 @@ def from_dolfinx(
     names: Names | None = None,
     outside: Outside = UPWARD,
 ) -> MembraneMesh:
-    """Make a membrane of a triangle mesh of DOLFINx. Collective.
+    """Make a membrane from a DOLFINx triangle mesh. Collective.
 
-    The membrane has a mesh of its own, as its cells are turned to the outside and it has no ghost
-    cells. Each rank owns the cells that it owns in `mesh`, unless they meet at a seam with cells
-    of another rank. Data go from one mesh to the other by the numbers
+    The membrane gets a new mesh, with oriented cells and no ghost cells. Each rank keeps its cells
+    of `mesh`, except those that meet cells of another rank at a seam. Data are transferred through
     ``membrane.mesh.topology.original_cell_index`` and
-    ``membrane.mesh.geometry.input_global_indices``: these are the global numbers of cells and of
-    geometry nodes in `mesh`.
+    ``membrane.mesh.geometry.input_global_indices``, the global numbers of cells and geometry nodes
+    in `mesh`.
 
     Parameters
     ----------
@@ -48,8 +47,8 @@ def from_dolfinx(
     cell_tags, facet_tags, vertex_tags
         Tags that become `parts`, `edges` and `points` of the membrane.
     names
-        Names of groups, each with its topological dimension and tag, as the ``physical_groups``
-        that ``dolfinx.io.gmsh.read_from_msh`` returns. Tags without a name are named by their
+        Names of groups, each with its topological dimension and tag, like the ``physical_groups``
+        returned by ``dolfinx.io.gmsh.read_from_msh``. Tags without a name are named by their
         number, "1".
     outside
         The side that pressure acts towards, as for `from_arrays`.
@@ -57,13 +56,13 @@ def from_dolfinx(
     Returns
     -------
     MembraneMesh
-        The membrane; `mesh_tags` gives its groups as tags again.
+        The membrane; `mesh_tags` returns its groups as tags.
 
     Raises
     ------
     MeshError
-        On all ranks: other cells than straight-sided triangles, tags of another dimension, names
-        of tags that are not there, or what `from_arrays` refuses.
+        On all ranks: cells other than straight-sided triangles, tags of another dimension, names of
+        missing tags, or anything `from_arrays` refuses.
     """
     tags = {0: vertex_tags, 1: facet_tags, 2: cell_tags}
     with raised_together(mesh.comm):
@@ -83,22 +82,22 @@ def from_dolfinx(
 def mesh_tags(
     membrane: MembraneMesh, dim: int, names: Names | None = None
 ) -> dolfinx.mesh.MeshTags:
-    """Return the groups of one dimension as DOLFINx's tags of ``membrane.mesh``. Collective.
+    """Return the groups of one dimension as DOLFINx tags of ``membrane.mesh``. Collective.
 
     Parameters
     ----------
     membrane
         The membrane.
     dim
-        2 for its parts, 1 for its groups of edges, 0 for those of points.
+        2 for parts, 1 for edge groups, 0 for point groups.
     names
-        Tags of groups, as for `from_dolfinx`; other groups are left out. By default groups that
-        are named by a number have this as their tag, and others are left out.
+        Tags of groups, as for `from_dolfinx`; other groups are left out. By default, groups named
+        by a number get it as their tag, and others are left out.
 
     Raises
     ------
     InputError
-        On all ranks: a name without a group, or an entity that is in two of the groups.
+        On all ranks: a name without a group, or an entity in two of the groups.
     """
     groups = {0: membrane.points, 1: membrane.edges, 2: membrane.parts}[dim]
     if names is None:
@@ -147,7 +146,7 @@ def _check(
 def _own_piece(
     mesh: dolfinx.mesh.Mesh, tags: Mapping[int, dolfinx.mesh.MeshTags | None]
 ) -> dict[Any, Any]:
-    """What a rank has of a mesh: cells, places of their vertices, tags; by global numbers."""
+    """A rank's part of a mesh by global numbers: cells, positions of their vertices, tags."""
     topology, geometry = mesh.topology, mesh.geometry
     own = topology.index_map(2).size_local
     cells = geometry_dofmap(mesh)[:own]
@@ -168,7 +167,7 @@ def _own_piece(
 
 
 def _members(mesh: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Integers:
-    """Entities by global numbers: cells by theirs, (k,), edges (k, 2) and vertices by nodes."""
+    """Entities by global numbers: cells (k,), edges (k, 2) and vertices (k,) by their nodes."""
     if dim == 2:
         return mesh.topology.index_map(2).local_to_global(entities)
     vertices = entities[:, None]
@@ -180,7 +179,7 @@ def _members(mesh: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Integers:
 
 
 def _joined(pieces: list[dict[Any, Any]], names: Names) -> SurfaceArrays:
-    """The whole mesh; cells in the order of the ranks are in that of their global numbers."""
+    """The whole mesh: concatenated by rank, cells are in the order of their global numbers."""
     points: Array = np.zeros((1 + max(p["nodes"].max(initial=-1) for p in pieces), 3))
     for piece in pieces:
         points[piece["nodes"]] = piece["points"]

@@ -1,4 +1,4 @@
-"""Membranes that are curved in their stress-free shape: spherical cap and air hall."""
+"""Membranes with a curved stress-free shape: spherical cap and air hall."""
 
 from __future__ import annotations
 
@@ -42,16 +42,15 @@ def spherical_cap(
 ) -> SurfaceArrays:
     """Mesh a spherical cap with its rim in the plane z = 0.
 
-    A flat circle is meshed and mapped to the sphere by stereographic projection, which keeps
-    angles, so that the triangles stay as good as flat ones and there is no seam.
+    A flat circle is meshed and mapped to the sphere by stereographic projection. It is conformal,
+    so the triangles keep their quality, and there is no seam.
 
     Parameters
     ----------
     radius
         Radius of the rim, not of the sphere (length).
     height
-        Height of the top above the rim (length); more than `radius` for more than a
-        hemisphere.
+        Height of the top above the rim (length); larger than `radius` for more than a hemisphere.
     size
         Edge length of the triangles (length).
     center
@@ -62,8 +61,7 @@ def spherical_cap(
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is more than
-        `radius`.
+        On all ranks, if an argument is not finite or positive, or `size` is larger than `radius`.
     """
     check_positive("the spherical cap", radius=radius, height=height)
     check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
@@ -73,7 +71,7 @@ def spherical_cap(
     target = TargetSize(size, refinements)
 
     def lifted(flat: Array) -> Array:
-        """Project points of the plane that touches the top from the sphere's bottom."""
+        """Project points of the plane tangent at the top from the sphere's lowest point."""
         shrink = 1.0 / (1.0 + (flat[..., :1] ** 2 + flat[..., 1:2] ** 2) / diameter**2)
         rise = height - diameter * (1.0 - shrink)
         up: Array = np.concatenate([flat[..., :2] * shrink, rise], axis=-1)
@@ -94,8 +92,8 @@ def spherical_cap(
 def _onto_sphere(
     center: tuple[float, float], radius: float, height: float, points: Array, on_rim: Booleans
 ) -> Array:
-    """Points (3, n) moved to a spherical cap, of which some (n,) are on its rim."""
-    below = (height**2 - radius**2) / (2 * height)  # where the sphere's centre is
+    """Move points (3, n) to a spherical cap, those marked `on_rim` (n,) to its rim."""
+    below = (height**2 - radius**2) / (2 * height)  # z of the sphere's centre
     foot = np.array([[center[0]], [center[1]], [0.0]])
     middle = foot + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
     reach = np.where(on_rim, radius, (radius**2 + height**2) / (2 * height))
@@ -116,15 +114,15 @@ def air_hall(
 ) -> SurfaceArrays:
     """Mesh an air hall: a half-cylinder with rounded ends over a rectangle in z = 0.
 
-    With c = min(width, depth) / 2, and u, v the distances of a point of the plan from the nearer
+    With c = min(width, depth) / 2, and the distances u, v of a point of the plan from the nearer
     side in x and in y, the surface is ::
 
         z = height f(u) f(v),    f(s) = sqrt(1 - (1 - s / c)^2) for s < c,  1 for s >= c.
 
-    Its sections are half ellipses (half circles where height = c) that rise vertically from
-    the ground; the corners of the plan are rounded more and more with the height, as the corners
-    of air-supported sports halls are. At the four corners the surface is a cone; the
-    curvature jumps where the ends meet the half-cylinder; elsewhere it is smooth.
+    Its sections are half ellipses (half circles for height = c) that rise vertically from the
+    ground; horizontal sections have corners that are rounder the higher they are, as in
+    air-supported sports halls. The surface is smooth except at the four corners, where it is a
+    cone, and where the ends meet the half-cylinder, where the curvature jumps.
 
     Edge and point groups are those of `rectangle`.
 
@@ -137,14 +135,14 @@ def air_hall(
     size
         Edge length of the triangles (length).
     corner
-        Coordinates (x, y) of the corner of the plan with the least x and y.
+        Coordinates (x, y) of the corner of the plan with the smallest x and y.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is more than a side.
+        On all ranks, if an argument is not finite or positive, or `size` is larger than a side.
     """
     check_positive("the air hall", width=width, depth=depth, height=height)
     area = width * depth + 2.0 * height * (width + depth)
@@ -155,7 +153,7 @@ def air_hall(
         mesh_with_sizes(gmsh, TargetSize(size, refinements))
         arrays = read_model(gmsh)
     points = np.array(arrays.points)
-    # the kernel's parametric curves miss the plan's lines by rounding
+    # the kernel's parametric curves miss the plan's sides by rounding
     lines = {"left": (0, x), "right": (0, x + width), "front": (1, y), "back": (1, y + depth)}
     for name, (axis, value) in lines.items():
         points[np.unique(np.asarray(arrays.edges[name])), axis] = value
@@ -168,7 +166,7 @@ def _onto_hall(
 ) -> Array:
     """Move points (3, n) to the hall, along gradients of ``f(u)^2 f(v)^2 - (z / height)^2``."""
     end, moved = min(sides) / 2, points[:, ~on_rim]
-    for _ in range(8):  # Newton's method from nearby
+    for _ in range(8):  # Newton's method, starting close to the surface
         centre = [(c + side / 2) for c, side in zip(corner, sides, strict=True)]
         aside = [moved[i] - centre[i] for i in (0, 1)]
         a, b = (
@@ -218,7 +216,7 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
 def _profile(
     length: float, end: float
 ) -> tuple[list[float], list[float], list[float], list[int], list[int]]:
-    """Places, heights, weights, knots and multiplicities of a profile of height 1."""
+    """Control points, heights, weights, knots and multiplicities of a profile of height 1."""
     w = math.sqrt(0.5)
     if length - 2 * end <= 1e-9 * length:
         middle = length / 2

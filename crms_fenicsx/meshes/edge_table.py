@@ -1,8 +1,8 @@
-"""Edges of a triangulation, numbered, with the cells on their sides, and seams of three or more.
+"""Numbered edges of a triangulation, the cells at each, and seams: edges of three or more cells.
 
-Around a seam the cells bound sectors of space. Cables lie on the outer side of the membrane, so
-they pass a seam in the sectors that are outside of both cells which bound them: over the roof, not
-down on the wall that hangs below it.
+The cells at a seam divide the space around it into sectors. Cables lie on the outer side of the
+membrane, so they pass a seam through sectors that are outside of both bounding cells: over the
+roof, not along the wall that hangs below it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 
 def edge_keys(pairs: NDArray[np.integer]) -> Integers:
-    """Give each vertex pair, shape (k, 2), an integer that does not depend on its order."""
+    """Return for each vertex pair, shape (k, 2), an integer that does not depend on its order."""
     pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
     return (pairs[:, 0] << 32) | pairs[:, 1]
 
 
 def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
-    """The vertices along different edges, given by pairs, and the number of ends: from the least
-    end on, or around from the least vertex and back to it; up to the first branch. The edges are
-    one line where there is one vertex more."""
+    """Order the vertices along distinct edges, given as pairs, and count the line's ends. The line
+    starts at the smallest end, or for a loop at the smallest vertex, where it also ends; it stops
+    at a branch. The edges form one line if there is one vertex more than edges."""
     beside: dict[int, list[int]] = {}
     for a, b in pairs:
         beside.setdefault(a, []).append(b)
@@ -46,12 +46,12 @@ class EdgeTable:
     keys: Integers  # sorted `edge_keys` of the edges, shape (e,)
     vertices: Integers  # their vertices, the smaller one first, shape (e, 2)
     counts: NDArray[np.intp]  # number of cells on each edge, shape (e,)
-    ascending: Booleans  # whether a side runs from its smaller to its greater vertex, shape (3 m,)
-    order: NDArray[np.intp]  # sides sorted by the edge they lie on, shape (3 m,)
+    ascending: Booleans  # whether a side runs from its smaller to its larger vertex, shape (3 m,)
+    order: NDArray[np.intp]  # sides sorted by edge, shape (3 m,)
 
     @classmethod
     def of(cls, cells: Integers) -> EdgeTable:
-        """Build the table of the cells, shape (m, 3)."""
+        """Build the table of cells, shape (m, 3)."""
         sides = cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         side_keys = edge_keys(sides)
         order = np.argsort(side_keys, kind="stable")
@@ -60,33 +60,33 @@ class EdgeTable:
         return cls(keys, vertices, counts, sides[:, 0] < sides[:, 1], order)
 
     def linked_sides(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Pairs of sides that link all cells at each of the edges marked (e,)."""
+        """Pairs of sides that link all cells at each marked edge (e,)."""
         before_last = np.repeat(edges, self.counts)
         before_last[np.cumsum(self.counts) - 1] = False
         at = np.flatnonzero(before_last)
         return self.order[at], self.order[at + 1]
 
     def seam_links(self) -> Integers:
-        """Pairs of cells (k, 2) that link all cells of every seam, an edge of three or more."""
+        """Pairs of cells (k, 2) that link all cells of each seam."""
         return np.stack(self.linked_sides(self.counts > 2), axis=1) // 3
 
 
 def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
-    """Sorted indices of the cells of pieces (m,) that no cable can reach over some seam."""
+    """Sorted cells of the pieces (m,) that lie behind a seam, where no cable can reach them."""
     table = EdgeTable.of(cells)
     on_seam = np.repeat(table.counts > 2, table.counts)
     sides = table.order[on_seam]
     if not len(sides):
         return np.zeros(0, dtype=np.int64)
     edge = np.repeat(np.arange(len(table.counts)), table.counts)[on_seam]
-    first = np.searchsorted(edge, edge)  # the first side of each side's edge
+    first = np.searchsorted(edge, edge)  # first side at the same edge
     low, high = points[table.vertices[edge]].transpose(1, 0, 2)
     axis = (high - low) / np.linalg.norm(high - low, axis=1)[:, None]
     ray = points[cells[sides // 3, (sides + 2) % 3]] - low
     ray -= np.sum(ray * axis, axis=1)[:, None] * axis
     across = np.cross(axis, ray[first])
     angle = np.arctan2(np.sum(ray * across, axis=1), np.sum(ray * ray[first], axis=1))
-    # A cell that runs along the axis has its outer side towards growing angles.
+    # The outer side of a cell that runs along the axis faces growing angles.
     order = np.lexsort((angle, edge))
     sides, along = sides[order], table.ascending[sides[order]]
     count = table.counts[edge]

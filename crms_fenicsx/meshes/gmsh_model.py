@@ -1,4 +1,4 @@
-"""Work in a gmsh model of our own, and read the triangles of a gmsh model."""
+"""A separate gmsh model to work in, and conversion of a gmsh model's triangles."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _OPTIONS = {
 
 
 def imported(package: str) -> Any:
-    """A package that makes or reads meshes, and need not be there."""
+    """Import an optional package for making or reading meshes."""
     try:
         return import_module(package)
-    except (ImportError, OSError) as error:  # OSError: without libraries that gmsh stands on
+    except (ImportError, OSError) as error:  # OSError: a shared library of gmsh is missing
         raise MeshError(
             f"this mesh needs {package}, which cannot be imported ({error}); install it: "
             "pip install 'crms_fenicsx[mesh]', conda install python-gmsh meshio, or "
@@ -45,11 +45,11 @@ def imported(package: str) -> Any:
 
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
-    """Yield gmsh with a new, empty model; afterwards a user's session goes on as before."""
+    """Yield gmsh with a new, empty model; a user's session is restored afterwards."""
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
-        # not interruptible: that would replace Python's handler of Ctrl-C
+        # interruptible=True would replace Python's handler of Ctrl-C
         gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
     previous = gmsh.model.getCurrent()
     names = ["General.Terminal"] if quiet_only else list(_OPTIONS)
@@ -72,7 +72,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
 
 
 def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
-    """Mesh the surfaces of the current model with the edge lengths `target` at places (3,)."""
+    """Mesh the surfaces of the current model with edge lengths `target` of positions (3,)."""
 
     def size_at(dim: int, tag: int, x: float, y: float, z: float, lc: float) -> float:
         return target(np.array([x, y, z]))
@@ -82,12 +82,12 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
 
 
 def read_model(gmsh: Any) -> SurfaceArrays:
-    """The triangles and the physical groups of the current model."""
+    """Triangles and physical groups of the current model."""
     return surface_of_model(gmsh_arrays(gmsh))
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """Triangles and groups among the arrays of `gmsh_arrays`, without unused nodes."""
+    """Triangles and groups from the arrays of `gmsh_arrays`, without unused nodes."""
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(
@@ -126,12 +126,12 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
 
 
 def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
-    """The different triangles, in the order given, and the place of each one there."""
+    """The distinct triangles, in the given order, and the index of each triangle among them."""
     corners = np.sort(triangles, axis=1)
     order = np.lexsort(corners.T)
     is_new = np.ones(len(triangles), dtype=bool)
     is_new[1:] = (np.diff(corners[order], axis=0) != 0).any(axis=1)
-    # the sort is stable: of equal triangles the first one given comes first
+    # the sort is stable: of equal triangles the first given comes first
     first_given = order[is_new][np.cumsum(is_new) - 1]
     representative = np.empty(len(triangles), dtype=np.int64)
     representative[order] = first_given
@@ -140,13 +140,13 @@ def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
 
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
-    """Rows of the used nodes, sorted, that are those of a group."""
+    """Indices of a group's nodes among the sorted used nodes."""
     remedy = "which is the corner of no triangle: take it out of the group or embed it in a surface"
     return _found(used, nodes, f"the group '{group}' has node", remedy)
 
 
 def _found(known: Integers, wanted: Integers, what: str, remedy: str = AGAIN) -> Integers:
-    """Rows of numbers among sorted ones."""
+    """Indices of numbers in a sorted array."""
     found = np.searchsorted(known, wanted).clip(max=max(len(known) - 1, 0))
     missing = wanted[known[found] != wanted] if len(known) else wanted
     if len(missing):

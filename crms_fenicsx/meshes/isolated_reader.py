@@ -1,7 +1,7 @@
-"""Read mesh files by gmsh and meshio, other people's programs, in a process of their own.
+"""Read mesh files with gmsh and meshio in a separate process.
 
-They are written for files that are sound. One that is damaged, or made to do harm, may crash them,
-keep them busy for ever or let them ask for all memory. There that ends nothing but their process.
+These libraries expect sound files. A damaged or malicious one may crash them, hang them or make
+them exhaust the memory; in a separate process this ends only that process.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from crms_fenicsx.meshes import reader_process
 from crms_fenicsx.runtime.errors import MeshError
 
 SECONDS, SPEED = 30, 1e6
-"""Processor time that reading may take: seconds at least, and bytes of the file for each more."""
+"""Limit of processor time: base (s), and file size (bytes) per additional second."""
 
 LARGEST = 2**33
-"""Most bytes of a file: limits that grow with the size are none for one that only claims it."""
+"""Largest file size (bytes): limits that grow with the size do not stop inflated files."""
 
 SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
-"""Beginnings of the variables by which MPI's launcher tells a process that it is a rank."""
+"""Prefixes of the environment variables that make a process an MPI rank."""
 
 
 def read_isolated(
     file: Path, reader: Literal["gmsh", "meshio", "STEP"], *options: str
 ) -> dict[str, Any]:
-    """Arrays and lists of numbers and texts that `reader_process` reads from a file."""
+    """Run `reader_process` on a file; return its arrays and its lists of numbers and texts."""
     size = file.stat().st_size
     if size > LARGEST:
         raise MeshError(

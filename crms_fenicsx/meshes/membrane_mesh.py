@@ -1,4 +1,4 @@
-"""The mesh of a membrane, distributed over the ranks, with its named groups."""
+"""The distributed mesh of a membrane, with its named groups."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ from crms_fenicsx.runtime.errors import InputError, MeshError, raised_together
 P = ParamSpec("P")
 
 Ranks = ArrayLike | Callable[[Array], ArrayLike]
-"""The rank of each cell, (m,), or a function that gives it from the cells' midpoints, (m, 3)."""
+"""Rank of each cell, (m,), or a function that returns it from the cells' midpoints, (m, 3)."""
 
 
 @dataclass(frozen=True, repr=False)
 class MembraneMesh:
     """A triangulated membrane in its stress-free shape.
 
-    Group members are local indices, owned ones and ghosts, sorted. Every rank has every
-    group's name, where it has no member of it with an empty array. The arrays are read-only.
+    Group members are sorted local indices, owned and ghosts. Every rank has every group's name,
+    with an empty array if it has no members. The arrays are read-only.
 
     Attributes
     ----------
     mesh
-        Triangles in space (topological dimension 2, geometric dimension 3), all normals on
-        the outer side of the membrane. There are no ghost cells. Edges and the
-        connectivities 1-2, 2-1 and 0-2 are there.
+        Triangles in space (topological dimension 2, geometric dimension 3), all normals on the
+        outer side of the membrane, without ghost cells. Edges and the connectivities 1-2, 2-1 and
+        0-2 exist.
     edges
-        Groups of edges. "boundary", all edges with one cell, is always there.
+        Groups of edges. "boundary", all edges with one cell, always exists.
     parts
         Groups of cells.
     points
         Groups of vertices.
     hidden
-        Cells of pieces that meet others at a seam from behind, such as a wall under a roof: cables
+        Cells of pieces that meet others at a seam from behind, such as a wall under a roof; cables
         do not lie on them.
     project
-        What knows the surface that the cells stand for, for vertices of finer meshes: on rank 0
-        what the generator knows, or on all ranks a user's function; None where nothing does.
+        Projection of new vertices in refinement on the approximated surface: the generator's, on
+        rank 0, or a user's function, on all ranks; None if unknown.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -71,7 +71,7 @@ class MembraneMesh:
     project: Projection | None = None
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One-line summary; not collective."""
         cells, vertices = (self.mesh.topology.index_map(dim).size_global for dim in (2, 0))
         words = [f"{cells} cells, {vertices} vertices"]
         words += [
@@ -85,7 +85,7 @@ class MembraneMesh:
 
     @cached_property
     def overlaps(self) -> Mapping[tuple[str, str], str | None]:
-        """The inner one of two parts with common cells, None if neither is. Collective at first."""
+        """Inner one of each two parts with common cells, or None. Collective at first."""
         names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
         inside = np.zeros((len(names), n), dtype=np.int64)
         for row, name in zip(inside, names, strict=True):
@@ -117,10 +117,10 @@ def from_arrays(
 ) -> MembraneMesh:
     """Make a membrane from arrays.
 
-    All arguments but `comm` are used on rank 0 only; the others may pass None. The surface may have
-    several pieces and holes and may be closed. Pieces may meet at seams, edges of three cells or
-    more, as a wall and its roof do. Vertices at the same place are not merged, so that pieces may
-    lie side by side without being joined.
+    All arguments but `comm` are used on rank 0 only; other ranks may pass None. The surface may
+    have several pieces and holes, and may be closed. Pieces may meet at seams, edges of three or
+    more cells, like a wall and its roof. Coincident vertices are not merged, so that pieces may lie
+    side by side without being joined.
 
     Parameters
     ----------
@@ -129,24 +129,24 @@ def from_arrays(
     points
         Coordinates (length) of the stress-free shape, shape (n, 3), or (n, 2) for z = 0.
     cells
-        Vertices of the triangles, shape (m, 3), in any order: the cells are turned so that all
+        Vertices of the triangles, shape (m, 3), in any order: cells are reoriented so that all
         normals of a piece point to the same side.
     edges
-        Named edges, each group by the vertex pairs of its edges, shape (k, 2). "boundary" is
-        reserved for all edges with one cell.
+        Named groups of edges, each given by vertex pairs, shape (k, 2). "boundary" is reserved for
+        all edges with one cell.
     parts
-        Named parts of the membrane, each by the indices of its cells, shape (k,).
+        Named parts of the membrane, each given by cell indices, shape (k,).
     point_groups
         Named vertices, shape (k,).
     outside
-        The side that pressure acts towards: a direction with which each piece's normals make an
-        acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
-        their own, such as ``{"wall": (1, 0, 0)}``; that of others is upward. Pieces between seams
-        are turned one by one.
+        The side towards which pressure acts: a direction with which each piece's area vector makes
+        an acute angle, or `AwayFrom` a point inside. A mapping gives sides by part, such as
+        ``{"wall": (1, 0, 0)}``, upward for other parts. Pieces between seams are oriented one by
+        one.
     ranks
-        The rank that shall own each cell, shape (m,), or a function that gives them from the cells'
-        midpoints, (m, 3); a rank may have no cell. Cells that meet at a seam go to the lowest of
-        their ranks. By default DOLFINx shares out the cells evenly.
+        Rank of each cell, shape (m,), or a function that returns it from the cells' midpoints,
+        (m, 3); a rank may have no cells. Cells that meet at a seam go to the lowest of their ranks.
+        By default DOLFINx distributes the cells evenly.
 
     Returns
     -------
@@ -157,10 +157,10 @@ def from_arrays(
     ------
     MeshError
         On all ranks: an array of a wrong shape or type, a coordinate that is not finite, a
-        degenerate cell (area below 1e-10 times its longest edge squared) or one that is there
-        twice, a vertex of no cell, parts that touch in a vertex only, a piece with one side only,
-        `outside` that does not tell its sides apart, a group that is empty or names what is not
-        there, or wrong `ranks`.
+        degenerate cell (area below 1e-10 times its longest edge squared) or a duplicate one, a
+        vertex without a cell, parts that touch only in a vertex, a one-sided piece, an `outside`
+        that does not tell a piece's sides apart, a group that is empty or names missing members, or
+        invalid `ranks`.
     """
 
     def arrays() -> SurfaceArrays:
@@ -181,7 +181,7 @@ def distributed(
     outside: Outside = UPWARD,
     ranks: Ranks | None = None,
 ) -> MembraneMesh:
-    """Let rank 0 build a surface without communication, check and orient it, then distribute it."""
+    """Build a surface on rank 0, without communication, check, orient and distribute it."""
     surface, given, project = EMPTY, None, None
     with raised_together(comm):
         if comm.rank == 0:
@@ -194,7 +194,7 @@ def distributed(
 def shared_out(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None, project: Projection | None
 ) -> MembraneMesh:
-    """Distribute a surface that is all on rank 0, its cells to the ranks given there, if any."""
+    """Distribute a surface from rank 0, to given ranks of the cells if there are any."""
     mesh = create_mesh(comm, surface.cells, surface.points, cell_ranks(comm, surface, given))
     topology = mesh.topology
     topology.create_entities(1)
@@ -215,9 +215,9 @@ def shared_out(
 def cell_ranks(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
 ) -> Indices | None:
-    """Ranks of this rank's share of the cells on rank 0; None lets DOLFINx choose. Collective."""
-    # DOLFINx finds the vertices that ranks share at edges with fewer than two cells on a rank. So a
-    # seam whose cells are scattered would be torn: two ranks would have their own vertices there.
+    """Ranks of this rank's share of the input cells; None lets DOLFINx choose. Collective."""
+    # DOLFINx detects vertices shared between ranks at edges with fewer than two cells on a rank. A
+    # seam whose cells are scattered would be torn: two ranks would have separate vertices there.
     is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
     if comm.size == 1 or not (is_given or has_seams):
         return None
@@ -234,7 +234,7 @@ def cell_ranks(
 
 
 def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
-    """The rank of each cell (m,) as the caller wants it."""
+    """Check and return the rank of each cell (m,) wanted by the caller."""
     midpoints = surface.points[surface.cells].mean(axis=1)
     given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)
     count = len(midpoints)
@@ -253,7 +253,7 @@ def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
 
 
 def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMesh]:
-    """Make of a function that meshes a shape on one rank a collective one that distributes it."""
+    """Turn a function that meshes a shape on one rank into a collective mesh generator."""
     signature = inspect.signature(shape)
 
     @functools.wraps(shape)
@@ -271,14 +271,14 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 
 
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
-    """A mesh with its vertices at other places (n, 3), by the degrees of freedom of `V`."""
+    """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
 
 
 def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
-    """The same mesh on a part of its ranks, shared out anew. Collective on all of its ranks."""
+    """Redistribute a mesh over a subset of its ranks. Collective on all of its ranks."""
     surface, _ = gathered(mesh)
     surface = dataclasses.replace(surface, seam_links=EdgeTable.of(surface.cells).seam_links())
     everywhere = mesh.comm.allreduce(mesh.project is not None, op=MPI.LAND)  # a user's function
@@ -294,7 +294,7 @@ def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
 
 
 def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Return the geometry node of each local vertex, shape (vertices on this rank,)."""
+    """Geometry node of each local vertex, shape (vertices on this rank,)."""
     vertex_map = mesh.topology.index_map(0)
     nodes = np.empty(vertex_map.size_local + vertex_map.num_ghosts, dtype=np.int32)
     nodes[mesh.topology.connectivity(2, 0).array] = geometry_dofmap(mesh).ravel()
@@ -302,17 +302,17 @@ def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
 
 
 def vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
-    """Return the number of each local vertex in the mesh as it was given, shape (n,)."""
+    """Number of each local vertex in the mesh as given, shape (n,)."""
     return np.asarray(mesh.geometry.input_global_indices[vertex_nodes(mesh)], dtype=np.int64)
 
 
 def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
-    """Return the `vertex_ids` of each local cell's corners, shape (m, 3)."""
+    """`vertex_ids` of each local cell's corners, shape (m, 3)."""
     return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
 
 
 def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
-    """The surface of a mesh and the ranks of its cells (m,), all on rank 0. Collective."""
+    """The surface of a mesh and the ranks of its cells (m,), both on rank 0. Collective."""
     topology, comm = mesh.mesh.topology, mesh.comm
     ids, numbers = vertex_ids(mesh.mesh), np.asarray(topology.original_cell_index, dtype=np.int64)
     pairs = ids[topology.connectivity(1, 0).array.reshape(-1, 2)]
@@ -346,8 +346,8 @@ def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
 def _local_groups(
     comm: MPI.Intracomm, keys: Integers, groups: Mapping[str, Integers]
 ) -> Mapping[str, Indices]:
-    """Each rank's members of the groups that rank 0 knows, by the keys of its entities."""
-    # Rank 0 looks up the keys of one rank after the other, so that no other rank ever holds a whole
+    """Local members of the groups known to rank 0, by the keys of local entities. Collective."""
+    # Rank 0 searches the keys of one rank after the other, so that no other rank ever holds a whole
     # group, and ghosts need no further communication.
     asked = comm.gather(keys, root=0)
     answers = None
@@ -366,7 +366,7 @@ def _local_groups(
 
 
 def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
-    """Whether each local cell belongs to one of some parts, (m,)."""
+    """Whether each local cell belongs to one of the parts, (m,)."""
     marks = np.zeros(len(geometry_dofmap(mesh.mesh)), dtype=bool)
     for part in parts:
         marks[mesh.parts[part]] = True
@@ -374,7 +374,7 @@ def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Parts in an order where one inside another comes after it. Collective at first."""
+    """Order parts so that nested ones follow the enclosing ones. Collective at first."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

@@ -1,4 +1,4 @@
-"""Membranes from files, and from a gmsh model that the user has built."""
+"""Membranes from files, and from a user's gmsh model."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from crms_fenicsx.runtime.files import readable
 SUFFIXES = (
     ".vtu", ".vtk", ".stl", ".obj", ".ply", ".off", ".xdmf", ".med", ".inp", ".mesh", ".meshb",
 )  # fmt: skip
-"""Formats that meshio reads, and that have triangles."""
+"""Formats read by meshio that may contain triangles."""
 
 SIZES = {"vertex": 1, "line": 2, "triangle": 3}
-"""Corners of the cells that are read."""
+"""Number of corners of the cell types that are read."""
 
 
 def from_gmsh(
@@ -42,20 +42,20 @@ def from_gmsh(
     """Make a membrane from the current gmsh model of rank 0, meshed by the user.
 
     All its triangles are used. Physical groups become groups: surfaces `parts`, curves `edges`,
-    points `points`, under their names or, where they have none, their tags ("1").
+    points `points`, under their names or, if unnamed, their tags ("1").
 
     Parameters
     ----------
     comm
         Communicator of the mesh; the call is collective. Other ranks need no model.
     outside, ranks
-        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
+        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     MeshError
-        On all ranks, if gmsh is not initialised on rank 0, the model has no triangles or other
-        surface elements, or `from_arrays` would refuse it.
+        On all ranks, if gmsh is not initialised on rank 0, the model has no triangles or has other
+        surface elements, or `from_arrays` refuses it.
     """
 
     def build() -> SurfaceArrays:
@@ -79,13 +79,13 @@ def from_file(
     """Read a membrane from a file.
 
     gmsh reads .geo (and meshes its surfaces) and .msh; meshio reads .vtu, .vtk, .stl, .obj, .ply,
-    .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program, which can
-    run commands of the operating system: read only those that you trust. Other files are data, read
-    in a process with limits of memory and time: one that is broken, or made to do harm, is refused.
+    .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program that can
+    run commands of the operating system: read only files you trust. Other files are read as data in
+    a process with limited memory and time, which protects against damaged and malicious files.
 
-    Groups are physical groups in gmsh's files (see `from_gmsh`). In other files they are cell sets
-    of triangles (`parts`), lines (`edges`) and vertices (`points`), point sets (`points`), and the
-    marks gmsh:physical or medit:ref, 0 meaning none. Points of no triangle are left out.
+    Groups are physical groups in gmsh files (see `from_gmsh`). In other files they are cell sets of
+    triangles (`parts`), lines (`edges`) and vertices (`points`), point sets (`points`), and the
+    markers gmsh:physical or medit:ref, where 0 means none. Points without a triangle are left out.
 
     Parameters
     ----------
@@ -94,13 +94,13 @@ def from_file(
     path
         The file.
     outside, ranks
-        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
+        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     MeshError
-        On all ranks, if there is no such file, it cannot be read, it has no triangles or other
-        surface elements, or `from_arrays` would refuse it.
+        On all ranks, if the file does not exist, cannot be read, has no triangles or has other
+        surface elements, or `from_arrays` refuses it.
     """
 
     def build() -> SurfaceArrays:
@@ -113,7 +113,7 @@ def from_file(
         if suffix == ".msh":
             with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
                 is_mesh = stream.read(64).startswith(b"$MeshFormat")
-            if not is_mesh:  # gmsh would take it for a script, and run it
+            if not is_mesh:  # gmsh would run it as a script
                 raise MeshError(
                     f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
                     "with gmsh"
@@ -143,8 +143,8 @@ def from_step(
     """Mesh the faces of a STEP file, read by gmsh's OpenCASCADE.
 
     Each face is a part, "face 1" and so on in the file's order, and each curve that bounds one face
-    a group of edges, "edge 1" and so on. Faces that touch share vertices. The file is read as
-    others are in `from_file`.
+    an edge group, "edge 1" and so on. Touching faces share vertices. The file is read in a limited
+    process, as in `from_file`.
 
     Parameters
     ----------
@@ -153,19 +153,19 @@ def from_step(
     path
         The file, ending in .step or .stp.
     size
-        Length of the cells' edges (length, in `unit`).
+        Edge length of the cells (length, in `unit`).
     unit
-        Unit of length of the mesh, "m", "cm" or "mm"; the file says its own.
+        Length unit of the mesh, "m", "cm" or "mm"; the file defines its own.
     outside, ranks
-        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
+        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     InputError
-        On all ranks: a size that is not positive, or a unit that is not known.
+        On all ranks: a size that is not positive, or an unknown unit.
     MeshError
-        On all ranks, if there is no such file, it cannot be read, it has no faces, or
-        `from_arrays` would refuse it.
+        On all ranks, if the file does not exist, cannot be read or has no faces, or `from_arrays`
+        refuses it.
 
     Examples
     --------
@@ -191,7 +191,7 @@ def from_step(
 
 
 def _read_script(file: Path) -> SurfaceArrays:
-    """Run a .geo file, which the user trusts, in this process."""
+    """Run a .geo file, trusted by the user, in this process."""
     with own_model(quiet_only=True) as gmsh:
         gmsh.logger.start()
         try:
@@ -199,7 +199,7 @@ def _read_script(file: Path) -> SurfaceArrays:
             if len(gmsh.model.mesh.getElementTypes(2)) == 0:
                 gmsh.model.mesh.generate(2)
             errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
-        except Exception as error:  # gmsh raises nothing more special
+        except Exception as error:  # gmsh raises no specific class
             raise MeshError(f"gmsh cannot read '{file}': {error}") from None
         finally:
             gmsh.logger.stop()
@@ -209,7 +209,7 @@ def _read_script(file: Path) -> SurfaceArrays:
 
 
 def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
-    """What is read, with the file's name in the message where it cannot be."""
+    """Read, with the file's name prepended to error messages."""
     try:
         return read()
     except MeshError as error:
@@ -217,7 +217,7 @@ def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
 
 
 def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
-    """The triangles and the groups among the arrays that meshio has read."""
+    """Triangles and groups from the arrays read by meshio."""
     types: list[str] = content["types"]
     for kind in types:
         if kind not in ("vertex", "line", "triangle", "tetra"):
@@ -273,7 +273,7 @@ def _whole(numbers: NDArray[Any], what: str) -> Integers:
 
 
 def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:
-    """Those of the entities that a mask or indices name."""
+    """The entities selected by a mask or by indices."""
     if members.dtype != bool:
         members = _whole(members, f"group '{name}'")
         if len(members) and not 0 <= members.min() <= members.max() < len(entities):

@@ -1,4 +1,4 @@
-"""Give all cells of each connected piece of a surface the same side up."""
+"""Consistent orientation of the cells of each connected piece of a surface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell
 
 @dataclass(frozen=True)
 class AwayFrom:
-    """Outside is the side of the membrane that faces away from a point.
+    """The outside is the side of the membrane that faces away from a point.
 
     For closed or steep surfaces, where no single direction tells inside from outside.
 
@@ -33,10 +33,10 @@ class AwayFrom:
 UPWARD = (0.0, 0.0, 1.0)
 
 Side = Sequence[float] | AwayFrom
-"""A direction in space (3 numbers, any length but 0), or `AwayFrom` a point."""
+"""A nonzero direction in space (3 numbers), or `AwayFrom` a point."""
 
 Outside = Side | Mapping[str, Side]
-"""A side for the whole surface, or for some parts by name, where others have theirs upward."""
+"""A side for the whole surface, or sides by part name; other parts then face upward."""
 
 
 def connected_labels(size: int, a: Integers, b: Integers) -> Integers:
@@ -56,10 +56,10 @@ def oriented(
     outside: Outside,
     parts: Mapping[str, Integers],
 ) -> tuple[Integers, Integers]:
-    """The cells (m, 3), turned so that all normals point outside, and the piece (m,) of each."""
-    # Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
-    # edge links the nodes of its two cells that agree; a seam of three or more links none. A piece
-    # that can be oriented falls into two components, one for each of its sides.
+    """The cells (m, 3), oriented with normals to the outside, and the piece (m,) of each."""
+    # Each cell is two nodes of a graph, "as given" (index c) and "flipped" (index m + c). An inner
+    # edge links the consistently oriented nodes of its two cells; a seam of three or more links
+    # none. An orientable piece has two components, one for each of its sides.
     first, second = table.linked_sides(table.counts == 2)
     turned = len(cells) * (table.ascending[first] == table.ascending[second])
     a, b = first // 3, second // 3
@@ -86,7 +86,7 @@ def _turned(cells: Integers, turn: Booleans) -> Integers:
 
 
 def _targets(centres: Array, outside: Outside, parts: Mapping[str, Integers]) -> Array:
-    """Directions (m, 3) of any length along which the cells' normals shall point."""
+    """Directions (m, 3) of any length towards which the cells' normals shall point."""
     if not isinstance(outside, Mapping):
         return _along(centres, outside)
     targets = _along(centres, UPWARD)
@@ -124,7 +124,7 @@ def _pieces_inside_out(
     targets: Array,
     outside: Outside,
 ) -> Booleans:
-    """Whether the normals of each piece point inside on the whole."""
+    """Whether the area vector of each piece points inside."""
     corners = points[cells]
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flux = np.bincount(piece, weights=np.einsum("ij,ij->i", area, targets))

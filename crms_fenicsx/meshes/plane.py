@@ -25,7 +25,7 @@ from crms_fenicsx.runtime.errors import InputError, MeshError
 
 
 def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
-    """The corners (n, 2) of a simple polygon, in the given order."""
+    """Check the corners (n, 2) of a simple polygon, in the given order."""
     try:
         outline = np.asarray(corners, dtype=np.float64)
     except (TypeError, ValueError):
@@ -86,8 +86,8 @@ def rectangle(
 ) -> SurfaceArrays:
     """Mesh a rectangle in the plane z = 0.
 
-    Its sides are the edge groups "left" and "right" (least and greatest x), "front" and
-    "back" (least and greatest y); its corners are the point groups "front left" and so on.
+    Its sides are the edge groups "left" and "right" (smallest and largest x), "front" and "back"
+    (smallest and largest y); its corners are the point groups "front left" and so on.
 
     Parameters
     ----------
@@ -98,20 +98,20 @@ def rectangle(
     size
         Edge length of the triangles (length).
     corner
-        Coordinates (x, y) of the corner with the least x and y.
+        Coordinates (x, y) of the corner with the smallest x and y.
     structured
         Cut round(width / size) x round(depth / size) equal rectangles, each by its diagonal
         from lower left to upper right, instead of meshing freely.
     refinements
-        Where to make a free mesh finer.
+        Where to refine an unstructured mesh.
     ranks
-        The rank that shall own each cell, as for `from_arrays`.
+        Rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, `size` is more than a side, or
-        a structured mesh is to be refined.
+        On all ranks, if an argument is not finite or positive, `size` is larger than a side, or a
+        structured mesh is given refinements.
     """
     check_positive("the rectangle", width=width, depth=depth)
     check_size("the rectangle", size, min(width, depth), width * depth)
@@ -148,14 +148,14 @@ def ellipse(
     size
         Edge length of the triangles (length).
     center
-        Coordinates (x, y) of its centre.
+        Coordinates (x, y) of the centre.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is more than a
+        On all ranks, if an argument is not finite or positive, or `size` is larger than a
         semi-axis.
     """
     check_positive("the ellipse", a=a, b=b)
@@ -179,19 +179,18 @@ def circle(
     Parameters
     ----------
     radius
-        Its radius (length).
+        Radius (length).
     size
         Edge length of the triangles (length).
     center
-        Coordinates (x, y) of its centre.
+        Coordinates (x, y) of the centre.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is more than the
-        radius.
+        On all ranks, if an argument is not finite or positive, or `size` is larger than the radius.
     """
     check_positive("the circle", radius=radius)
     check_size("the circle", size, radius, math.pi * radius**2)
@@ -216,21 +215,21 @@ def polygon(
     Parameters
     ----------
     corners
-        Coordinates (x, y) of the corners in their order, either way around.
+        Coordinates (x, y) of the corners in order, in either sense.
     size
         Edge length of the triangles (length).
     names
-        Names of the sides' edge groups, the first for the side from corner 1 to corner 2. A
-        name may be used again; "side 1", "side 2", and so on if not given.
+        Names of the sides' edge groups, the first for the side from corner 1 to corner 2. Names may
+        repeat; by default "side 1", "side 2", and so on.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if there are fewer than three corners, a side has no length, sides
-        intersect or touch, the names are not as many as the sides, or `size` is not
-        positive or more than the polygon's extent.
+        On all ranks, if there are fewer than three corners, a side has no length, sides intersect
+        or touch, the numbers of names and sides differ, or `size` is not positive or larger than
+        the polygon's extent.
     """
     outline = simple_outline(corners)
     if not isinstance(names, Sequence | None):
@@ -275,7 +274,7 @@ def ellipse_arrays(
 def _to_the_rim(
     center: tuple[float, float], axes: tuple[float, float], points: Array, on_rim: Booleans
 ) -> Array:
-    """Points (3, n) of which some (n,) are moved to the rim of an ellipse."""
+    """Move those of the points (3, n) that are `on_rim` (n,) to the rim of an ellipse."""
     (x, y), (a, b), moved = center, axes, points.copy()
     offset = points[:2, on_rim] - [[x], [y]]
     moved[:2, on_rim] = [[x], [y]] + offset / np.hypot(offset[0] / a, offset[1] / b)
@@ -283,7 +282,7 @@ def _to_the_rim(
 
 
 def rectangle_corners(x: float, y: float, width: float, depth: float) -> Array:
-    """Return the corners of a rectangle in the order of `RECTANGLE_CORNERS`, (4, 2)."""
+    """Corners of a rectangle in the order of `RECTANGLE_CORNERS`, (4, 2)."""
     return np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
 
 

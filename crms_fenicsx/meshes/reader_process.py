@@ -1,7 +1,7 @@
-"""Read a mesh file by gmsh or meshio: a program for a process of its own, see `isolated_reader`.
+"""Read a mesh file with gmsh or meshio: a program for a separate process, see `isolated_reader`.
 
-It imports nothing of this package, as that would start MPI. What it has read goes to the standard
-output: "E" and a text in words, or "A" and arrays in numpy's format .npz.
+It imports nothing of this package, as that would start MPI. It writes the result to standard
+output: "E" and an error text, or "A" and arrays in numpy's format .npz.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 Arrays = dict[str, Any]
 
 BASE, GROWTH = 4 * 2**30, 60
-"""Memory that reading may take: bytes at least, and bytes for each byte of the file."""
+"""Memory limit of reading: base (bytes), and bytes per byte of the file."""
 
 
 def limit(file: Path, seconds: int) -> None:
-    """Limit what this process may take, so that no file can exhaust the machine."""
+    """Limit this process's resources, so that no file can exhaust the machine."""
     try:
         import resource
-    except ImportError:  # not on every system
+    except ImportError:  # not available on every system
         return
     most = BASE + GROWTH * file.stat().st_size
     for what, value in ((resource.RLIMIT_AS, most), (resource.RLIMIT_CPU, seconds)):
@@ -49,8 +49,8 @@ def read_by_gmsh(file: Path) -> Arrays:
 
 
 def read_step(file: Path, size: str, unit: str) -> Arrays:
-    """Read a STEP file by OpenCASCADE, and mesh its faces with edges of a length in a unit; each
-    face is a group, "face 1" and so on, and each curve with one face "edge 1" and so on."""
+    """Read a STEP file with OpenCASCADE and mesh its faces with edges of length `size` in `unit`;
+    each face is a group "face 1" and so on, each curve with one face "edge 1" and so on."""
     import gmsh
 
     gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
@@ -60,7 +60,7 @@ def read_step(file: Path, size: str, unit: str) -> Arrays:
     for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
         gmsh.option.setNumber(name, float(size))
     gmsh.model.occ.importShapes(os.fspath(file), highestDimOnly=False)
-    gmsh.model.occ.removeAllDuplicates()  # faces that touch share their curves
+    gmsh.model.occ.removeAllDuplicates()  # touching faces share their curves
     gmsh.model.occ.synchronize()
     faces = [tag for _, tag in gmsh.model.getEntities(2)]
     if not faces:
@@ -94,7 +94,7 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
             continue
         name = gmsh.model.getPhysicalName(dimension, tag) or str(tag)
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
-            kind = (15, 1, 2)[dimension]  # gmsh's numbers of point, line and triangle
+            kind = (15, 1, 2)[dimension]  # gmsh's element types of point, line and triangle
             members = mesh.getElementsByType(kind, entity)
             arrays[f"members {len(names)}"] = members[0 if dimension == 2 else 1]
             names.append(name)
@@ -109,7 +109,7 @@ def read_by_meshio(file: Path) -> Arrays:
 
     said = io.StringIO()
     try:
-        # meshio prints, and ends the program, where a file is not what its suffix says
+        # meshio prints and exits if a file does not match its suffix
         with (
             contextlib.redirect_stdout(said),
             contextlib.redirect_stderr(said),
@@ -150,7 +150,7 @@ def _groups(content: Any, number: int) -> list[tuple[str, Any]]:
         if not name.startswith("gmsh:") and sets[number] is not None:
             found.append((name, np.asarray(sets[number])))
     names = {int(tag): name for name, (tag, dim) in content.field_data.items() if dim == dimension}
-    for key in ("gmsh:physical", "medit:ref"):  # meshio's names of the integer marks of cells
+    for key in ("gmsh:physical", "medit:ref"):  # meshio's names of the integer cell markers
         if key in content.cell_data:
             tags = np.asarray(content.cell_data[key][number]).ravel()
             found += [
@@ -162,10 +162,10 @@ def _groups(content: Any, number: int) -> list[tuple[str, Any]]:
 
 
 def main(reader: str, path: str, seconds: str, *options: str) -> None:
-    """Read a file, and write what is in it."""
+    """Read a file and write its contents to standard output."""
     answer = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # libraries say what they like
+    for stream in (1, 2):  # silence output of the libraries
         os.dup2(nowhere, stream)
     file = Path(path)
     try:
@@ -187,9 +187,9 @@ def main(reader: str, path: str, seconds: str, *options: str) -> None:
     except Exception as error:
         answer.write(b"E" + (str(error) or repr(error)).encode(errors="replace"))
     answer.flush()
-    os._exit(0)  # what libraries do at the end is of no interest
+    os._exit(0)  # skip the libraries' cleanup
 
 
 if __name__ == "__main__":
-    del sys.path[0]  # this file's folder, whose modules are no libraries
+    del sys.path[0]  # this file's folder, whose modules could shadow libraries
     main(*sys.argv[1:])

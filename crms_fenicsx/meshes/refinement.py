@@ -1,4 +1,4 @@
-"""Arguments of the mesh generators: a general size, smaller sizes near given lines."""
+"""Size arguments of the mesh generators: a general size, and smaller sizes near given lines."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from crms_fenicsx.runtime.errors import InputError, MeshError
 
 _MOST_CELLS = 2e7
 _RANGE = 1e-100, 1e100
-"""Lengths whose squares, and the squares of these, are numbers as well."""
+"""Range of lengths whose fourth powers do not overflow or underflow."""
 
 
 def check_positive(what: str, **numbers: float) -> None:
-    """Refuse lengths that are not positive and finite, or beyond all measure, by their names."""
+    """Refuse named lengths that are not positive and finite, or outside `_RANGE`."""
     for name, value in numbers.items():
         try:
             good = _RANGE[0] < value < _RANGE[1]
@@ -28,7 +28,7 @@ def check_positive(what: str, **numbers: float) -> None:
 
 
 def check_size(what: str, size: float, shortest: float, area: float) -> None:
-    """Refuse a mesh size that is too large for a shape, or would need far too many cells."""
+    """Refuse a mesh size that is too large for a shape, or would need too many cells."""
     check_positive(what, size=size)
     if size > shortest:
         raise MeshError(
@@ -44,7 +44,7 @@ def check_size(what: str, size: float, shortest: float, area: float) -> None:
 
 
 def check_point(what: str, point: Sequence[float]) -> tuple[float, float]:
-    """Return the two coordinates of a point in the plan."""
+    """Check and return the two coordinates of a point in the plan."""
     try:
         x, y = (float(value) for value in point)
         good = math.isfinite(x) and math.isfinite(y)
@@ -62,13 +62,13 @@ class Refinement:
     Parameters
     ----------
     line
-        Points (at least one) of a polyline. With two coordinates each, distances to it
-        are measured in the plan; with three, in space. One refinement has one kind.
+        Points (at least one) of a polyline. With two coordinates each, distances to it are measured
+        in the plan; with three, in space. All points have the same number of coordinates.
     size
         Edge length of the triangles on the line (length).
     distance
         Distance from the line (length) over which the edge length grows linearly to the general
-        one.
+        size.
 
     Raises
     ------
@@ -95,7 +95,7 @@ class Refinement:
 
 
 class TargetSize:
-    """Wanted edge length anywhere in space."""
+    """Target edge length as a function of position."""
 
     def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:
         if not isinstance(refinements, Sequence) or not all(
@@ -125,7 +125,7 @@ class TargetSize:
         self._squared = np.where(squared > 0, squared, 1.0)
 
     def __call__(self, point: Array) -> float:
-        """The wanted edge length at a point (3,)."""
+        """Target edge length at a point (3,)."""
         if not self.refined:
             return self.general
         offset = (point - self._start) * self._weight

@@ -1,8 +1,8 @@
 """The smooth surface through the vertices of a triangulation, and lengths of curves on it.
 
-Facets lie inside of a curved surface: a path over them is too short by some 0.13 (h / R)^2 of its
-length (h the size of the cells, R the radius). Here an edge is the parabola through its vertices
-that is normal to the surface's normals there, and a curve between two points an arc.
+Facets lie inside a curved surface: a path over them is too short by about 0.13 (h / R)^2 of its
+length (cell size h, radius R). Here an edge is replaced by the parabola through its vertices that
+is orthogonal to the vertex normals, and a curve between two points by an arc.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from crms_fenicsx.meshes.triangles import dot, double_areas, mix, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 CREASE = np.cos(np.radians(15.0))
-"""Cosine of the angle between a cell and its vertex from which on the surface has a crease: half of
-that between two faces. On a sphere it is reached by cells of half the radius."""
+"""Cosine of the angle between the normals of a cell and its vertex beyond which the vertex counts
+as a crease: half the angle between two faces. On a sphere, cells of half the radius reach it."""
 PAIRS = ((0, 1), (1, 2), (2, 0))
 
 
@@ -26,7 +26,7 @@ class SmoothSurface:
     """Vertices with normals."""
 
     points: Array  # (n, 3) positions of the vertices (length)
-    # (n, 3) unit normals; zero at boundaries, seams and creases, where the surface has none
+    # (n, 3) unit normals; zero at boundaries, seams and creases, where the surface is not smooth
     normals: Array
 
     @classmethod
@@ -48,7 +48,7 @@ class SmoothSurface:
         return cls(points, normals)
 
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
-        """Vectors (k, 3) (length) from places on facets to the surface, and unit normals there."""
+        """Vectors (k, 3) (length) from points on facets to the surface, and unit normals there."""
         x, n = self.points[corners], self.normals[corners]
         height = np.zeros(len(corners))
         for i, j in PAIRS:
@@ -61,8 +61,8 @@ class SmoothSurface:
 
 
 def arc_lengths_on(points: Array, normals: Array, straight: Booleans) -> Array:
-    """Lengths of the k - 1 parts of a curve on a surface through points with normals (k, 3), of
-    which some are `straight`."""
+    """Lengths of the k - 1 arcs of a curve through points with surface normals (k, 3); those marked
+    `straight` are segments."""
     steps = np.diff(points, axis=0)
     chords = norm(steps)
     turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)
@@ -71,7 +71,7 @@ def arc_lengths_on(points: Array, normals: Array, straight: Booleans) -> Array:
 
 
 def _turns(start: Array, end: Array, steps: Array) -> Array:
-    """Turns of normals along steps, times these; twice that where only one normal is known."""
+    """Turn of the normals along steps, times these; doubled if only one normal is known."""
     known = [np.any(normals != 0.0, axis=-1) for normals in (start, end)]
     turn = dot(end, steps) - dot(start, steps)
     return np.where(known[0] == known[1], turn, 2 * turn)

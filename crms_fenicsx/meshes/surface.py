@@ -1,4 +1,4 @@
-"""Check that arrays describe an orientable triangulated surface, before it is distributed."""
+"""Checks that arrays describe an orientable triangulated surface, before it is distributed."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ BOUNDARY = "boundary"
 """Reserved name of the group of all edges with one cell."""
 
 Projection = Callable[[Array, Booleans], Array]
-"""Moves points (3, n) near a surface, of which some (n,) are on its rim, onto it and its rim."""
+"""Projects points (3, n) near a surface onto it, and those on its rim (n,) onto the rim."""
 
 _DEGENERATE = 1e-10  # area / (longest edge)^2; a sliver of aspect ratio 1e4 has 5e-5
 
 
 @dataclass(frozen=True)
 class SurfaceArrays:
-    """A surface from a generator or a reader, as `from_arrays` takes it."""
+    """A surface from a generator or a reader, in the form of `from_arrays`."""
 
     points: ArrayLike
     cells: ArrayLike
@@ -37,23 +37,23 @@ class SurfaceArrays:
 
 @dataclass(frozen=True)
 class CheckedSurface:
-    """A checked and oriented surface, all of it on one rank."""
+    """A checked and oriented surface, all on one rank."""
 
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) coordinates (length)
     # (m, 3) vertices of the cells; all normals of a piece on its outer side
     cells: Integers = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
-    # `edge_keys` of the edges of each group, "boundary" among them
+    # `edge_keys` of the edges of each group, including "boundary"
     edges: dict[str, Integers] = field(default_factory=dict)
     parts: dict[str, Integers] = field(default_factory=dict)  # cell indices of each group
     point_groups: dict[str, Integers] = field(default_factory=dict)  # vertex indices
-    # (k, 2) pairs of cells that link all cells of every seam
+    # (k, 2) pairs of cells that link all cells of each seam
     seam_links: Integers = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     # indices of the cells of pieces behind seams, see `hidden_cells`
     hidden: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 EMPTY = CheckedSurface()
-"""The surface on other ranks than the first."""
+"""The surface on ranks other than 0."""
 
 
 def checked_surface(arrays: SurfaceArrays, outside: Outside) -> CheckedSurface:
@@ -131,7 +131,7 @@ def _cells(given: ArrayLike, points: Array) -> Integers:
 
 
 def check_shapes(points: Array, cells: Integers) -> None:
-    """Refuse degenerate cells, duplicate cells and loose vertices."""
+    """Refuse degenerate cells, duplicate cells and unused vertices."""
     corners = points[cells]
     sides = corners[:, [1, 2, 0]] - corners
     area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
@@ -160,7 +160,7 @@ def check_shapes(points: Array, cells: Integers) -> None:
 
 
 def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
-    """Refuse vertices where separate fans only touch; one edge with any number of cells joins."""
+    """Refuse vertices where separate fans touch; an edge of any number of cells joins fans."""
     first, second = table.linked_sides(table.counts >= 2)
     next_corner = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     alike = table.ascending[first] == table.ascending[second]
@@ -185,7 +185,7 @@ def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
 def _members(
     groups: Mapping[str, ArrayLike], kind: str, items: str
 ) -> Iterator[tuple[str, Integers]]:
-    """The groups' names with their members, which are integers."""
+    """Names of the groups, with their integer members."""
     if not isinstance(groups, Mapping):
         raise MeshError(f"the {kind}s are {groups!r}: give a mapping of names to members")
     for name, given in groups.items():

@@ -1,6 +1,6 @@
-"""Geometry of triangles: areas, normals, edges without a counterpart.
+"""Geometry of triangles: areas, normals, edges where pressure is not balanced.
 
-Everything is elementwise, so that a part of a mesh rounds as the whole.
+All operations are elementwise, so that a part of a mesh gives the same digits as the whole.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
-# Cells whose projection keeps less than this part of their area are walls.
+# Cells with a smaller ratio of plan area to area are walls.
 WALL = 1e-6
 
 
 def vectors(rows: Array) -> list[Array]:
-    """Return the rows of an array, for loops."""
+    """The rows of an array as a list of arrays, for loops."""
     return [rows[i] for i in range(len(rows))]
 
 
 def lists(rows: Integers) -> list[list[int]]:
-    """Return the rows of an array as lists of Python integers."""
+    """The rows of an integer array as lists of Python ints."""
     return cast(list[list[int]], rows.tolist())
 
 
 def norm(a: Array) -> Array:
-    """Return the lengths of the vectors in the last axis."""
+    """Lengths of the vectors in the last axis."""
     return np.asarray(np.sqrt(dot(a, a)), dtype=np.float64)
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the cross products of the vectors in the last axes."""
-    # by components: the library's cross product takes longer to set up than to compute
+    """Cross products of the vectors in the last axes."""
+    # by components: numpy's cross product takes longer to set up than to compute
     c = np.empty(np.broadcast_shapes(a.shape, b.shape))
     c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
@@ -45,43 +45,43 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Return the scalar products of the vectors in the last axes."""
+    """Scalar products of the vectors in the last axes."""
     total = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return np.asarray(total, dtype=np.float64)
 
 
 def arc_lengths(points: Array) -> Array:
-    """Return the lengths (n,) of a polyline (n, 3) from its first point to each one."""
+    """Arc lengths (n,) of a polyline's points (n, 3), from its first point."""
     first = np.zeros(min(len(points), 1))
     return np.concatenate([first, np.cumsum(norm(np.diff(points, axis=0)))])
 
 
 def longest_sides(triangles: Array) -> Array:
-    """Return (m,) lengths of the longest sides of (m, 3, 3) triangles."""
+    """Lengths (m,) of the longest sides of triangles (m, 3, 3)."""
     sides = norm(triangles[:, [1, 2, 0]] - triangles)
     return np.asarray(np.max(sides, axis=1, initial=0.0))
 
 
 def double_areas(triangles: Array) -> Array:
-    """Return (m, 3) normals, as long as twice the area."""
+    """Normals (m, 3) with a length of twice the area."""
     return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def altitudes(triangles: Array) -> Array:
-    """Return (m,) smallest altitudes."""
+    """Smallest altitudes (m,)."""
     longest = longest_sides(triangles)
     quotient = norm(double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
     return np.asarray(quotient, dtype=np.float64)
 
 
 def balls(triangles: Array) -> tuple[Array, Array]:
-    """Return (m, 3) centres and (m,) radii of balls around the triangles."""
+    """Centres (m, 3) and radii (m,) of balls around the triangles."""
     centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
     return centre, np.asarray(np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
 
 
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Weights (m, 3), positions (m, 3) and distances (m,) of the places nearest to `target`."""
+    """Weights (m, 3), positions (m, 3) and distances (m,) of the points closest to `target`."""
     every = np.arange(len(triangles))
     target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles
@@ -109,58 +109,59 @@ def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
 
 
 def mix(weights: Array, triangles: Array) -> Array:
-    """Return (m, 3) positions from (m, 3) weights of the corners of (m, 3, 3) triangles."""
+    """Positions (m, 3) from weights (m, 3) of the corners of triangles (m, 3, 3)."""
     product = weights[:, :, None] * triangles
     mixed: Array = product[:, 0] + product[:, 1] + product[:, 2]
     return mixed
 
 
 def flattened(triangles: Array) -> Array:
-    """Return the triangles' plans: z = 0."""
+    """Projections of the triangles on the plane z = 0."""
     flat = triangles.copy()
     flat[..., 2] = 0.0
     return flat
 
 
 def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
-    """Normals of stress-free cells, as long as their areas, (n, 3); by default of all."""
+    """Area vectors of stress-free cells, (n, 3); by default of all."""
     x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
     return double_areas(np.asarray(x, dtype=float)) / 2
 
 
 def cell_sides(mesh: Any, cells: Any = slice(None)) -> Array:
-    """Stress-free sides of cells, from each corner to the next one, (n, 3, 3)."""
+    """Side vectors of stress-free cells, from each corner to the next, (n, 3, 3)."""
     x: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
     return np.roll(x, -1, axis=1) - x
 
 
 def cell_normals(mesh: Any, cells: Any = slice(None)) -> Array:
-    """Unit normals of the stress-free cells, (n, 3); of all, with ghosts."""
+    """Unit normals of stress-free cells, (n, 3); by default of all, with ghosts."""
     normal = area_vectors(mesh, cells)
     return normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
 @dataclass(frozen=True)
 class OpenEdges:
-    """Edges at which the cells under pressure do not cancel each other, as this rank knows them."""
+    """Edges where the volume contributions of pressurised cells do not cancel, on this rank."""
 
-    numbers: Indices  # (n,) local numbers of the edges, owned ones and ghosts, sorted
+    numbers: Indices  # (n,) local numbers of the edges, owned and ghosts, sorted
     vertices: Indices  # (n, 2) their vertices by local degree of freedom
-    # (n, 2) the vertices' numbers in the mesh as it was given; the first one is lower
+    # (n, 2) numbers of these vertices in the mesh as given, the lower one first
     ids: Integers
-    senses: Array  # (n,) how many more cells pass from the first vertex to the second one than back
+    senses: Array  # (n,) number of cells that run from the first vertex to the second, minus back
 
 
 def open_edges(V: fem.FunctionSpace, pressed: Booleans) -> OpenEdges:
-    """Edges at which the cells under pressure (m,) do not cancel each other. Collective."""
-    # The exact follower pressure has a potential only if these are held or slide in planes: each
-    # cell makes a volume with the origin, whose sides over an edge cancel if as many cells pass it
-    # in the one sense as in the other; not so at the rim of what is pressed, or at a seam of three.
+    """Edges where contributions of the pressurised cells (m,) do not cancel. Collective."""
+    # Exact follower pressure has a potential only if these edges are held or slide in planes. Each
+    # cell spans a volume with the origin, and volumes' side faces over an edge cancel if as many
+    # cells run along the edge in one sense as in the other: not at the rim of the pressurised
+    # cells, nor at a seam of three.
     mesh = V.mesh
     numbers = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)
     ids = cell_vertex_ids(mesh)
     sides = np.stack([np.roll(np.arange(3), -1), np.roll(np.arange(3), -2)], axis=1)
-    start, end = ids[:, sides[:, 0]], ids[:, sides[:, 1]]  # side k lies opposite to k
+    start, end = ids[:, sides[:, 0]], ids[:, sides[:, 1]]  # side k is opposite corner k
     sense = np.where(start < end, 1.0, -1.0)
     total = la.vector(mesh.topology.index_map(1), dtype=np.float64)
     np.add.at(total.array, numbers[pressed], sense[pressed])
