@@ -1,1 +1,1 @@
-"""Geometry on a triangulated surface: places, paths, sections, closest points."""
+"""Geometry on a triangulated surface: surface points, paths, plane sections, closest points."""

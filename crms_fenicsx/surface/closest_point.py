@@ -1,4 +1,4 @@
-"""Where points are on a triangulated surface: the places that a route's points take on it."""
+"""Location of route points on a triangulated surface."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.feet import Foot, feet_of, pairs_within
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
 
-# A point in space counts as lying on the surface up to this part of the local mesh size: a
-# faceted dome of three cells per radius is nowhere farther from the smooth one.
+# Distance from the surface, relative to the local mesh size, up to which a point in space lies on
+# it: a faceted dome of three cells per radius is nowhere farther from the smooth one.
 ON_SURFACE = 0.1
 
-# A route point in plan that lies outside by up to this part of the mesh size is meant to lie on the
+# Distance outside, relative to the mesh size, up to which a route point in plan is moved to the
 # rim: the circle through the vertices of a disc of 20 edges is nowhere farther from them.
 RIM = 0.05
 
@@ -43,16 +43,16 @@ Node = tuple[int, ...]
 
 @dataclass(frozen=True)
 class TargetSurface:
-    """A triangulated surface: global ids (n,), positions (n, 3), rows of both (m, 3)."""
+    """A triangulated surface: global ids (n,), positions (n, 3), cells as rows of both (m, 3)."""
 
     ids: Integers
     points: Array
     cells: Integers
-    size: float  # its longest edge
+    size: float  # length of its longest edge
 
     @classmethod
     def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
-        """Return the surface of these arrays; raise PathError if they are none."""
+        """Check the arrays and return their surface; raise PathError if they are invalid."""
         ids = np.asarray(vertices, dtype=np.int64)
         x = np.asarray(points, dtype=np.float64)
         rows = np.asarray(cells, dtype=np.int64)
@@ -78,7 +78,7 @@ class TargetSurface:
 
     @cached_property
     def row_of(self) -> dict[int, int]:
-        """Place of each vertex in `ids`."""
+        """Row of each vertex id."""
         return {int(vertex): row for row, vertex in enumerate(self.ids)}
 
     @cached_property
@@ -91,22 +91,22 @@ class TargetSurface:
         return found
 
     def cells_at(self, point: SurfacePoint) -> set[int]:
-        """Rows of the cells that hold a point."""
+        """Rows of the cells that contain a point."""
         return set.intersection(*(self.around[vertex] for vertex in point.support))
 
     def in_one_cell(self, points: Iterable[SurfacePoint]) -> bool:
-        """Whether a cell holds all the points."""
+        """Whether one cell contains all the points."""
         return bool(set.intersection(*(self.cells_at(point) for point in points)))
 
 
 @dataclass(frozen=True)
 class Place:
-    """A route point on the surface, or an anchor over or beyond it."""
+    """A route point on the surface, or an anchor above it or beyond its boundary."""
 
     point: SurfacePoint | None  # None for an anchor
     position: Array
     normal: Array
-    foot: Foot | None = None  # nearest place of the surface to an anchor
+    foot: Foot | None = None  # closest point of the surface to an anchor
     beyond: bool = False  # whether an anchor lies beyond the boundary
 
     @property
@@ -117,7 +117,7 @@ class Place:
 
 
 def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
-    """The places of route points (k, 2) given in plan, on the uppermost sheet or on the rim."""
+    """Locate route points (k, 2) given in plan, on the uppermost sheet or on the rim."""
     found = _held_in_plan(surface, course, snap)
     outside = [i for i, place in enumerate(found) if place is None]
     on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
@@ -133,7 +133,7 @@ def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[P
 
 
 def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place | None]:
-    """The places of points in plan; None for those outside of the surface."""
+    """Locate points in plan; None for those outside the surface."""
     corners = surface.points[surface.cells][:, :, :2]
     least, most, reach = corners.min(axis=1), corners.max(axis=1), snap * surface.size
     inside = (least <= course[:, None] + reach) & (most >= course[:, None] - reach)
@@ -157,13 +157,13 @@ def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Pl
 
 
 def _by_target(target: Integers, count: int) -> list[Integers]:
-    """Return the rows of each target in an ascending list of them."""
+    """Positions of each target's entries in an ascending list of targets."""
     ends = np.searchsorted(target, np.arange(count + 1))
     return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
 def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
-    """Return the nearest place in plan to a point just outside, as a curved rim's points are."""
+    """Closest point in plan to a route point just outside, as next to a curved rim."""
     triangles = surface.points[surface.cells]
     flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
     weights, _, gap = closest(flat, target)
@@ -186,8 +186,8 @@ def located(
     triangles: Array,
     snap: float,
 ) -> list[tuple[SurfacePoint, Array] | None]:
-    """Points of the surface at targets (k, 3), with their positions: a vertex where one is near,
-    else an edge, else a place in the nearest of the cells given by pairs `target`, `rows` (p,)."""
+    """Surface points at targets (k, 3), with positions: a vertex if one is near, else an edge, else
+    a point in the closest of the cells given by pairs `target`, `rows` (p,)."""
     corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)
     to_corner = norm(triangles - at[:, None])
@@ -228,7 +228,7 @@ def located(
 def places_in_space(
     surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
-    """The places of route points (k, 3); the first and last may be anchors, `known` ones stay."""
+    """Locate route points (k, 3); the first and last may be anchors, `known` ones are kept."""
     feet = feet_of(surface.points, surface.cells, course)
     positions = np.array([foot.position for foot in feet])
     target, rows = _touching(surface, positions, snap)
@@ -247,7 +247,7 @@ def places_in_space(
         offset = course[i] - foot.position
         height = float(dot(offset, foot.normal))
         aside = float(norm(offset - height * foot.normal))
-        # an offset along the normal is that of a faceted surface from a smooth one
+        # facets deviate from a smooth surface along its normal
         is_aside = aside > max(snap * float(altitude[own].max()), 0.5 * abs(height))
         off = foot.distance > ON_SURFACE * float(longest[own].max())
         rim = (is_aside or off) and on_boundary(surface, point)
@@ -272,7 +272,7 @@ def places_in_space(
 
 
 def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[Integers, Integers]:
-    """Pairs (p,) of places of the surface (k, 3) and the cells that hold or touch them."""
+    """Pairs (p,) of surface positions (k, 3) and the cells that contain or touch them."""
     triangles = surface.points[surface.cells]
     centre, radius = balls(triangles)
     widest = float(radius.max()) * (1.0 + 2.0 * snap)
@@ -284,7 +284,7 @@ def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[In
 
 
 def on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
-    """Say whether a point of the surface lies on its boundary."""
+    """Whether a point of the surface lies on its boundary."""
     if isinstance(point, CellPoint):
         return False
     around = sorted({row for vertex in point.support for row in surface.around[vertex]})
@@ -295,5 +295,5 @@ def on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
 
 
 def edge_count(cells: Iterable[Sequence[int]]) -> Counter[Node]:
-    """Count the cells at each edge (smaller, larger)."""
+    """Number of cells at each edge (smaller, larger)."""
     return Counter(edge_of(a, b) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))

@@ -1,8 +1,8 @@
-"""Corridors: which vertices a path visits and which edges it crosses, without where.
+"""Corridors: the vertices a path visits and the edges it crosses, without positions.
 
-A corridor is the tuple of the supports of a path's points: a vertex (a,), an edge (a, b), or,
-at its ends, a cell (a, b, c). It is pure combinatorics, so two paths through the same corridor
-have the same taut string.
+A corridor is the tuple of the supports of a path's points: a vertex (a,), an edge (a, b), or, at
+its ends, a cell (a, b, c). It is purely combinatorial: two paths through the same corridor have the
+same taut string.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ Corridor = tuple[Support, ...]
 
 
 def corridor(points: Sequence[SurfacePoint]) -> Corridor:
-    """The supports of a path's points."""
+    """Supports of a path's points."""
     return tuple(point.support for point in points)
 
 
 def cell_between(a: Support, b: Support) -> Support:
-    """Vertices, ascending, of the cell or edge through which a path goes from a to b."""
+    """Sorted vertices of the cell or edge through which a path goes from a to b."""
     return tuple(sorted({*a, *b}))
 
 
 def without_detours(supports: Sequence[Support]) -> Corridor:
-    """A corridor, with both its ends, without edges crossed to and fro, visits from which the path
-    turns straight back, and edges crossed next to a visit to one of their vertices."""
+    """Simplify a corridor between its ends: remove edges crossed back and forth, vertices where the
+    path turns straight back, and edges crossed next to a visit of one of their vertices."""
     kept: list[Support] = []
     for i, new in enumerate(supports):
         _append(kept, new, last=i == len(supports) - 1)
@@ -36,7 +36,7 @@ def without_detours(supports: Sequence[Support]) -> Corridor:
 
 
 def _append(kept: list[Support], new: Support, *, last: bool) -> None:
-    """Append a support to a corridor without detours, and keep it so."""
+    """Append a support to a simplified corridor, and simplify it again."""
     while kept:
         top, only = kept[-1], len(kept) == 1
         if top == new:
@@ -60,7 +60,7 @@ def _append(kept: list[Support], new: Support, *, last: bool) -> None:
 
 
 def _turns_back(a: Support, b: Support, c: Support) -> bool:
-    """Whether a path from a to b goes on to c through where it came from."""
+    """Whether a path from a to b continues to c through the cell or edge it came from."""
     there, back = cell_between(a, b), cell_between(b, c)
     if _along_edge(a, b):
         return set(there) <= set(back)
@@ -68,13 +68,13 @@ def _turns_back(a: Support, b: Support, c: Support) -> bool:
 
 
 def _along_edge(end: Support, vertex: Support) -> bool:
-    """Whether the way between two supports is a part of an edge."""
+    """Whether the link between two supports runs along an edge."""
     return len(end) == 2 and len(vertex) == 1 and vertex[0] in end
 
 
 def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]) -> Corridor:
-    """A corridor with each end that lies inside an edge which it then follows in a cell beside it,
-    where there is a choice not in the one that the path goes on through."""
+    """Move each end that lies on an edge the corridor follows into a cell beside that edge, if
+    possible not the cell through which the path continues."""
     result = list(supports)
     for i, step in ((0, 1), (-1, -1)):
         if _along_edge(supports[i], supports[i + step]):
@@ -96,7 +96,7 @@ def why_invalid(
     links = [cell_between(a, b) for a, b in pairwise(supports)]
     if len(links) == 1 and supports[0] == supports[1] and len(links[0]) < 3:
         return f"both of its ends lie on {links[0]}"
-    # both ends of a hoop, which goes around, may lie on one vertex or edge
+    # the two ends of a hoop, a closed loop, may lie on the same vertex or edge
     hoop = supports[0] == supports[-1] and len(supports[0]) < 3
     visited = supports[1:] if hoop else supports
     partly = {s for s in (supports[0], supports[-1]) if len(s) == 2}
@@ -104,7 +104,7 @@ def why_invalid(
     again = next((s for s, n in Counter(passed).items() if n > 1), None)
     if again is not None:
         return f"it uses {again} twice"
-    # a cell that is entered once has at most two points on its edges, unless one is an end
+    # a cell entered once has at most two points on its edges, unless one is an end
     edges = {s for s in supports if len(s) == 2}
     for end in partly:
         for third in opposite_vertices((end[0], end[1])):

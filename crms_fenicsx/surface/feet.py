@@ -1,4 +1,4 @@
-"""The places of a surface nearest to points in space, of many points at once."""
+"""Closest points of a surface to points in space, for many points at once."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from crms_fenicsx.meshes.triangles import balls, closest, double_areas, longest_
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 PAIRS = 1_000_000
-"""How many distances between points and cells are held at a time."""
+"""Number of point-cell distances held in memory at a time."""
 
 
 @dataclass(frozen=True)
 class Foot:
-    """The place of a surface nearest to a point in space, in a cell of a certain size."""
+    """Closest point of a surface to a point in space, and the size of its cell."""
 
     position: Array
     distance: float
@@ -28,7 +28,7 @@ class Foot:
 def feet_of(
     points: Array, cells: Integers, targets: Array, comm: MPI.Intracomm | None = None
 ) -> list[Foot]:
-    """The places of a surface nearest to targets (k, 3), the same on all ranks of `comm`."""
+    """Closest points of a surface to targets (k, 3), the same on all ranks of `comm`."""
     triangles = points[cells]
     centre, radius = balls(triangles)
     held, position, share, corners = _nearest(triangles, centre, radius, targets)
@@ -41,8 +41,8 @@ def feet_of(
         comm.Allreduce(np.where(mine[:, None], given, 0.0), found)
         position, share, corners = found[:, :3], found[:, 3:6], found[:, 6:].reshape(-1, 3, 3)
     size = longest_sides(corners)
-    # interpolated from the vertices: the facets' own normals are off by the angle between them;
-    # vertices are known by their place, as ranks share no other name for them here
+    # normals are interpolated from the vertices, as facet normals differ by the angle between
+    # facets; vertices are identified by position, as ranks share no other key here
     normals = np.zeros((len(targets), 3, 3))
     target, cell = pairs_within(centre, position, (size + radius.max(initial=0.0)) * (1.0 + 1e-9))
     area, around = double_areas(triangles[cell]), triangles[cell]
@@ -64,14 +64,14 @@ def feet_of(
 def _nearest(
     triangles: Array, centre: Array, radius: Array, targets: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return distances (k,), places (k, 3), weights (k, 3) and corners (k, 3, 3) of feet."""
+    """Distances (k,), closest points (k, 3), weights (k, 3) and cell corners (k, 3, 3)."""
     k = len(targets)
     held = np.full(k, np.inf)
     position, share, corners = np.zeros((k, 3)), np.zeros((k, 3)), np.zeros((k, 3, 3))
     if len(triangles):
         target, cell = nearest_pairs(centre, radius, targets)
         weights, places, gaps = closest(triangles[cell], targets[target])
-        order = np.lexsort((gaps, target))  # the first of cells that are equally near
+        order = np.lexsort((gaps, target))  # of equally close cells the first
         best = order[np.unique(target[order], return_index=True)[1]]
         held, position, share = gaps[best], places[best], weights[best]
         corners = triangles[cell[best]]
@@ -79,11 +79,11 @@ def _nearest(
 
 
 def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
-    """Pairs of targets (k, 3) and cells that may be the nearest ones, as `pairs_within`."""
+    """Pairs of targets (k, 3) and cells that may be the closest, in the form of `pairs_within`."""
     rows, columns = [], []
     widest = radius.max()
     for first, square, rounding in _squares(centre, targets):
-        # to the nearest centre, which is a place of the surface as well
+        # to the nearest centre, which is a point of the surface as well
         reach = np.sqrt(np.maximum(square.min(axis=1), 0.0) + rounding) * (1.0 + 1e-9)
         row, column = marked(square <= ((reach + widest) ** 2 + rounding)[:, None])
         apart = norm(centre[column] - targets[row + first])
@@ -94,8 +94,8 @@ def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integer
 
 
 def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers, Integers]:
-    """Rows (p,) of all pairs of targets (k, 3) and centres (m, 3) nearer than `reach` (k,), or
-    nearly so, ascending by targets and then by centres."""
+    """Indices (p,) of all pairs of targets (k, 3) and centres (m, 3) within `reach` (k,), up to
+    rounding, sorted by targets and then centres."""
     rows, columns = [], []
     for first, square, rounding in _squares(centre, targets):
         row, column = marked(
@@ -107,13 +107,13 @@ def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers,
 
 
 def marked(marks: Booleans) -> tuple[Integers, Integers]:
-    """Return the rows and columns of what is marked, ascending: `np.nonzero`, but faster."""
+    """Rows and columns of the marked entries, ascending: a faster `np.nonzero`."""
     row, column = np.divmod(np.flatnonzero(marks), max(marks.shape[1], 1))
     return row, column
 
 
 def nearest_within(centre: Array, targets: Array) -> Array:
-    """Return how far the nearest centre is from each target, (k,), or slightly more."""
+    """Upper bound of the distance from each target to the nearest centre, (k,)."""
     return np.concatenate(
         [
             np.sqrt(np.maximum(square.min(axis=1, initial=np.inf), 0.0) + rounding) * (1.0 + 1e-9)
@@ -123,7 +123,7 @@ def nearest_within(centre: Array, targets: Array) -> Array:
 
 
 def _squares(centre: Array, targets: Array) -> Iterator[tuple[int, Array, float]]:
-    """Squared distances in blocks: the first target, (some, m) squares, and their error."""
+    """Squared distances in blocks: first target, squares (some, m), and their rounding error."""
     middle = targets.mean(axis=0)
     c, t = centre - middle, targets - middle
     own, other = (c * c).sum(axis=1), (t * t).sum(axis=1)

@@ -1,16 +1,16 @@
-"""Shortening: a cable's path slides over the vertices that do not hold it.
+"""Shortening of a cable's path by flips over the vertices that do not hold it.
 
-A cable without friction lies along a geodesic of the surface. In the corridor of its path it is a
-taut string, which bends at vertices. Seen from the strip the angle of a bend is pi or more. Where
-the angle on the other side of the vertex is less than pi the string would be shorter there, and
-the corridor is led around that side: a flip. A path without flips left is straight everywhere but
-at vertices whose angles are pi or more on both sides, which is a geodesic.
+A frictionless cable lies along a geodesic of the surface. Within the corridor of its path it is a
+taut string, which bends at vertices, with an angle of at least pi on the side of the unfolded
+strip. If the angle on the other side of the vertex is less than pi, the string would be shorter
+there, and the corridor is led around that side: a flip. A path without possible flips is straight
+except at vertices with angles of at least pi on both sides: a geodesic.
 
-Only lengths of edges count, so the surface may be folded along cables. All is plain geometry on
-few numbers, the same on all ranks.
+Only edge lengths matter, so the surface may be folded along cables. The computations are small and
+the same on all ranks.
 
-Source: the idea is that of edge-flip geodesics (N. Sharp and K. Crane, You can find geodesic paths
-in triangle meshes by just flipping edges, ACM Trans. Graph. 39, 2020), but the mesh stays as it is.
+Source: edge-flip geodesics (N. Sharp and K. Crane, You can find geodesic paths in triangle meshes
+by just flipping edges, ACM Trans. Graph. 39, 2020), but without changing the mesh.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ from crms_fenicsx.surface.points import (
 from crms_fenicsx.surface.vertex_flip import TIE, Arcs, EdgeLengths, Flip, Hold, compatible, ordered
 
 STRAIGHT = 1e-7
-"""Angle (rad) by which the other side of a vertex must be less than pi for a flip.
+"""Angle (rad) by which the other side of a vertex must be below pi for a flip.
 
-A flip by less would shorten the cable by a fraction below 1e-14, which no length computed here can
-show; the rounding of angles is far below it (1e-12 where cells are as thin as 1e-4).
+A smaller one would shorten the cable by less than 1e-14 of its length, below the accuracy of
+lengths; the rounding of angles is far smaller (1e-12 where cells are as thin as 1e-4).
 """
 LONGER = 1e-12
-"""Growth of the length, relative, that rounding may cause: some 1e-16 for each cell unfolded."""
+"""Relative growth of the length attributed to rounding: about 1e-16 for each unfolded cell."""
 
 
 @dataclass(frozen=True)
 class FlippedPath:
     """A path that has been pulled taut."""
 
-    # both ends as given, or in a cell beside an edge that the path then follows, and in between the
-    # taut string's own places on edges, also if only rounding is between them and a vertex
+    # both ends as given, or moved into a cell beside an edge that the path follows; in between the
+    # crossings of the taut string, even if only rounding separates them from a vertex
     points: tuple[SurfacePoint, ...]
-    flips: tuple[int, ...]  # vertices over which it has slid, in order
+    flips: tuple[int, ...]  # vertices it has been flipped over, in order
     length: float  # length of the taut string (length)
-    before: float  # that of the string in the corridor given (length)
+    before: float  # length of the taut string in the given corridor (length)
 
 
 def shorten(
@@ -75,11 +75,11 @@ def shorten(
     held_at: Set[int] | None = None,
     checked: bool = False,
 ) -> FlippedPath:
-    """A path pulled taut that has slid over `max_flips` vertices at most, or to a geodesic."""
-    # The vertex with the smallest angle on its other side comes first, followed in one sweep by all
-    # others that share no cell with those before. Equal angles are ordered from the path's middle
-    # to its ends, so that neither ids nor the handedness of the surface decides. As no corridor is
-    # visited twice, and those that cross no edge twice are finite in number, it ends.
+    """Pull a path taut and flip it over at most `max_flips` vertices, by default to a geodesic."""
+    # Each sweep starts with the vertex of the smallest angle on the other side and adds all others
+    # that share no cell with the chosen ones. Equal angles are ordered from the path's middle to
+    # its ends, so that neither ids nor the handedness of the surface decides. It terminates, as no
+    # corridor is visited twice and those that cross no edge twice are finite in number.
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     if not checked:
         _check(points, surface)
@@ -96,7 +96,7 @@ def shorten(
 
 
 class _GeodesicPath:
-    """A path on its way to a geodesic."""
+    """A path while it is shortened to a geodesic."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class _GeodesicPath:
         self._stars: dict[int, tuple[Ring, float]] = {}
 
     def pull(self, new: Corridor) -> bool:
-        """Take a corridor, and return whether: not one with a longer taut string."""
+        """Accept a corridor unless its taut string is longer; return whether it was accepted."""
         self.visited.add(new)
         stops = [0, *(i for i in range(1, len(new) - 1) if len(new[i]) == 1), len(new) - 1]
         strings: list[tuple[int, TautString]] = []
@@ -135,7 +135,7 @@ class _GeodesicPath:
         return True
 
     def points(self) -> tuple[SurfacePoint, ...]:
-        """The path with the taut string's fractions."""
+        """The path, with the crossings of the taut string."""
         first, *_, last = snap_ends(self.corridor, self.surface.opposite_vertices)
         points: list[SurfacePoint] = [_in_cell(self.start, first)]
         for i, string in self._strings:
@@ -147,8 +147,8 @@ class _GeodesicPath:
         return (*points, _in_cell(self.end, last))
 
     def sweep(self, limit: int | None) -> list[int]:
-        """Flip as many vertices as go together, `limit` at most; return them."""
-        # a sweep that is rejected is replaced by its first flip that is not
+        """Flip as many vertices as are compatible, at most `limit`; return them."""
+        # a rejected sweep is replaced by its first accepted flip
         flips = self._flips()
         together = compatible(flips)[:limit]
         if not together:
@@ -167,7 +167,7 @@ class _GeodesicPath:
         return new is not None and self.pull(new)
 
     def _corridor_after(self, flips: Sequence[Flip]) -> Corridor | None:
-        """The corridor that flips lead to; None if it cannot be taken."""
+        """The corridor after flips; None if it is invalid, refused or already visited."""
         new = list(self.corridor)
         for flip in sorted(flips, key=lambda flip: flip.first, reverse=True):
             new[flip.first : flip.last + 1] = flip.spokes
@@ -191,13 +191,13 @@ class _GeodesicPath:
             except MissingCells as stars:
                 missing.extend(stars.vertices)
             except MeshError:
-                continue  # where several sheets of membrane meet the vertex holds
+                continue  # a vertex where several sheets of membrane meet holds the string
         if missing:
             raise MissingCells(missing)
         return ordered(flips, len(self.corridor) - 1)
 
     def _holds(self) -> Iterator[Hold]:
-        """What holds the string, in order."""
+        """Vertices that hold the string, in order."""
         previous: TautString | None = None
         for i, string in self._strings:
             if previous is not None:
@@ -209,11 +209,11 @@ class _GeodesicPath:
             previous = string
 
     def _ways_around(self, hold: Hold) -> list[Flip]:
-        """The flips over a vertex that would shorten the string."""
+        """Flips over a vertex that would shorten the string."""
         ring, total = self.star(hold.vertex)
         before, after = self.corridor[hold.first - 1], self.corridor[hold.last + 1]
         if not {*before, *after} <= {hold.vertex, *ring.neighbours}:
-            return []  # the path comes from beyond the boundary, past this vertex
+            return []  # the path passes this vertex from beyond the boundary
         arcs = Arcs(hold.vertex, ring, before, after)
         if hold.strip_angle is not None:
             own = self.corridor[hold.first : hold.last + 1]
@@ -248,13 +248,13 @@ class _GeodesicPath:
             ring = self.surface.ring(vertex)
             around = ring.neighbours + ring.neighbours[:1] * ring.closed
             corners = (corner_angle(vertex, *pair, self.lengths) for pair in pairwise(around))
-            # exactly rounded, so that it does not matter where the ring begins
+            # fsum is exactly rounded, so that the ring's start does not matter
             self._stars[vertex] = ring, math.fsum(corners)
         return self._stars[vertex]
 
 
 def _in_cell(end: SurfacePoint, support: Support) -> SurfacePoint:
-    """An end as a place in the cell to which it has been tied, if it has been."""
+    """An end as a point in the cell into which it was moved, if it was."""
     if not isinstance(end, EdgePoint) or len(support) != 3:
         return end
     weight = dict(zip(end.edge, (1.0 - end.fraction, end.fraction), strict=True))

@@ -1,8 +1,8 @@
-"""The taut string in a strip of cells that is unfolded into the plane.
+"""The taut string in a strip of cells unfolded into the plane.
 
-Cells are unfolded one after the other from the lengths of their edges; the shortest way through
-their common edges is then found with a funnel (Lee and Preparata 1984) in linear time. All
-formulas treat left and right alike: a mirrored strip gives a mirrored string.
+Cells are unfolded one after the other from their edge lengths; a funnel (Lee and Preparata 1984)
+then finds the shortest path through their common edges in linear time. All formulas are symmetric
+in left and right: a mirrored strip gives a mirrored string.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ Lengths = Mapping[Edge, float]
 TOUCHES = 1e-9
 """Angle (rad) within which a string that passes a vertex of the strip counts as touching it.
 
-Far above rounding (some 1e-13 after hundreds of cells), so that it does not depend on the order
-of the vertices' ids whether a string that runs through a vertex in exact arithmetic bends there;
-a string that touches is longer by a fraction of less than 1e-18 only.
+It is far above rounding (about 1e-13 after hundreds of cells), so that bends of a string that runs
+exactly through a vertex do not depend on the order of ids; treating it as a bend lengthens the
+string by a fraction below 1e-18.
 """
 
 
 @dataclass(frozen=True)
 class Bend:
-    """A vertex of the strip that holds the string."""
+    """A vertex of the strip at which the string bends."""
 
     vertex: int  # its id
     first: int  # first and last edge of the strip at the vertex
     last: int
-    angle: float  # on the strip's side (rad), pi or more; NaN where the string ends there
+    angle: float  # on the strip's side (rad), at least pi; NaN if the string ends there
 
 
 @dataclass(frozen=True)
 class TautString:
-    """The shortest way through a strip."""
+    """The shortest path through a strip."""
 
     length: float
-    fractions: tuple[float, ...] = ()  # where it crosses each edge (a, b): 0 at a, 1 at b
+    fractions: tuple[float, ...] = ()  # crossing of each edge (a, b): 0 at a, 1 at b
     bends: tuple[Bend, ...] = ()  # in order
-    # angles (rad) of its first and of its last part to the edges at its first and last point, by
-    # the edges' other ends; of use where that point is a vertex
+    # angles (rad) between the string's first and last segment and the edges at its ends, by the
+    # edges' other vertices; meaningful if that end is a vertex
     leaving: dict[int, float] = field(default_factory=dict)
     arriving: dict[int, float] = field(default_factory=dict)
 
@@ -56,7 +56,7 @@ def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
 
 
 def _four_areas(p: float, q: float, r: float) -> float:
-    """Four times the area of a triangle by Kahan's formula; 0 if the sides fail."""
+    """Four times the area of a triangle by Kahan's formula; 0 if the sides form no triangle."""
     z, y, x = sorted((p, q, r))
     return math.sqrt(max(0.0, (x + (y + z)) * (z - (x - y)) * (z + (x - y)) * (x + (y - z))))
 
@@ -73,8 +73,8 @@ def _cross(a: complex, b: complex) -> float:
 
 
 def _turns(a: complex, b: complex, sign: float) -> bool:
-    """Whether b turns from a to one side (1 left, -1 right) or goes on as a; not where it goes
-    straight back, nor where one of them is zero."""
+    """Whether b turns from a to one side (1 left, -1 right) or is parallel to a; not if it is
+    antiparallel or one of them is zero."""
     turn = a.conjugate() * b
     return sign * turn.imag > -TOUCHES * turn.real
 
@@ -86,7 +86,7 @@ def _angle(a: complex, b: complex) -> float:
 
 
 def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
-    """Where a point is whose cell has been placed."""
+    """Position of a point whose cell has been unfolded."""
     if isinstance(point, EdgePoint):
         a, b = point.edge
         return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
@@ -96,7 +96,7 @@ def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
 
 
 def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautString:
-    """The string between two places of one cell or edge."""
+    """The string between two points of one cell or edge."""
     corners = sorted({*start.support, *end.support})
     a, b = corners[:2]
     ab = lengths[a, b]
@@ -112,18 +112,18 @@ def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautStr
 
 
 class _Strip:
-    """A strip in the plane. Node 0 is the start, node -1 the end, the rest are its vertices."""
+    """A strip in the plane. Node 0 is the start, node -1 the end, the others are its vertices."""
 
     def __init__(
         self, start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
     ) -> None:
         a, b = edges[0]
         ab = lengths[a, b]
-        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]  # places of the nodes
-        # ids of the nodes, and the first and the last edge at each
+        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]  # positions of the nodes
+        # vertex ids of the nodes, and the first and last edge at each
         self.vertex, self.first, self.last = [-1, a, b], [-1, 0, 0], [-1, 0, 0]
         self.left, self.right = [1], [2]  # nodes at the ends of the edges
-        # id and place of the vertex before the first edge; `end_beyond`: after the last one
+        # id and position of the vertex before the first edge; `end_beyond`: after the last one
         self.start_beyond = self._beyond(start, 2, 1, lengths)
         self.at[0] = _at(start, dict([self.start_beyond, (a, self.at[1]), (b, self.at[2])]))
         left, right = 1, 2
@@ -155,7 +155,7 @@ class _Strip:
         return new, self._third(a, b, new, lengths)
 
     def nodes_of_string(self) -> list[int]:
-        """The nodes through which the string goes, both ends among them."""
+        """Nodes of the shortest string, both ends included."""
         at = self.at
         parent = [0] * len(at)
         chains: tuple[deque[int], deque[int]] = (deque([1]), deque([2]))
@@ -191,8 +191,8 @@ class _Strip:
 def pull_taut(
     start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
 ) -> TautString:
-    """The shortest string between two places through edges. D. T. Lee and F. P. Preparata,
-    Euclidean shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
+    """Shortest string between two points through edges. D. T. Lee and F. P. Preparata, Euclidean
+    shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
     if not edges:
         return _direct(start, end, lengths)
     strip = _Strip(start, edges, end, lengths)
@@ -223,8 +223,8 @@ def pull_taut(
 
 
 def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
-    """The first and the last edge that the string crosses at each of its nodes: at a bend all edges
-    there, unless the string comes or goes along one of them."""
+    """First and last edge crossed at each node of the string: at a bend all edges there, unless the
+    string comes or leaves along one of them."""
     touched = [(strip.first[n], strip.last[n]) for n in nodes[:-1]]
     touched.append((len(strip.left), len(strip.left)))
     for i in range(1, len(nodes) - 2):
@@ -238,7 +238,7 @@ def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
 def _fractions(
     strip: _Strip, edges: Sequence[Edge], nodes: list[int], touched: list[tuple[int, int]]
 ) -> tuple[float, ...]:
-    """Where the string crosses the edges; in the middle of those that it runs along."""
+    """Crossings of the edges as fractions; the midpoint of edges along which the string runs."""
     at, left, right = strip.at, strip.left, strip.right
     fractions = [math.nan] * len(edges)  # from left to right
     for (p, q), (before, after) in zip(pairwise(nodes), pairwise(touched), strict=True):
@@ -253,26 +253,26 @@ def _fractions(
 
 
 def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
-    """Where a string from p to q crosses an edge, from a (0) to b (1)."""
+    """Crossing of a string from p to q with an edge, from a (0) to b (1)."""
     string, edge = q - p, b - a
     across = _cross(string, edge)
     if abs(across) > TOUCHES * abs(string) * abs(edge):
         t = _cross(string, p - a) / across
-    else:  # along the edge, on which an end lies: where it comes to the edge
+    else:  # along the edge, which contains one end: the point where it reaches the edge
         t = ((p - a) * edge.conjugate()).real / abs(edge) ** 2
     return min(max(t, 0.0), 1.0)
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
-    """By each vertex of an end's edge a place in the direction of the end, which may be no more
-    than rounding away."""
+    """For each vertex of an end's edge, a position in the direction of the end, whose distance may
+    be mere rounding."""
     if not isinstance(end, EdgePoint):
         return {}
     return {v: beyond[1] for v in end.edge if v != beyond[0]}
 
 
 def _turn(at: complex, places: list[complex]) -> float:
-    """Angle (rad) at a place from the first of other places over all to the last."""
+    """Angle (rad) at a point, summed from the first of other points over all to the last."""
     ways = [place - at for place in places]
     if min(abs(ways[0]), abs(ways[-1])) <= TOUCHES * max(map(abs, ways)):
         return math.nan

@@ -1,7 +1,7 @@
-"""A triangulated surface known from inside: lengths of edges, and the order of cells at a vertex.
+"""Intrinsic view of a triangulated surface: edge lengths, and the order of cells at a vertex.
 
-That is all that a path needs to be pulled taut. Coordinates of vertices do not matter, so a cell
-that is folded along a cable counts with the lengths of its folded edges.
+That is all that pulling a path taut needs. Vertex coordinates do not matter, so a cell folded along
+a cable enters with the lengths of its folded edges.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from crms_fenicsx.surface.points import Edge
 
 @dataclass(frozen=True)
 class Ring:
-    """The neighbours of a vertex, each next to the one that it shares a cell with."""
+    """The neighbours of a vertex in order: consecutive ones share a cell."""
 
     # ids, all around the vertex or from boundary to boundary, in either sense
     neighbours: tuple[int, ...]
-    # whether the last and the first neighbour share a cell too: no boundary at the vertex
+    # whether the last and first neighbour share a cell too, so that the vertex is interior
     closed: bool
 
 
 class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
-    """Some cells around these vertices (ids) are not known here: fetch them and call again."""
+    """Cells around these vertices (ids) are missing here: fetch them and call again."""
 
     def __init__(self, vertices: Iterable[int]) -> None:
         self.vertices = tuple(sorted(set(vertices)))
@@ -36,21 +36,21 @@ class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
 
 
 class IntrinsicSurface(Protocol):
-    """What `shorten` asks of a surface."""
+    """Surface data that `shorten` needs."""
 
     def length(self, edge: Edge) -> float:
         """Length of an edge (a, b), a < b, through all fold points on it."""
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
-        """Vertices opposite to an edge (a, b), a < b, in any order; those of cells that are not
-        known may be left out, except at edges of the path given."""
+        """Vertices opposite to an edge (a, b), a < b, in any order; those of unknown cells may be
+        left out, except at edges of the given path."""
 
     def ring(self, vertex: int) -> Ring:
-        """The neighbours of a vertex in order; raises `MissingCells` where some are not known."""
+        """Ordered neighbours of a vertex; raises `MissingCells` if some are unknown."""
 
 
 def ring_of(vertex: int, link: Iterable[Edge]) -> Ring:
-    """The ring of a vertex from the sides opposite to it in its cells, in any order."""
+    """Ring of a vertex from the opposite sides in its cells, in any order."""
     beside: dict[int, list[int]] = {}
     for a, b in link:
         beside.setdefault(a, []).append(b)

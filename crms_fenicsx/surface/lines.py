@@ -10,11 +10,11 @@ import numpy as np
 
 @numba.njit(cache=True)
 def passed(line, start, end, normal, margin, reach):  # type: ignore[no-untyped-def]
-    """The place of a line (m, 3), a vertex or an edge with what bends it, that a span passes; the
-    lowest one where there are several. Returns the height of the span above it along the normal,
-    the fraction of the line's length or NaN, the place, the point of the span, whether both are
-    within their ends, the place also by the part `margin` beyond, and the line's end, 0 or 1,
-    beyond which the span passes by less than the part `reach`, or -1."""
+    """Lowest point at which a span passes a line (m, 3): a vertex, or an edge with its fold points.
+    Returns the height of the span above it along the normal, the fraction of the line's length or
+    NaN, the point, the span's point above it, whether both lie within their ends, for the line up
+    to `margin` beyond, and the line's end, 0 or 1, beyond which the span passes by less than
+    `reach` (relative to a segment), or -1."""
     span, total, before = end - start, 0.0, 0.0
     if len(line) == 1:
         t = _dot(line[0] - start, span) / _dot(span, span)
@@ -30,7 +30,7 @@ def passed(line, start, end, normal, margin, reach):  # type: ignore[no-untyped-
         s, t = apparent_crossing(line[k], line[k + 1], start, end, normal)
         first, last = before == 0.0, before + size >= total * (1 - 1e-12)
         inside = (s > -margin or not first) and (s < 1 + margin or not last) and 0.0 < t < 1.0
-        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
+        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another segment
         past = -1
         if 0.0 < t < 1.0 and not inside:
             past = 0 if first and -reach < s < 0.0 else past
@@ -47,7 +47,7 @@ def passed(line, start, end, normal, margin, reach):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True)
 def apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
-    """Where the lines ab and cd cross, seen along the normal: their parameters."""
+    """Parameters of the crossing of lines ab and cd in the projection along the normal."""
     u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
     area = _triple(u, v, normal)
     if abs(area) <= 1e-12 * (_size(u) * _size(v)):
@@ -67,20 +67,20 @@ def _size(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _flat(a, normal):  # type: ignore[no-untyped-def]
-    """The part of a vector square to the normal."""
+    """Component of a vector orthogonal to the normal."""
     return a - _dot(a, normal) * normal
 
 
 @numba.njit(cache=True)
 def _triple(a, b, c):  # type: ignore[no-untyped-def]
-    """The product of a x b with c."""
+    """Triple product (a x b) . c."""
     x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
     return x * c[0] + y * c[1] + (a[0] * b[1] - a[1] * b[0]) * c[2]
 
 
 @numba.njit(cache=True)
 def arc_lengths(x, starts):  # type: ignore[no-untyped-def]
-    """Lengths of polylines one after the other, from their first points to each one, (n,)."""
+    """Arc lengths (n,) of the points of consecutive polylines, from each one's first point."""
     arc = np.zeros(len(x))
     for c in range(len(starts) - 1):
         for k in range(starts[c] + 1, starts[c + 1]):
@@ -93,11 +93,11 @@ def arc_lengths(x, starts):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def pulls(x, arc, ends, stops, at, normals, reaches, least):  # type: ignore[no-untyped-def]
-    """Unit pulls of polylines along the normals (n, 3) at some of their points, (n,). A pull is to
-    where the polyline is at the distance `reaches` (n,) before and after the point, but not beyond
-    `stops` (m,); -1 where that is not farther than the part `least` of its length. Shapes: x
-    (m, 3), arc (m,): all points, with lengths up to them; ends (n, 2): where the polylines of the
-    points begin and end; at (n,): the points."""
+    """Unit pulls (n,) of polylines on some of their points along normals (n, 3): from the point to
+    the polyline's points at the arc lengths `reaches` (n,) before and behind, but not beyond
+    `stops` (m,); -1 if one of these is not farther than the fraction `least` of its length. Shapes:
+    x (m, 3), arc (m,): all points, with arc lengths; ends (n, 2): range of each point's polyline;
+    at (n,): the points."""
     found = np.full(len(at), -1.0)
     for n in range(len(at)):
         k, first, last = at[n], ends[n, 0], ends[n, 1] - 1

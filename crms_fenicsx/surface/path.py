@@ -1,7 +1,7 @@
 """The path of a cable over vertices and edges of the mesh; its two ends may lie inside cells.
 
-Vertices are named by their global ids, so that a path means the same on every rank and survives a
-redistribution of the mesh.
+Vertices are identified by global ids, so that a path is the same on every rank and stays valid when
+the mesh is redistributed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from crms_fenicsx.surface.points import CellPoint, EdgePoint, Support, SurfacePo
 
 @dataclass(frozen=True)
 class Path:
-    """The way of a cable over the membrane, with the places (length) of anchors off it."""
+    """Path of a cable over the membrane, with the positions (length) of anchors off it."""
 
     points: tuple[SurfacePoint, ...]
     start_anchor: tuple[float, float, float] | None = None
@@ -64,7 +64,7 @@ class Path:
         return result
 
     def links(self, cells: Integers) -> tuple[Support, ...]:
-        """Vertices of the edge or of the cell (m, 3) through which each point leads to the next."""
+        """Vertices of the edge or cell (m, 3) through which each point leads to the next."""
         surroundings = _Surroundings(cells, self.points)
         links: list[Support] = []
         for i, (a, b) in enumerate(pairwise(self.points)):
@@ -80,7 +80,7 @@ class Path:
 
 
 def _on_one_edge(a: SurfacePoint, b: SurfacePoint) -> bool:
-    """Whether two points lie on one edge without both being vertices."""
+    """Whether two points lie on one edge and are not both vertices."""
     both_vertices = isinstance(a, VertexPoint) and isinstance(b, VertexPoint)
     return not both_vertices and len({*a.support, *b.support}) == 2
 
@@ -94,7 +94,7 @@ def _why_not(a: SurfacePoint, b: SurfacePoint) -> str:
 
 
 class _Surroundings:
-    """The cells and edges that links between some points may use."""
+    """Cells and edges available for links between some points."""
 
     def __init__(self, cells: ArrayLike, points: Sequence[SurfacePoint]) -> None:
         rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
@@ -106,7 +106,7 @@ class _Surroundings:
                 self.cells_at.setdefault(simplex, []).append((a, b, c))
 
     def link(self, a: SurfacePoint, b: SurfacePoint) -> Support | None:
-        """Vertices of the edge or cell that leads from a to b; None where there is none."""
+        """Vertices of the edge or cell that leads from a to b; None if there is none."""
         both = cell_between(a.support, b.support)
         return both if both in self.cells_at and a != b and not _on_one_edge(a, b) else None
 
@@ -114,12 +114,12 @@ class _Surroundings:
 def without_backtracking(
     points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
-    """The points without those by which a polyline enters a cell and leaves it as it came; fewer
-    than two where all cancels."""
+    """Remove the points where a polyline turns back into the cell it came from; fewer than two
+    remain if everything cancels."""
     kept = list(points)
     surroundings = _Surroundings(cells, kept)
     _cancel(kept, surroundings)
-    for _ in range(2):  # an end inside an edge that the cable then follows: from both ends
+    for _ in range(2):  # both ends: one inside an edge that the cable follows moves into a cell
         if len(kept) > 1 and _on_one_edge(kept[0], kept[1]):
             _tie_ends_in_cells(kept, surroundings)
             _cancel(kept, surroundings)
@@ -139,7 +139,7 @@ def _cancel(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
 
 
 def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) -> int | None:
-    """Number of the point that can go among the three from i on."""
+    """Index of a redundant point among the three from i on, or None."""
     a, b, last = kept[i], kept[i + 1], len(kept) - 1
     if a == b:
         return i if i + 1 == last else i + 1
@@ -155,10 +155,10 @@ def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) 
 
 
 def _tie_ends_in_cells(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
-    """Move the first point, in one edge with the second, into a cell of that edge."""
+    """Move the first point, on one edge with the second, into a cell of that edge."""
     edges = [point.edge for point in kept[:2] if isinstance(point, EdgePoint)]
     cells = sorted(surroundings.cells_at[edges[0]])
-    if len(kept) > 2:  # a cell that the path goes on through would make it turn back
+    if len(kept) > 2:  # the cell through which the path continues would make it turn back
         onward = surroundings.link(kept[1], kept[2])
         cells.sort(key=lambda cell: onward == cell)
     for i, point in enumerate(kept[:2]):

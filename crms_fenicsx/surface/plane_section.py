@@ -1,8 +1,7 @@
-"""The section of a surface with planes: the cells that they cut, and the points as a graph.
+"""Sections of a surface with planes: the cells they cut, and the points met as a graph.
 
-Which edges and vertices it meets is decided once, by the sign of every vertex's distance to the
-plane, with a small neighbourhood of the plane counted as zero; after that no coordinate can
-contradict it.
+The edges and vertices met are determined once, from the signs of the vertices' distances to the
+plane, with distances below a tolerance counted as zero; coordinates cannot contradict this later.
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ from crms_fenicsx.surface.points import (
 )
 
 FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
-"""The corners at the ends of a cell's sides."""
+"""Corners at the ends of a cell's sides."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane of a leg, through both ends and the mean normal of the surface there."""
+    """Section plane of a leg, through both ends and the mean surface normal there."""
 
     origin: Array
-    ahead: Array  # unit vector in the plane, square to the mean normal
+    ahead: Array  # unit vector in the plane, orthogonal to the mean normal
     across: Array  # unit normal of the plane
-    length: float  # that of the leg seen along the mean normal
+    length: float  # length of the leg in the projection along the mean normal
 
     @classmethod
     def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
-        """The plane through two points and the mean of two directions."""
+        """The plane through two points, parallel to the mean of two directions."""
         up, leg = normal_a + normal_b, b - a
         across = cross(up, leg / norm(leg))
         size = float(norm(across))
@@ -71,22 +70,22 @@ class Plane:
 
 @dataclass(frozen=True)
 class Cut:
-    """The cells that a plane cuts or touches, and where it meets their corners and their sides."""
+    """The cells that a plane cuts or touches, and its intersections with corners and sides."""
 
     ids: list[list[int]]  # (q, 3) ids of the corners
-    # meets, places: (q, 6), (q, 6, 3) which corners lie in the plane and which sides cross it, and
-    # where
+    # meets, places: (q, 6), (q, 6, 3) whether each corner lies in the plane and each side crosses
+    # it, and the intersections
     meets: list[list[bool]]
-    fractions: list[list[float]]  # (q, 3) where sides cross it, from their ends with the lower ids
+    fractions: list[list[float]]  # (q, 3) intersections on sides, from the vertex of lower id
     places: Array
-    lengths: list[float]  # (q,) distances of the first two of these places
+    lengths: list[float]  # (q,) distance of the first two intersections
 
 
 def strips(
     planes: Sequence[Plane], points: Array, cells: Integers, reach: float, margin: float
 ) -> tuple[Integers, Integers]:
     """Pairs (p,), ascending, of planes and cells that they cross or pass within `reach`, by which
-    ends may be moved, no more than about `margin` beyond both ends of the leg."""
+    ends may be moved, and at most about `margin` beyond both ends of the leg."""
     none: Integers = np.zeros(0, dtype=np.int64)
     legs, rows = [none], [none]
     if not len(points):
@@ -111,14 +110,14 @@ def strips(
 
 
 def _width(advance: Array, length: Array, reach: float) -> Array:
-    """How far from the plane of a leg a cell counts as in its strip, more beyond the leg's ends,
-    where moving these turns the plane farther away."""
+    """Half-width of a leg's strip of cells, growing beyond the leg's ends, where moving these
+    shifts the plane more."""
     beyond = np.maximum(np.maximum(-advance, advance - length), 0.0) / length
     return np.asarray(2.0 * reach * (1.0 + 2.0 * beyond))
 
 
 def _any(marks: Booleans, cells: Integers) -> Booleans:
-    """Which cells have a corner that is marked, for each row of marks."""
+    """Which cells have a marked corner, for each row of marks."""
     return np.asarray(marks[:, cells[:, 0]] | marks[:, cells[:, 1]] | marks[:, cells[:, 2]])
 
 
@@ -129,8 +128,8 @@ def cuts(
     snap: float,
     margin: float = np.inf,
 ) -> list[Cut]:
-    """Cut the surface with the planes of legs, which hold their ends on vertices, as far as
-    `margin` (length) beyond both ends."""
+    """Cut the surface with the planes of legs up to `margin` (length) beyond both ends; ends at
+    vertices lie exactly in the plane."""
     if not planes:
         return []
     points, reach = surface.points, snap * surface.size
@@ -157,14 +156,14 @@ def cuts(
 
 
 def _vertex(place: Place) -> int:
-    """Id of the vertex on which a place lies; -1 if it lies on none."""
+    """Id of the vertex on which a place lies; -1 if there is none."""
     return place.point.vertex if isinstance(place.point, VertexPoint) else -1
 
 
 def _split(
     leg: Integers, count: int, ids: Integers, sign: Integers, offset: Array, corners: Array
 ) -> list[Cut]:
-    """Find where the planes meet the sides of the cells, and give each leg its cells."""
+    """Intersect the planes with the sides of cells, and assign the cells to the legs."""
     turned = ids[:, FIRST] > ids[:, SECOND]
     i, j = np.where(turned, SECOND, FIRST), np.where(turned, FIRST, SECOND)
     every = np.arange(len(ids))[:, None]
@@ -184,8 +183,8 @@ def _split(
 
 
 def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
-    """Smallest altitudes (m,) of the projections of triangles (m, 3, 3); a wall, whose projection
-    has none, counts with its true one, if it is not parallel to the plane."""
+    """Smallest altitudes (m,) of the projections of triangles (m, 3, 3); for a wall, whose
+    projection is degenerate, the true one, if it is not parallel to the plane."""
     flat = np.zeros_like(triangles)
     flat[..., 0], flat[..., 1] = advance, offset
     wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
@@ -193,20 +192,20 @@ def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
     return np.where(wall, upright, altitudes(flat))
 
 
-# Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
-# they are neither.
+# Nodes of a section: (vertex,), (smaller, larger) for an edge, and the ends of a leg that are
+# neither.
 START: Node = (-1,)
 END: Node = (-2,)
 
 
-# The rims of an opening face each other when both look along the line between them, within this
-# cosine: domes narrow towards the ground less than that, up to three quarters of a circle.
+# Cosine within which both rims of an opening must look along the line between them to face each
+# other: domes narrow less towards the ground, up to three quarters of a circle.
 FACING = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True)
 class Section:
-    """The section of a surface with a plane, as a graph of the points it meets."""
+    """Section of a surface with a plane, as a graph of the points met."""
 
     points: dict[Node, SurfacePoint]
     positions: dict[Node, Array]
@@ -215,7 +214,7 @@ class Section:
 
     @property
     def rim(self) -> set[Node]:
-        """The nodes on the surface's boundary: edges and vertices of edges with one cell."""
+        """Nodes on the surface's boundary: edges with one cell, and their vertices."""
         count = edge_count(self.cells)
         vertices = {v for edge, n in count.items() if n == 1 for v in edge}
         return {
@@ -225,12 +224,12 @@ class Section:
         }
 
     def join(self, a: Node, b: Node) -> None:
-        """Put in the arc between two nodes."""
+        """Add the arc between two nodes."""
         length = float(norm(self.positions[a] - self.positions[b]))
         self.arcs[a][b] = self.arcs[b][a] = length
 
     def put(self, point: SurfacePoint, position: Array, own: Node) -> Node:
-        """The node of a point, which is `own`, put in, where there is none yet."""
+        """Return the node of a point; a point without one is added as node `own`."""
         known = not isinstance(point, CellPoint) and point.support in self.points
         node = point.support if known else own
         self.points[node], self.positions[node] = point, position
@@ -249,8 +248,8 @@ class Section:
     def nearest(
         self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
-        """The section's place nearest to a point of its plane, a node where one is as near as
-        `snap` says; None if the section is empty."""
+        """Closest point of the section to a point in its plane, a node if one is within `snap`;
+        None if the section is empty."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
             for corners, nodes in self.cells.items()
@@ -278,8 +277,8 @@ class Section:
         return CellPoint((u, v, w), (x, y, z)), places[i]
 
     def gaps(self) -> dict[tuple[Node, Node], float]:
-        """Widths along the arc over each opening, where the section ends at the boundary and would
-        go on at another end that faces it, which the outside of a dome at the ground does not."""
+        """Arc lengths over openings: between section ends on the boundary that face each other,
+        which the outer sides of a dome at the ground do not."""
         ends: list[Node] = []
         looks: list[Array] = []
         for node in sorted(self.rim):
@@ -299,7 +298,7 @@ class Section:
 
 
 def section_of(cut: Cut, name: str) -> Section:
-    """The section of a surface with a plane from the cells that this cuts."""
+    """Section of a surface with a plane, from the cells that it cuts."""
     section = Section({}, {}, {}, {})
     points, arcs = section.points, section.arcs
     for row, ((u, v, w), meets) in enumerate(zip(cut.ids, cut.meets, strict=True)):
@@ -331,7 +330,7 @@ def section_of(cut: Cut, name: str) -> Section:
 def shortest(
     arcs: dict[Node, dict[Node, float]], start: Node
 ) -> tuple[dict[Node, float], dict[Node, Node]]:
-    """Lengths from `start` to all nodes connected with it, and the node before each."""
+    """Dijkstra distances from `start` to all connected nodes, and the predecessor of each."""
     reached: dict[Node, float] = {}
     before: dict[Node, Node] = {}
     queue: list[tuple[float, Node, Node]] = [(0.0, start, start)]
@@ -348,7 +347,7 @@ def shortest(
 
 
 def way_back(before: dict[Node, Node], end: Node) -> list[Node]:
-    """The nodes from the start of the shortest ways to `end`."""
+    """Nodes of the shortest path from the start to `end`."""
     nodes = [end]
     while before[nodes[-1]] != nodes[-1]:
         nodes.append(before[nodes[-1]])

@@ -1,4 +1,4 @@
-"""Places on a triangulated surface: in a vertex, on an edge, in a cell."""
+"""Points on a triangulated surface: at a vertex, on an edge, in a cell."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Support = tuple[int, ...]
 Edge = tuple[int, int]
 
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
-"""The first and the last place inside an edge: for points that run into its ends, or that rounding
-has put there."""
+"""Smallest and largest fraction inside an edge, for points that have reached its ends, or that
+rounding has put there."""
 
 
 def edge_of(a: int, b: int) -> Edge:
@@ -24,7 +24,7 @@ def edge_of(a: int, b: int) -> Edge:
 
 @dataclass(frozen=True)
 class VertexPoint:
-    """A point of a path on a vertex of the mesh."""
+    """A point of a path at a mesh vertex."""
 
     vertex: int
 
@@ -35,7 +35,7 @@ class VertexPoint:
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Vertices of the smallest simplex that holds the point."""
+        """Vertices of the smallest simplex that contains the point."""
         return (self.vertex,)
 
     @property
@@ -49,7 +49,7 @@ class VertexPoint:
 
 @dataclass(frozen=True)
 class EdgePoint:
-    """A point of a path strictly inside an edge of the mesh."""
+    """A point of a path strictly inside a mesh edge."""
 
     edge: tuple[int, int]
     fraction: float
@@ -68,7 +68,7 @@ class EdgePoint:
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Vertices of the smallest simplex that holds the point."""
+        """Vertices of the smallest simplex that contains the point."""
         return self.edge
 
     @property
@@ -82,7 +82,7 @@ class EdgePoint:
 
 @dataclass(frozen=True)
 class CellPoint:
-    """An end of a cable that is tied to the membrane inside a cell."""
+    """An end of a cable tied to the membrane inside a cell."""
 
     cell: tuple[int, int, int]
     weights: tuple[float, float, float]
@@ -104,7 +104,7 @@ class CellPoint:
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Vertices of the smallest simplex that holds the point."""
+        """Vertices of the smallest simplex that contains the point."""
         return self.cell
 
     def __str__(self) -> str:

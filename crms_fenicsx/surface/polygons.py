@@ -1,4 +1,4 @@
-"""Polygons that a surface is cut into, and triangles that they are split into."""
+"""Polygons that cut cells consist of, and their triangulations."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class Polygons(NamedTuple):
-    """Polygons that some cells are cut into."""
+    """Polygons that cells are cut into."""
 
-    starts: Integers  # starts (n + 1,), corners (m,): their corners in CSR form
+    starts: Integers  # starts (n + 1,), corners (m,): corners in CSR form
     corners: Integers
-    cell: Integers  # (n,) which cell each is a part of
+    cell: Integers  # (n,) cell of each polygon
 
 
 def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
-    """Facets (n, 3) of the mean over the fans from every corner of polygons in CSR form, with
+    """Facets (n, 3) of the mean over the fans from all corners of polygons in CSR form, with
     weights (n,)."""
     sizes = np.diff(starts)
     numbers: list[Integers] = []
@@ -39,7 +39,7 @@ def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
 
 
 def fan_owners(starts: Integers) -> Integers:
-    """Number of the polygon that each of the facets of `fan_facets` is of, (n,)."""
+    """Polygon of each of the facets of `fan_facets`, (n,)."""
     sizes = np.diff(starts)
     counts = [len(_fans(int(n))) for n in sizes]
     return np.repeat(np.arange(len(sizes)), np.array(counts, dtype=np.int64))
@@ -47,7 +47,7 @@ def fan_owners(starts: Integers) -> Integers:
 
 @cache
 def _fans(n: int) -> dict[tuple[int, int, int], float]:
-    """Facets and weights of a polygon whose corners are 0 ... n - 1."""
+    """Facets and weights of a polygon with corners 0 ... n - 1."""
     facets: dict[tuple[int, int, int], float] = defaultdict(float)
     for first in range(n):
         for i in range(1, n - 1):
@@ -59,7 +59,7 @@ def _fans(n: int) -> dict[tuple[int, int, int], float]:
 def split_polygons(
     rims: tuple[Integers, Integers], chords_of: Integers, chords: tuple[Integers, Integers]
 ) -> Polygons:
-    """Cut cells, by their rims, along chords; cell c has those from `chords_of[c]` on."""
+    """Cut cells, given by their rims, along chords; those of cell c begin at `chords_of[c]`."""
     n, starts, corners, cell = _split_polygons(*rims, chords_of, *chords)
     return Polygons(starts[: n + 1], corners[: starts[n]], cell[:n])
 
@@ -69,13 +69,13 @@ def split_polygons(
 
 @numba.njit(cache=True)
 def _split_polygons(rim_starts, rims, chords_of, chord_starts, chords):  # type: ignore[no-untyped-def]
-    """Polygons of all cells: how many, pointers, corners, cells; the arrays may be longer."""
-    # Each chord adds at most itself, once in each direction.
+    """Polygons of all cells: number, pointers, corners, cells; the arrays may be longer."""
+    # Each chord adds at most its own points, once in each direction.
     corners = np.empty(len(rims) + 2 * len(chords), dtype=np.int64)
     part = np.empty(len(corners), dtype=np.int64)
     starts = np.zeros(len(rim_starts) + len(chords), dtype=np.int64)
     cell = np.empty(len(starts), dtype=np.int64)
-    n = np.int64(0)  # of a constant numba would compile what takes it once more
+    n = np.int64(0)  # a constant would make numba compile the callees twice
     for c in range(len(rim_starts) - 1):
         first = n
         starts[n + 1] = starts[n] + rim_starts[c + 1] - rim_starts[c]
@@ -96,7 +96,7 @@ def _split_polygons(rim_starts, rims, chords_of, chord_starts, chords):  # type:
 
 @numba.njit(cache=True)
 def _place(corners, begin, end, point):  # type: ignore[no-untyped-def]
-    """Where a point is among some corners, counted from the first of them, or -1."""
+    """Position of a point among corners `begin` ... `end` - 1, relative to `begin`, or -1."""
     for k in range(begin, end):
         if corners[k] == point:
             return k - begin
@@ -105,8 +105,8 @@ def _place(corners, begin, end, point):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore[no-untyped-def]
-    """Cut the polygon among `first` ... n - 1 that holds both ends of the line of the points from
-    `begin` to `end`, with `part` as workspace; return whether there is one."""
+    """Cut the polygon among `first` ... n - 1 that contains both ends of the line of points `begin`
+    ... `end`, with `part` as workspace; return whether there is one."""
     inner = end - begin - 1
     for m in range(first, n):
         start, stop = starts[m], starts[m + 1]
@@ -115,8 +115,8 @@ def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore
         if i < 0 or j < 0:
             continue
         if inner == 0 and (abs(j - i) == 1 or abs(j - i) == stop - start - 1):
-            continue  # a side of it
-        head, step = begin + 1, 1  # the line's inner points from corner i to corner j
+            continue  # the line is a side of the polygon
+        head, step = begin + 1, 1  # inner points of the line, from corner i to corner j
         if i > j:
             i, j, head, step = j, i, end - 1, -1
         for k in range(start, stop):
@@ -146,8 +146,8 @@ def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore
 
 
 def best_fan(points: Array, corners: list[int]) -> Integers:
-    """Triangles (n, 3) of a polygon, all from the corner whose smallest triangle is largest."""
-    # a fan from a corner whose neighbour lies on a straight side has a triangle without area
+    """Fan triangulation (n, 3) of a polygon from the corner that maximises the smallest area."""
+    # a fan from a corner beside a straight angle has a degenerate triangle
     rings = [corners[k:] + corners[:k] for k in range(len(corners))]
     fans = np.array(
         [[(r[0], r[i], r[i + 1]) for i in range(1, len(r) - 1)] for r in rings], dtype=np.int64

@@ -1,4 +1,4 @@
-"""Ways around a vertex, and the flips over vertices that shorten a taut string."""
+"""Arcs around a vertex, and the flips over vertices that shorten a taut string."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from crms_fenicsx.surface.points import Edge, Support, edge_of
 
 @dataclass(frozen=True)
 class OtherSide:
-    """The way around a vertex on the side where a corridor does not go."""
+    """A corridor led around the other side of a vertex."""
 
-    corridor: Corridor  # with the new way
-    # left, taken: the edges that are crossed around the vertex, or the vertex that is visited, and
-    # what is crossed instead
+    corridor: Corridor  # after the change
+    # left, taken: replaced supports (edges at the vertex, or the vertex itself), and new ones
     left: Corridor
     taken: Corridor
 
@@ -30,7 +29,7 @@ def other_side(
     """Lead a corridor around the other side of a vertex; None if no cable could follow it."""
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]
-    inner = [i for i in inner if len(supports[i]) == 1] or inner  # visits alone, if there are any
+    inner = [i for i in inner if len(supports[i]) == 1] or inner  # only visits, if there are any
     if not inner or inner != list(range(inner[0], inner[-1] + 1)):
         return None
     first, last = inner[0], inner[-1]
@@ -51,7 +50,7 @@ def other_side(
 
 
 class EdgeLengths(dict[Edge, float]):
-    """Lengths of the edges asked for so far."""
+    """Lengths of the edges requested so far."""
 
     def __init__(self, surface: IntrinsicSurface) -> None:
         super().__init__()
@@ -68,10 +67,10 @@ class EdgeLengths(dict[Edge, float]):
 
 
 class Arcs:
-    """The two ways around a vertex from one support next to it to another; None is one outside."""
+    """The two arcs around a vertex between adjacent supports; None for one outside the surface."""
 
     def __init__(self, vertex: int, ring: Ring, a: Support, b: Support) -> None:
-        # Places around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the
+        # Positions around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between
         # neighbours i and i + 1. `up` goes with the numbers, `down` against them.
         self.vertex, self.ring = vertex, ring
         p, q = self._place(a), self._place(b)
@@ -104,7 +103,7 @@ class Arcs:
     def angle(
         self, lengths: EdgeLengths, arriving: dict[int, float], leaving: dict[int, float]
     ) -> float:
-        """Angle (rad) of the one way inside the surface, or of that up."""
+        """Angle (rad) of the only arc inside the surface, or of the arc `up`."""
         p, q = self._ends
         neighbours = self.ring.neighbours
         n = len(neighbours)
@@ -125,14 +124,14 @@ class Arcs:
 TIE = 1e-6
 """Difference (rad) below which two angles count as equal.
 
-A symmetric shape that a solver has found is symmetric only to the solver's tolerance. A cable left
-on a ridge that is less uneven than this is at rest to the same accuracy.
+A computed symmetric shape is symmetric only to the solver's tolerance. A cable on a ridge with a
+smaller asymmetry is in equilibrium to the same accuracy.
 """
 TOGETHER = 0.5
-"""Part of the sharpest turn from which on others are flipped with it in one sweep.
+"""Turn, relative to the sharpest one, above which vertices are flipped in the same sweep.
 
-On a surface that curves outward there is a geodesic on either side of a vertex. Flipping all at
-once ends more often in the longer one (by about 1e-4), and one by one takes ten times as long.
+On a convex surface there is a geodesic on either side of a vertex. Flipping all at once ends more
+often in the longer one (by about 1e-4); flipping one by one takes ten times as long.
 """
 
 
@@ -141,7 +140,7 @@ class Hold:
     """A vertex that may hold the string: a bend of it, or a visit of the path."""
 
     vertex: int  # its id
-    first: int  # first, last: the supports of the path at the vertex, both included
+    first: int  # first, last: the path's supports at the vertex, both included
     last: int
     strip_angle: float | None  # angle (rad) on the strip's side of a bend; None for a visit
     # arriving, leaving: angles (rad) of the string before and after a visit to edges at the vertex
@@ -151,18 +150,18 @@ class Hold:
 
 @dataclass(frozen=True)
 class Flip:
-    """A way around a vertex that would make the string shorter."""
+    """An arc around a vertex that would shorten the string."""
 
     angle: float  # angle at the vertex on that side (rad)
     vertex: int  # its id
     first: int  # first, last: the supports to be replaced, both included
     last: int
     spokes: Corridor  # the edges to cross instead
-    cells: frozenset[Support]  # the cells and edges through which the path would go
+    cells: frozenset[Support]  # the cells and edges of the new links
 
 
 def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
-    """Flips by their angles; equal ones from the middle of the path to its ends."""
+    """Flips sorted by angle; equal ones from the middle of the path to its ends."""
     flips = sorted(flips, key=lambda flip: (flip.angle, flip.first))
     rank = dict.fromkeys(range(len(flips)), 0)
     for i in range(1, len(flips)):
@@ -173,7 +172,7 @@ def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
 
 
 def compatible(flips: Sequence[Flip]) -> list[Flip]:
-    """The first flip and those that turn nearly as sharply, no two of which share a cell."""
+    """The first flip and others that turn nearly as sharply, without common cells."""
     chosen: list[Flip] = []
     least = TOGETHER * (math.pi - flips[0].angle) - TIE if flips else 0.0
     busy: set[int] = set()
@@ -181,7 +180,7 @@ def compatible(flips: Sequence[Flip]) -> list[Flip]:
     for flip in flips:
         if math.pi - flip.angle < least:
             continue
-        # supports that stay may be shared: the string goes through both sides of them
+        # supports that stay may be shared: the string crosses both of their sides
         own = range(flip.first, flip.last + 1)
         around = range(flip.first - 1, flip.last + 2)
         if busy.isdisjoint(around) and cells.isdisjoint(flip.cells):
