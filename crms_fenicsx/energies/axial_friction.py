@@ -1,19 +1,18 @@
 """Cables with friction along their axis: strain energy and friction, with stick and slip.
 
-The tension T_k of such a cable varies from span to span between the nodes at which the membrane
-holds it. Its energy is
+The tension T_k varies from span to span between the nodes at which the cable touches the membrane.
+The energy of such a cable is
 
     sum over spans EA/2 <l_k - d_k>^2 / d_k  +  sum over nodes B_k eps_k f(s_k/eps_k),
 
-l_k the current length of a span, d_k the unstressed length that it has at the moment, s_k the slip
-of the cable along itself at a node, counted on the unstressed cable. The slips are no unknowns of
-the solver: for the lengths of the spans, which every rank knows from the one reduction, they are
-those that minimise this energy (`crms_fenicsx.energies.capstan_chain`). So the derivative by l_k is
-T_k.
+with the current length l_k and the current unstressed length d_k of a span, and the axial slip s_k
+at a node, measured on the unstressed cable. The slips are not unknowns of the solver: for given
+span lengths, which every rank has from the one reduction, they minimise this energy
+(`crms_fenicsx.energies.capstan_chain`), so that its derivative by l_k is T_k.
 
-The unstressed arc that rests at a fold point depends on its place on its edge, as an edge is not
-square to the cable: ``rest = slope * fraction + offset``. Without that the cable's friction along
-itself would hold it sideways as well.
+The unstressed arc length at rest at a fold point depends on its position on the edge, as an edge is
+not orthogonal to the cable: ``rest = slope * fraction + offset``. Otherwise axial friction would
+also resist sideways sliding.
 """
 
 from __future__ import annotations
@@ -41,21 +40,22 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8
-"""Columns of H0 for one cable. Each costs a solve; parts of the cable beyond are taken stiffer."""
+"""Largest number of dyads per cable in H0, each of which costs a solve; further runs of the cable
+are made stiffer instead."""
 
 
 @dataclass(frozen=True)
 class Grips:
-    """What holds the cables at their nodes, the same on all ranks: bounds and places of rest."""
+    """Friction bounds and rest positions of the cables' nodes, the same on all ranks."""
 
-    offset: Array  # (n_nodes,) unstressed arc that rests at place zero of a node's edge (length)
-    # bound, eps, elastic: (n_nodes,) B (force), the slip at which it is reached, and the most
-    # elastic slip (length)
+    offset: Array  # (n_nodes,) unstressed arc length at rest at fraction zero (length)
+    # bound, eps, elastic: (n_nodes,) B (force), slip at which it is reached, largest elastic slip
+    # (length)
     bound: Array
     eps: Array
     elastic: Array
-    slips: Array  # (n_nodes,) where to begin to look for the slips (length)
-    slope: Array  # (n,) unstressed arc by place on the edge, of this rank's fold points (length)
+    slips: Array  # (n_nodes,) initial guess of the slips (length)
+    slope: Array  # (n,) unstressed arc length by edge fraction, of this rank's fold points (length)
 
 
 @dataclass(frozen=True)
@@ -63,16 +63,16 @@ class Chains:
     """Cables with friction along their axis."""
 
     EA: Array  # (n_cables,) axial stiffness (force)
-    # (n_cables + 1,) first span of each cable, and the number of all spans. Cable c has the nodes
-    # from ``starts[c] - c`` on.
+    # (n_cables + 1,) first span of each cable, and the number of all spans. The nodes of cable c
+    # start at ``starts[c] - c``.
     starts: npt.NDArray[np.int64]
-    # segments (n, 2), smoothing (n,), span (n,): this rank's segments, the smoothing of their
-    # lengths, and their spans
+    # segments (n, 2), smoothing (n,), span (n,): this rank's segments, smoothing of their lengths,
+    # and their spans
     segments: Indices
     smoothing: Array
     span: Indices
-    # pointers, blocks, place: blocks along the edges of the fold points near to this rank's cells,
-    # and which of them the fold point is; see `crms_fenicsx.energies.lateral_friction.Slips`
+    # pointers, blocks, place: blocks along the edges of fold points near this rank's cells, and
+    # position of the fold point among them; see `crms_fenicsx.energies.lateral_friction.Slips`
     pointers: Indices
     blocks: Indices
     place: Indices
@@ -84,7 +84,7 @@ class Chains:
 
 @dataclass(frozen=True)
 class _Run:
-    """Spans of a cable between two nodes at which it sticks: they share one elongation."""
+    """Spans of a cable between two sticking nodes: they share one elongation."""
 
     first: int
     last: int
@@ -94,8 +94,8 @@ class _Run:
 
 
 class CapstanTension(EnergyTerm):
-    """Strain energy of cables with friction along their axis, and the potential of that friction.
-    Shapes and units: L0 (n_cables,) (length)."""
+    """Strain energy and axial friction potential of cables. Shapes and units: L0 (n_cables,)
+    (length)."""
 
     name = "cables"
     of_cables = True
@@ -117,7 +117,7 @@ class CapstanTension(EnergyTerm):
         self.patterns = (self.pattern, self.span_pattern)
 
     def renew(self, grips: Grips) -> None:
-        """Take other bounds and places of rest for the same nodes."""
+        """Use other bounds and rest positions for the same nodes."""
         self.grips, self.slips, self._solved = grips, grips.slips.copy(), None
 
     def spans_of(self, c: int) -> slice:
@@ -125,11 +125,12 @@ class CapstanTension(EnergyTerm):
         return slice(int(self.chains.starts[c]), int(self.chains.starts[c + 1]))
 
     def nodes_of(self, c: int) -> slice:
-        """Nodes of a cable that friction holds."""
+        """Nodes of a cable that have friction."""
         return slice(int(self.chains.starts[c]) - c, int(self.chains.starts[c + 1]) - c - 1)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the spans' lengths, and what rests at its nodes, less the offset."""
+        """This rank's part of the span lengths, and of the nodes' rest arc length less the
+        offset."""
         c, X = self.chains, self.unknowns.X
         segment_lengths(X, x, c.segments, c.smoothing, self._lengths)
         edge_fractions(X, x, c.pointers, c.blocks, c.place, self._fractions, self._gradients)
@@ -139,7 +140,7 @@ class CapstanTension(EnergyTerm):
         out[own] = (self.grips.slope * self._fractions)[c.owned]
 
     def _solve(self, sums: Array) -> None:
-        """Slips and unstressed lengths for these sums, friction and its forces."""
+        """Solve for slips, unstressed lengths and friction forces at these sums."""
         known = np.concatenate([sums, self.L0])
         if self._solved is not None and np.array_equal(known, self._solved):
             return
@@ -155,7 +156,7 @@ class CapstanTension(EnergyTerm):
             self._friction[c] = friction_energy(
                 self.slips[nodes], grips.bound[nodes], eps, self._force[nodes]
             )
-            if found < 0:  # the line search comes back from there
+            if found < 0:  # NaN makes the line search step back
                 self._friction[c] = np.nan
         self._solved = known
 
@@ -173,7 +174,7 @@ class CapstanTension(EnergyTerm):
         return np.add.reduceat(energies, self.chains.starts[:-1])
 
     def friction(self, sums: Array) -> tuple[Array, Array]:
-        """The energy that friction stores and dissipates, of each cable (force x length)."""
+        """Stored and dissipated friction energy of each cable (force x length)."""
         self._solve(sums)
         stored, lost = np.zeros((2, len(self.chains.EA)))
         for c in range(len(lost)):
@@ -185,7 +186,7 @@ class CapstanTension(EnergyTerm):
 
     @property
     def friction_potential(self) -> float:
-        """Potential of friction in the energy last worked out (force x length)."""
+        """Potential of friction at the last evaluation (force x length)."""
         return float(self._friction.sum())
 
     def energy(self, sums: Array) -> float:
@@ -193,7 +194,7 @@ class CapstanTension(EnergyTerm):
         return float(self.strain_energies(sums).sum() + self._friction.sum())
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the tensions' nodal forces, and the friction's along the edges."""
+        """Add the nodal forces of the tensions, and of friction along the edges."""
         c = self.chains
         np.take(self.tensions(sums), c.span, out=self._forces)
         add_segment_forces(self.unknowns.X, x, c.segments, c.smoothing, self._forces, g)
@@ -201,12 +202,12 @@ class CapstanTension(EnergyTerm):
         self._add_rest(self._pulls, g)
 
     def _add_rest(self, weights: Array, g: Array) -> None:
-        """Add the gradient of what rests at this rank's fold points, weighted."""
+        """Add the weighted gradient of the rest arc lengths of this rank's fold points."""
         c = self.chains
         add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the geometric stiffness, and that of single spans between nodes that stick."""
+        """Add the geometric stiffness, and the axial one of single spans between sticking nodes."""
         c = self.chains
         forces = self.tensions(sums)[c.span]
         segment_stiffness(
@@ -216,9 +217,9 @@ class CapstanTension(EnergyTerm):
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
-        """The cables between nodes that stick, slack parts left out. A node sticks if friction is
-        stiffer there than the cable beside it: by ``force / slip``, as many nodes have little slip
-        and will stick as soon as they turn back."""
+        """Taut runs of spans between sticking nodes. A node sticks if friction is stiffer there
+        than the cable beside it, by the secant ``force / slip``: many nodes have little slip and
+        will stick as soon as they reverse."""
         grips, lengths = self.grips, sums[: self.n_spans]
         stiffness = secant_stiffness(self.slips, grips.bound, grips.eps)
         runs = []
@@ -240,7 +241,7 @@ class CapstanTension(EnergyTerm):
         return runs
 
     def dyads(self, sums: Array) -> Array:
-        """Stiffness against the elongation of the longest runs of spans (force/length)."""
+        """Axial stiffness of the longest runs of spans (force/length)."""
         return np.array([run.stiffness for run in self._dyad_runs(sums)])
 
     def _dyad_runs(self, sums: Array) -> list[_Run]:
@@ -259,7 +260,7 @@ class CapstanTension(EnergyTerm):
         self._add_rest(np.where(c.owned, run.stretch * ends, 0.0), g)
 
     def _prepare_links(self) -> None:
-        """Blocks that the elongation of each span here depends on, also by its ends' edges."""
+        """Collect the blocks on which each local span's elongation depends, edges included."""
         c = self.chains
         cable_of = np.repeat(np.arange(len(c.EA)), np.diff(c.starts))
         row_of = {int(node): row for row, node in enumerate(c.node)}
@@ -293,7 +294,7 @@ class CapstanTension(EnergyTerm):
         for run in self._find_runs(sums):
             if run.first not in dyads:
                 own = slice(run.first, run.last + 1)
-                # of springs in series it is the upper bound that has no coupling
+                # upper bound of springs in series that has no coupling
                 stiffness[own] = EA[own] / self.unstressed[own]
                 stretch[own] = run.stretch
         slope, start = self.grips.slope, 0
@@ -301,12 +302,12 @@ class CapstanTension(EnergyTerm):
             values = self.span_pattern.values[start : start + n * n]
             values[:] = 0.0
             start += n * n
-            # An anchor on the held place next to it, up to rounding: there is no direction.
+            # An anchor that coincides with the next held point has no direction.
             there = self._lengths[segments] > -c.smoothing[segments]
             if stiffness[span] == 0.0 or not there.any():
                 continue
-            # The parts of a span, as at a crossing inside a cell, share one elongation; those that
-            # other ranks have are coupled by no block.
+            # Segments of a span, as at a crossing inside a cell, share one elongation; those on
+            # other ranks are not coupled by blocks.
             share = float(self._lengths[segments][there].sum() / sums[span])
             a, b = c.segments[segments].T
             way = X[b] + x[b] - X[a] - x[a]

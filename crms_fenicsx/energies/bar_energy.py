@@ -1,9 +1,9 @@
 """Strain energy of straight bars, ``EA/2 (l - L0)^2 / L0``.
 
-A bar's force is N = EA (l - L0)/L0, its stiffness EA/L0 d d^T + N/l (I - d d^T), d its direction.
-In compression the second part is negative: H0, which must be positive definite, goes without it. A
-guy is slack where it is shorter than L0, and has no energy there; H0 keeps a small part of its
-stiffness, so that a joint that only slack guys hold does not fly off.
+A bar of direction d has the force N = EA (l - L0)/L0 and the stiffness EA/L0 d d^T + N/l (I - d
+d^T). H0 must be positive definite, so it omits the second part in compression. A guy shorter than
+L0 is slack, without energy; H0 keeps a small part of its stiffness, so that a joint held only by
+slack guys does not fly off.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from crms_fenicsx.model.bar import SHORTEST
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 SLACK = 1e-3
-"""Part of its axial stiffness that a slack guy has in H0."""
+"""Stiffness of a slack guy in H0, relative to its axial stiffness."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class BarEnergy(EnergyTerm):
     """Strain energy of bars.
 
     Attributes: `lengths`, `forces` (n,): lengths (length) and axial forces (force), tension
-    positive, at the last evaluation; `least`, `loose`: least axial force, and slack of guys,
-    relative to their length, up to which they count as taut, that the second derivatives know of;
-    where stability is looked at they are others.
+    positive, at the last evaluation; `least`, `loose`: for the second derivatives, a lower bound of
+    the axial forces, and the relative slack up to which guys count as taut; stability checks change
+    both.
     """
 
     name = "bars"
@@ -75,27 +75,27 @@ class BarEnergy(EnergyTerm):
         out[0] = _energy(self._X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the bars' pull on their ends."""
+        """Add the bars' forces on their ends."""
         _add_forces(self._X, x, self.table.ends, self.forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at the ends of this rank's bars. Of a
-        bar's direction and of its length, from coordinates that may be longer than itself."""
+        """Squared norm of the rounding errors of this rank's bar forces: of a bar's direction and
+        length, from coordinates that may be larger than the bar."""
         ends = self._X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
         return float(np.sum((EPSILON * stiffness * far) ** 2))
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness without what compression takes off it."""
+        """Add the stiffness, without its reduction by compression."""
         self._add(x, SLACK, 0.0, A)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         self._add(x, 0.0, self.least, A)
 
     def _add(self, x: Array, slack: float, least: float, A: BlockSink) -> None:
-        """Add stiffness, slack guys with a part of theirs, forces no less than some."""
+        """Add the stiffness, with a fraction `slack` for slack guys and forces not below
+        `least`."""
         t = self.table
         axial = (
             np.where(t.tension_only & (self.lengths < (1 - self.loose) * t.L0), slack, 1.0)
@@ -112,7 +112,7 @@ class BarEnergy(EnergyTerm):
         self._pattern.add(A)
 
     def _least_lengths(self) -> Array:
-        """The lengths, but those of bars whose ends meet, which have no direction."""
+        """Lengths, bounded from below for bars without direction, whose ends coincide."""
         return np.maximum(self.lengths, SHORTEST * self.table.L0)
 
     def elements_on(self, chosen: Booleans) -> BarTable | None:
@@ -131,7 +131,7 @@ class BarEnergy(EnergyTerm):
 
 @numba.njit(cache=True)
 def _energy(X, x, ends, EA, L0, tension_only, lengths, forces):  # type: ignore[no-untyped-def]
-    """Energy of bars between blocks (n, 2); their lengths and forces."""
+    """Energy of bars between blocks (n, 2); stores their lengths and forces."""
     total = 0.0
     for b in range(ends.shape[0]):
         _, _, _, lengths[b] = difference(X, x, ends[b, 0], ends[b, 1])

@@ -26,37 +26,36 @@ class CableSegments(ElementTable):
     ends: Indices  # (n, 2) blocks
     eps: Array  # (n,) smoothing of their lengths
     cable: Indices  # (n,) number of the cable
-    lengths: Array  # (n,) their lengths at the last evaluation
+    lengths: Array  # (n,) lengths at the last evaluation
     addresses = ("ends",)
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Ends of the segments."""
         return rows_of(self.ends)
 
     @classmethod
     def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
-        """All segments in one table, as a cable's length is the sum of theirs."""
+        """Join all segments in one table, as a cable's length is the sum of theirs."""
         names = [field.name for field in fields(cls)]
         return [cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))]
 
 
 class CableTension(EnergyTerm):
-    """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
+    """``EA/(2 L0) (L - L0)^2`` for L > L0, with the length L of a cable's whole polyline.
 
-    Parts of one segment, of which `alone` (n_cables,) tells, put all of their stiffness into the
-    sparse matrix; others have a dyad each.
+    Cables of one segment, marked in `alone` (n_cables,), put their axial stiffness into the sparse
+    matrix; others have a dyad each.
 
-    Attributes: `smoothing_length` (n_cables,): what smoothing adds to each cable's length (length),
-    and is taken off it again; it is that of the state before. Changed in place between solves.
-    Shapes and units: segments, eps, cable (n,), EA, L0 (n_cables,) (force).
+    Attributes: `smoothing_length` (n_cables,): length that smoothing adds to each cable in the
+    previous state, subtracted again (length); changed in place between solves. Shapes and units:
+    segments, eps, cable (n,), EA, L0 (n_cables,) (force).
     """
 
     name = "cables"
     exact_hessian = True
     of_cables = True
     starts: Sequence[StepStart | None] = ()
-    """States at the step's start of cables that have the step-wise law."""
+    """States at the step's start, for cables with the step-wise law."""
 
     def __init__(
         self,
@@ -93,18 +92,17 @@ class CableTension(EnergyTerm):
         return 0.5 * self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0) ** 2
 
     def energy(self, sums: Array) -> float:
-        """Strain energy of the cables (force x length)."""
         return float(np.sum(self.energies(sums)))
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the tensions' nodal forces."""
+        """Add the nodal forces of the tensions."""
         np.take(self.tensions(sums), self.cable, out=self._forces)
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at the ends of this rank's segments. Of a
-        segment's direction, from coordinates that are longer than itself, and of the cable's
-        tension, from its length. Ends that are given and coincide have none."""
+        """Squared norm of the rounding errors of this rank's segment forces: of a segment's
+        direction, from coordinates larger than the segment, and of the cable's tension, from its
+        length. Prescribed ends that coincide have none."""
         ends = self.unknowns.X[self.segments] + x[self.segments]
         far = np.linalg.norm(ends, axis=2).max(axis=1)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -115,7 +113,7 @@ class CableTension(EnergyTerm):
         return float(np.sum((EPSILON * (turned + stretched) * far[counts]) ** 2))
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the geometric stiffness."""
+        """Add the geometric stiffness, and the axial one of cables `alone`."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(
             self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values
@@ -133,12 +131,12 @@ class CableTension(EnergyTerm):
         self.pattern.add(A)
 
     def stiffnesses(self, sums: Array) -> Array:
-        """Stiffness EA/L0 against the elongation of each cable in tension (force/length). One that
-        is nearly as long as it must be to have tension counts: it soon will."""
+        """Axial stiffness EA/L0 of each taut or nearly taut cable (force/length); a nearly taut one
+        will soon be taut."""
         return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
 
     def dyads(self, sums: Array) -> Array:
-        """Those of the cables of several segments."""
+        """Axial stiffnesses of the cables of several segments."""
         return self.stiffnesses(sums)[self._shared]
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
@@ -147,14 +145,14 @@ class CableTension(EnergyTerm):
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
-        """Segments with chosen ends, on each rank a table, as `split` is collective."""
+        """Segments with chosen ends; a table on each rank, as `split` is collective."""
         rows = rows_on(*rows_of(self.segments), chosen)
         return CableSegments(
             self.segments[rows], self.eps[rows], self.cable[rows], self._lengths[rows]
         )
 
     def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
-        """The tension of such segments; the rest of each cable keeps its length."""
+        """Tension of such segments; the rest of each cable keeps its length."""
         some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0, self.alone)
         some._lengths[:] = table.lengths
         some.smoothing_length = some._moving() - sums
@@ -165,9 +163,9 @@ class CableTension(EnergyTerm):
         return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
 
     def split(self, groups: Integers, comm: MPI.Intracomm) -> CableTension:
-        """Cables in pieces, one for each group that they run through. A piece is as stiff as all
-        pieces of its cable together, so that the energy of all, if each moves as if the others did
-        not, is none below the true one."""
+        """Split cables into pieces, one for each group that they run through. A piece is as stiff
+        as all pieces of its cable together, so that the sum of the energies, each piece moving as
+        if the others were fixed, is an upper bound of the true energy."""
         group = groups[self.segments].max(axis=1)
         pieces, piece = np.unique(group * len(self.EA) + self.cable, return_inverse=True)
         cables = pieces % len(self.EA)
@@ -187,7 +185,7 @@ class CableTension(EnergyTerm):
         return some
 
     def dyad_columns(self, x: Array, sums: Array) -> None:
-        """Put ``(EA/L0)^(1/2) grad(L)`` of each piece in tension into `columns`."""
+        """Put ``(EA/L0)^(1/2) grad(L)`` of each taut piece into `columns`."""
         assert self.columns is not None
         blocks, values = self.columns.blocks, self.columns.values
         shared = np.where(self.alone, 0.0, self.stiffnesses(sums))
@@ -198,6 +196,6 @@ class CableTension(EnergyTerm):
         )
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of the cables, spread evenly over their segments."""
+        """Energies of the cables, distributed evenly over their segments."""
         count = np.bincount(self.cable, minlength=len(self.EA))
         return np.asarray((self.energies(sums) / np.maximum(count, 1))[self.cable])

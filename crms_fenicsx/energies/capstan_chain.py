@@ -1,25 +1,25 @@
-"""How a cable in tension shares its unstressed length among the parts between nodes that hold it.
+"""Distribution of a cable's unstressed length over its spans, with friction along the axis.
 
-A cable is a chain of m spans; at the m - 1 nodes between them friction holds it along its axis.
-Span k has the current length l_k and the unstressed length
+A cable is a chain of m spans with friction at the m - 1 nodes between them. Span k has the current
+length l_k and the unstressed length
 
     d_k = rest_k + s_k - rest_(k-1) - s_(k-1),
 
-with rest_k the unstressed arc of the cable that would sit at node k without slip, s_k the slip, and
-0 and L0 in their place at the ends. The slips minimise one of two convex functions,
+with the unstressed arc length rest_k that would lie at node k without slip, and the slip s_k; at
+the ends 0 and L0 take their place. The slips minimise one of two convex functions,
 
     ENERGY   sum EA/2 <l_k - d_k>^2 / d_k  +  sum B_k eps_k f(s_k/eps_k)
     LAW      sum (d_k ln d_k + (l_k - d_k) ln(l_k - d_k))  +  sum m_k eps_k f(s_k/eps_k)
 
-with f as in `crms_fenicsx.energies.lateral_friction`. The first is the potential whose friction
-bounds B_k are given. The second is Coulomb's law itself: the derivative of its first sum by d_k is
-minus the logarithm of the span's strain, and so its minimum has ``ln(T_(k+1)/T_k) = -m_k
-f'(s_k/eps_k)``, with m_k the coefficient of friction times the angle of wrap: a node that slides
-has exactly the ratio exp(m_k) of capstans, one that sticks less.
+with f as in `crms_fenicsx.energies.lateral_friction`. ENERGY is the potential for given friction
+bounds B_k. LAW is Coulomb's law itself: the derivative of its first sum by d_k is minus the
+logarithm of the span's strain, so at the minimum ``ln(T_(k+1)/T_k) = -m_k f'(s_k/eps_k)``, with m_k
+the coefficient of friction times the wrap angle: a sliding node has exactly the capstan ratio
+exp(m_k), a sticking one less.
 
-Both are solved by Newton's method with a line search, to rounding; the Hessian has three diagonals.
-The slips are the unknowns, and not the arcs: where the cable sticks they are far below the rounding
-of the arcs.
+Both are solved by Newton's method with a line search, to rounding; the Hessian is tridiagonal. The
+unknowns are the slips rather than arc lengths, as slips of sticking nodes are far below the
+rounding of arc lengths.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from crms_fenicsx.runtime.arrays import EPSILON
 ENERGY, LAW = 0, 1
 MAX_ITERATIONS = 1000
 ROUNDING = 32 * EPSILON
-"""Unbalanced force at which the slips are found, relative to the stiffness of the spans."""
+"""Force residual at convergence, relative to the stiffness of the spans."""
 INSIDE = 0.9
-"""How far a step may go towards a span that has no unstressed length left, or no strain."""
+"""Largest step, relative to the one that makes a span's unstressed length or strain vanish."""
 LEAST = 1e-3
 """Stiffness of a slack span, relative to that of a taut one; it only limits the steps."""
 
@@ -63,7 +63,7 @@ def _stiffness(kind, span, d):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, inline="always")
 def _pull(s, bound, eps):  # type: ignore[no-untyped-def]
-    """Friction force f'(s/eps) times the bound."""
+    """Friction force: f'(s/eps) times the bound."""
     if bound == 0.0:
         return 0.0
     y = abs(s) / eps
@@ -72,7 +72,7 @@ def _pull(s, bound, eps):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _slope(kind, span, d, change, s, p, t, bound, eps):  # type: ignore[no-untyped-def]
-    """Derivative of the function along a step p of the slips, `change` that of d, at t times it."""
+    """Directional derivative along a step p of the slips, with change `change` of d, at t p."""
     total = 0.0
     for k in range(span.shape[0]):
         total -= _force(kind, span[k], d[k] + t * change[k]) * change[k]
@@ -92,7 +92,7 @@ def spread_evenly(span, rest, L0, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def unstressed(rest, L0, s, d):  # type: ignore[no-untyped-def]
-    """Unstressed lengths of the spans into d (m,); return the smallest one."""
+    """Put the spans' unstressed lengths into d (m,); return the smallest."""
     m = d.shape[0]
     least = np.inf
     for k in range(m):
@@ -113,10 +113,10 @@ def unstressed(rest, L0, s, d):  # type: ignore[no-untyped-def]
 def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyped-def]
     """Find the slips that minimise one of the functions. Shapes and units: span (m,) (length), rest
     (m - 1,) (length), L0 (length), bound (m - 1,), eps (m - 1,) (length), s (m - 1,) (length), d
-    (m,) (length). Returns number of iterations, -1 if there were too many."""
+    (m,) (length). Returns the number of iterations, -1 if there were too many."""
     m = span.shape[0]
     bad = unstressed(rest, L0, s, d) <= 0.0
-    for k in range(m):  # a slack span says nothing of where to go
+    for k in range(m):  # the gradient of a slack span vanishes
         bad = bad or d[k] >= span[k]
     if bad:
         spread_evenly(span, rest, L0, s)
@@ -139,16 +139,16 @@ def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyp
                 y = abs(s[k]) / eps[k]
                 diagonal[k] += 2.0 * bound[k] / eps[k] * max(1.0 - y, 0.0)
             residual = max(residual, abs(g[k]))
-            # what rounding of span and d makes of the forces
+            # rounding errors of span and d in the forces
             size = max(size, 1.0 if kind == ENERGY else max(left * d[k], right * d[k + 1]))
         if residual <= ROUNDING * size:
-            # one more step than needed would only stir the last digits
+            # a further step would only change the last digits
             return iteration
         stalled = stalled + 1 if residual >= best and residual < 1e3 * ROUNDING * size else 0
         best = min(best, residual)
         if stalled > 2:
             return iteration
-        # diagonal dominance needs no pivots
+        # diagonally dominant: no pivoting
         p[0] = -g[0]
         for k in range(1, n):
             ratio = upper[k - 1] / diagonal[k - 1]

@@ -1,13 +1,14 @@
-"""Penalty that keeps an unfolded cell a triangle: straight sides at the fold points (section 2.5).
+"""Penalty that keeps unfolded cells triangular: straight sides at the fold points (section 2.5).
 
 Where a chord of a cable meets a side at p, the two angles between the side's halves and the chord
-q - p add up to pi once the cell is unfolded:
+q - p add up to pi in the unfolded cell:
 
     r = angle(previous, p, q) + angle(next, p, q) - pi                              (2.5-1)
 
-The literal penalty is ``mu r^2``. By default mu grows with the cell's stiffness, mu = c E t A, and
-r is weighted with w = 4 a b / (a + b)^2, a and b the distances to the side's neighbouring points,
-so that a fold point near a vertex, where the angle is ill-defined, does not lock.
+The paper's penalty is ``mu r^2``. By default mu is proportional to the cell's stiffness, mu = c E t
+A, and r is weighted with w = 4 a b / (a + b)^2, with the distances a and b to the neighbouring
+points on the side, so that a fold point near a vertex, where the angle is ill-defined, does not
+lock.
 """
 
 from __future__ import annotations
@@ -26,18 +27,17 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 @dataclass(frozen=True)
 class FoldAngles(ElementTable):
-    """Where this rank's chords meet sides."""
+    """Intersections of this rank's chords with sides."""
 
     # (n, 4) blocks: previous point on the side, fold point p, next point on the side, other end q
     # of the chord
     points: Indices
     coefficients: Array  # (n,) mu (force x length)
-    weighted: bool  # whether r is weighted with w; False is the paper's literal penalty
+    weighted: bool  # whether r is weighted with w; False is the paper's penalty
     addresses = ("points",)
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the places."""
         return rows_of(self.points)
 
 
@@ -57,7 +57,7 @@ def _unit(X, x, a, b, r):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _angle(a, b):  # type: ignore[no-untyped-def]
-    """Angle between two unit vectors and its cosine and sine."""
+    """Angle between two unit vectors, and its cosine and sine."""
     cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     c0, c1, c2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     sine = math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
@@ -66,8 +66,8 @@ def _angle(a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-def]
-    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3). Those of
-    places whose points have the displacements `last` (n, 4, 3) stay as they are."""
+    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3). Points that
+    still have the displacements `last` (n, 4, 3) are skipped."""
     ra, rb, rq = np.empty(3), np.empty(3), np.empty(3)
     for k in range(points.shape[0]):
         moved = False
@@ -90,7 +90,7 @@ def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-de
             w = 4 * a * b / total**2
             wa, wb = 4 * b * (b - a) / total**3, 4 * a * (a - b) / total**3
         r[k] = w * value
-        # A vanishing length or sine leaves no direction: no force then.
+        # A vanishing length or sine has no direction, hence no force.
         fa = w / (a * sa) if a * sa > 0.0 else 0.0
         fb = w / (b * sb) if b * sb > 0.0 else 0.0
         fqa = w / (d * sa) if d * sa > 0.0 else 0.0
@@ -107,11 +107,11 @@ def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-de
 def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
     """Add w times the second derivatives of the angle between two vectors to blocks of `out`.
 
-    `ru`, `rc` are their unit vectors, u and c their lengths; the first counts as vector i of
-    `out`, (3, 3, 3, 3), the second as vector 2. With e the unit vector across r in their plane and
-    n the plane's normal, the angle's gradient is e / u and its second derivatives are
-    ``(cot n n^T - r e^T - e r^T) / u^2`` and, by both vectors, ``-n n^T / (u c sin)``. The
-    gradients by both vectors go into eu and ec.
+    `ru`, `rc` are their unit vectors, u and c their lengths; the first is vector i of `out`,
+    (3, 3, 3, 3), the second vector 2. With the unit vector e orthogonal to r in their plane and the
+    plane's normal n, the angle's gradient is e / u and its second derivatives are
+    ``(cot n n^T - r e^T - e r^T) / u^2`` and, mixed, ``-n n^T / (u c sin)``. The gradients by both
+    vectors are put into eu and ec.
     """
     cosine, sine = _angle(ru, rc)[1:]
     eu[:] = ec[:] = 0.0
@@ -138,9 +138,9 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # type: ignore[no-untyped-def]
-    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of active places' four points. The
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the active intersections. The
     residual depends on three vectors from p: to the previous point on the side, to the next one,
-    and along the chord, numbers 0, 1 and 2 here."""
+    and along the chord, numbered 0, 1 and 2 here."""
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors
@@ -159,7 +159,7 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
             waa, wbb = 8 * b * (a - 2 * b) / s**4, 8 * a * (b - 2 * a) / s**4
             wab = 4 * (4 * a * b - a * a - b * b) / s**4
         H[:] = 0.0
-        for m in range(2):  # in a loop, as it would be compiled once for each constant
+        for m in range(2):  # a loop, as each call with a constant would be compiled separately
             _add_angle(unit[m], unit[2], a if m == 0 else b, d, w, H, m, sides[m], chords[m])
         value = r[k] / w if w > 0.0 else 0.0
         ra, rb, ga, gb = unit[0], unit[1], sides[0], sides[1]
@@ -192,7 +192,7 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
 
 @numba.njit(cache=True)
 def _square_slopes(coefficients, dr, active, blocks):  # type: ignore[no-untyped-def]
-    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3) of active places."""
+    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3) of active intersections."""
     for k in range(len(active)):
         for m in range(4 if active[k] else 0):
             for n in range(4):
@@ -211,7 +211,7 @@ def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
 
 
 class FoldPenalty(EnergyTerm):
-    """``sum mu (w r)^2`` over the places where a chord meets a side, (2.5-1)."""
+    """``sum mu (w r)^2`` over the intersections of chords and sides, (2.5-1)."""
 
     name = "penalty"
     exact_hessian = True
@@ -223,13 +223,12 @@ class FoldPenalty(EnergyTerm):
         n = len(table.points)
         self.active = np.ones(n, dtype=bool)
         self.residuals, self._dr, self._last = np.zeros(n), np.zeros((n, 4, 3)), np.empty((n, 4, 3))
-        """``w r`` of each place at the last sums (rad)."""
+        """``w r`` at the last sums (rad)."""
         rows, cols = np.repeat(table.points, 4, axis=1), np.tile(table.points, 4)
         self.pattern = BlockPattern(rows.ravel(), cols.ravel())
         self.patterns = (self.pattern,)
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
         super().attach(unknowns)
         self._last[:] = np.nan
 
@@ -240,11 +239,10 @@ class FoldPenalty(EnergyTerm):
         out[0] = np.dot(t.coefficients, self.residuals * self.residuals)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the penalty's nodal forces."""
         _add_forces(self.table.points, self.table.coefficients, self.residuals, self._dr, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves: angles sum up to pi, less pi."""
+        """Squared norm of the rounding errors of the forces: those of angle sums near pi."""
         slopes = np.sum(self._dr**2, axis=(1, 2))
         return float(np.sum((2 * self.table.coefficients * EPSILON * np.pi) ** 2 * slopes))
 
@@ -254,7 +252,7 @@ class FoldPenalty(EnergyTerm):
         self.pattern.add(A)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives, the Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
+        """Add the second derivatives: Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
         t, blocks = self.table, self._slopes_squared()
         add_curvature(
             self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, self.active,
@@ -263,22 +261,19 @@ class FoldPenalty(EnergyTerm):
         self.pattern.add(A)
 
     def _slopes_squared(self) -> Array:
-        """Make the Gauss-Newton stiffness, (n, 4, 4, 3, 3), in the pattern's values."""
+        """Put the Gauss-Newton stiffness, (n, 4, 4, 3, 3), into the pattern's values."""
         blocks = self.pattern.values.reshape(-1, 4, 4, 3, 3)
         _square_slopes(self.table.coefficients, self._dr, self.active, blocks)
         return blocks
 
     def elements_on(self, chosen: Booleans) -> FoldAngles | None:
-        """Places with chosen points."""
         t = self.table
         rows = t.rows_on(chosen)
         some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
         return some if len(rows) else None
 
     def of_elements(self, table: FoldAngles, sums: Array) -> FoldPenalty:
-        """The penalty of such places."""
         return FoldPenalty(table)
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of the places."""
         return np.asarray(self.table.coefficients * self.residuals**2)

@@ -1,8 +1,8 @@
 """Foldable elements: strain energy of the cells that cables cross (sections 2.1 and 2.3).
 
-A folded cell unfolds into a triangle whose sides are the lengths of its folded edges, each through
-all fold points on it. The Green-Lagrange strain is linear in the squares of the three sides, so
-the energy depends on the unknowns only through lengths of segments between points:
+A folded cell unfolds into a triangle whose sides are the lengths of its folded edges, through all
+their fold points. The Green-Lagrange strain is linear in the squared sides, so the energy depends
+on the unknowns only through lengths of segments between points:
 
     points -> segments -> sides -> strain -> energy.
 """
@@ -47,7 +47,7 @@ class FoldedCells(ElementTable):
     addresses = ("segments",)
 
     def some(self, rows: Integers) -> FoldedCells:
-        """Some of the cells, with their sides and segments."""
+        """Subset of the cells, with their sides and segments."""
         used, sides = np.unique(self.sides[rows], return_inverse=True)
         counts = np.diff(self.side_pointers)[used]
         pointers = np.append(0, np.cumsum(counts))
@@ -95,7 +95,7 @@ class FoldedCells(ElementTable):
 
 @numba.njit(cache=True)
 def _distinct_blocks(segments, side_pointers, side_segments, sides):  # type: ignore[no-untyped-def]
-    """Distinct blocks of each cell, of each side's segments in turn, in CSR form."""
+    """Distinct blocks of each cell, side by side, in CSR form."""
     most, n = 0, 0
     for c in range(len(sides)):
         for k in range(3):
@@ -119,7 +119,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
     lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out, energies,
     orthotropic,
 ):  # fmt: skip
-    """Energy of all cells, and of each into `energies` (n,); forces in the segments (m,); strain,
+    """Energy of all cells, and of each into `energies` (n,); forces of the segments (m,); strain,
     stress and state into `out` (n, 7). `orthotropic` as in
     `crms_fenicsx.energies.stress_laws.stress`."""
     forces[:] = 0.0
@@ -155,10 +155,10 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
     prestress, exact, element_pointers, element_blocks, offsets, values, tension, active,
     orthotropic,
 ):  # fmt: skip
-    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides. K = 4 r_k r_l A
-    (M^T C M)_kl, and on the diagonal force / side where that is tensile, or `exact`. Into `tension`
-    (m,) goes the sum of these forces in each segment: taken cell by cell, not of the sum, so that
-    two ranks that share a side make the same stiffness as one."""
+    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` of each cell with sides r. K = 4 r_k r_l A
+    (M^T C M)_kl, plus on the diagonal force / side if tensile, or always with `exact`. `tension`
+    (m,) gets the sum of these forces in each segment: their tensile parts are taken per cell rather
+    than of the sum, so that ranks sharing a side make the same stiffness as one rank."""
     tension[:] = 0.0
     C, K, r, most = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), 0
     for c in range(sides.shape[0]):
@@ -246,7 +246,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.patterns = (self.elements, self.edges)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy; keeps the segments' forces for the gradient."""
+        """This rank's part of the energy; keeps the segment forces for the gradient."""
         t = self.table
         segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
         out[0] = cell_forces(
@@ -256,22 +256,21 @@ class FoldedMembraneEnergy(EnergyTerm):
         )  # fmt: skip
 
     def cell_results(self) -> Array:
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums. In
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums, in
         the material axes, (n, 7)."""
         return self.results
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the nodal forces of the segments."""
         t = self.table
         add_segment_forces(self.unknowns.X, x, t.segments, t.eps, self.forces, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the material stiffness and the geometric one of the segments in tension."""
+        """Add the material stiffness, and the geometric one of segments in tension."""
         floor, prestress = self.stiffening.floor, self.stiffening.prestress
         self._add(x, A, float(floor.value), float(prestress.value), exact=False)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives, those of segments in compression too."""
+        """Add the second derivatives, including those of segments in compression."""
         self._add(x, A, 0.0, 0.0, exact=True)
 
     def _add(self, x: Array, A: BlockSink, floor: float, prestress: float, exact: bool) -> None:
@@ -287,14 +286,12 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.edges.add(A)
 
     def elements_on(self, chosen: Booleans) -> FoldedCells | None:
-        """Cells with sides through the chosen blocks."""
+        """Cells whose sides contain chosen blocks."""
         rows = self.table.rows_on(chosen)
         return self.table.some(rows) if len(rows) else None
 
     def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:
-        """The energy of such cells."""
         return FoldedMembraneEnergy(table, self.stiffening)
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of the cells."""
         return self._energies

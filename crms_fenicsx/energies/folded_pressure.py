@@ -1,9 +1,9 @@
 """Pressure on folded cells: the volume under them, facet by facet (section 2.4).
 
-The chords cut a folded cell into polygons. The volume under a polygon that is not a triangle is
-the mean over the fans from each of its corners, for a quadrilateral that of both diagonals, so
-that mirrored scenes have mirrored answers. The paper's figure that divides a folded triangle among
-its nodes is lost; this is our reading: each facet gives a third of its area to each corner.
+Chords cut a folded cell into polygons. The volume under a polygon with more than three corners is
+the mean over the fans from each corner, for a quadrilateral that of both diagonals, so that
+mirrored scenes have mirrored results. The paper's figure of the partition of a folded triangle
+among its nodes is lost; here each facet gives a third of its area to each corner.
 """
 
 from __future__ import annotations
@@ -24,21 +24,20 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 class Facets(ElementTable):
     """This rank's facets of folded cells."""
 
-    corners: Indices  # (n, 3) blocks, oriented as the membrane
-    weights: Array  # (n,) share of each facet in the mean over fans
+    corners: Indices  # (n, 3) blocks, oriented like the membrane
+    weights: Array  # (n,) weight of each facet in the mean over fans
     # (m, 3) corners of the folded cells themselves; their stress-free volume is subtracted
     plain_corners: Indices
     addresses = ("corners", "plain_corners")
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Corners of the facets."""
         return rows_of(self.corners)
 
 
 @numba.njit(cache=True, inline="always")
 def _place(X, x, block, origin):  # type: ignore[no-untyped-def]
-    """Current position of a block from the origin."""
+    """Current position of a block relative to the origin."""
     return (
         X[block, 0] - origin[0] + x[block, 0],
         X[block, 1] - origin[1] + x[block, 1],
@@ -48,7 +47,6 @@ def _place(X, x, block, origin):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, inline="always")
 def _cross(a, b):  # type: ignore[no-untyped-def]
-    """Cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -78,7 +76,7 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
 
 
 ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
-"""Corners of the blocks of a facet's second derivatives. By one corner twice they are zero."""
+"""Corners of the blocks of a facet's second derivatives; those by the same corner twice vanish."""
 
 
 @numba.njit(cache=True)
@@ -92,7 +90,7 @@ def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # 
         blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):
-            # the derivative by corner m + 1 and, then, m + 2 is the cross product with corner m
+            # the derivative by corners m + 1 and m + 2 is the cross product with corner m
             for i in range(3):
                 p[i] = scale * (X[corners[f, m], i] - origin[i] + x[corners[f, m], i])
             block, twin = blocks[f, m, 0], blocks[f, m, 1]
@@ -118,7 +116,6 @@ class FoldedFollowerPressure(EnergyTerm):
         self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
         super().attach(unknowns)
         corners = self.table.plain_corners
         self._stress_free = _volume(
@@ -143,7 +140,6 @@ class FoldedFollowerPressure(EnergyTerm):
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         t, blocks = self.table, self.pattern.values.reshape(-1, 3, 2, 3, 3)
         _volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
@@ -152,29 +148,27 @@ class FoldedFollowerPressure(EnergyTerm):
         self.pattern.add(A)
 
     def elements_on(self, chosen: Booleans) -> Facets | None:
-        """Facets with chosen corners; volume counts from no stress-free one."""
+        """Facets with chosen corners, without a stress-free volume to subtract."""
         t = self.table
         rows = t.rows_on(chosen)
         some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
         return some if len(rows) else None
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
-        """The pressure on such facets."""
         return FoldedFollowerPressure(table, self.pressure, self.origin)
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of the facets."""
         return -float(self.pressure.value) * self._volumes
 
 
 class FoldedWind(FoldedFollowerPressure):
-    """Potential ``-sum p_c V_c`` of wind on what cables fold, V_c around which each cell closes.
+    """Potential ``-sum p_c V_c`` of wind on folded cells, with a closed volume V_c for each cell.
 
-    The wind's forces on vertices are those of the triangles of the cells' corners. This term leads
-    them to the facets and their points: V_c lies between a cell's facets, its triangle, and along
-    its sides the straight edges. Its forces balance each other in each cell, as its surface is
-    closed. So there is a potential, though the wind has none; where p_c is the same on both sides
-    of an edge what is between them cancels. Shapes and units: table, cells (n,), origin (3,)
+    The wind's nodal forces act on the cells' corner triangles. This term transfers them to the
+    facets and their points: V_c is enclosed by a cell's facets, its corner triangle and, along the
+    sides, the straight edges. As the surface is closed, the forces of each cell are in equilibrium
+    and have a potential, though the wind has none; where p_c is the same on both sides of an edge,
+    the contributions between them cancel. Shapes and units: table, cells (n,), origin (3,)
     (length).
     """
 
@@ -185,5 +179,5 @@ class FoldedWind(FoldedFollowerPressure):
         self._cells, self._shares = cells, table.weights.copy()
 
     def take(self, pressures: Array) -> None:
-        """Take the force per area along the normals of this rank's cells, (m,)."""
+        """Set the force per area along the normals of this rank's cells, (m,)."""
         np.multiply(self._shares, pressures[self._cells], out=self.table.weights)

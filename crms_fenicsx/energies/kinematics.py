@@ -1,4 +1,4 @@
-"""Strains of a membrane by UFL, and the stiffness of its cells for H0."""
+"""Membrane strains in UFL, and the artificial stiffness of cells in H0."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 
 
 def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int32]) -> fem.Function:
-    """Unit warp directions in the surface, one per cell (piecewise constant)."""
+    """Unit warp directions in the surface, one per cell (DG0)."""
     space = fem.functionspace(mesh, ("DG", 0, (3,)))
     field = fem.Function(space)
     normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
     warp = material.warp
-    with raised_together(mesh.comm):  # one rank's cells may be bad, another's good
+    with raised_together(mesh.comm):  # invalid values may occur on one rank only
         given = (
             np.asarray(warp(centre.T), dtype=float).T
             if callable(warp)
@@ -58,8 +58,7 @@ def tangent_basis(mesh: Any, warp: fem.Function | None) -> tuple[Any, Any]:
 
 
 def dual_axes(axes: Array) -> Array:
-    """The in-plane axes whose products with axes (n, 2, 3) are 1 and 0: those of orthonormal ones
-    are the same."""
+    """In-plane dual basis (n, 2, 3) of axes (n, 2, 3); the same for orthonormal axes."""
     products = np.einsum("nai,nbi->nab", axes, axes)
     return np.asarray(np.linalg.solve(products, axes))
 
@@ -68,8 +67,8 @@ class Kinematics:
     """Green-Lagrange strain of a surface in in-plane axes, without cancellation at small strain."""
 
     def __init__(self, u: Any, basis: tuple[Any, Any], rest: bool = False) -> None:
-        """With `rest` the basis is what axes of unit length have become in the mesh, whose own
-        strain counts."""
+        """With `rest`, the basis is the image in the mesh of orthonormal axes of the stress-free
+        shape, and the mesh's own strain is included."""
         self.basis, self.rest = basis, rest
         self.H = [ufl.dot(ufl.grad(u), e) for e in basis]
         self.F = [e + h for e, h in zip(basis, self.H, strict=True)]
@@ -101,7 +100,7 @@ class Kinematics:
 
 
 def tensile_part(s: Any) -> Any:
-    """The symmetric (2, 2) tensor with its negative eigenvalues set to zero."""
+    """Symmetric (2, 2) tensor with its negative eigenvalues set to zero."""
     mean, half, shear = (s[0, 0] + s[1, 1]) / 2, (s[0, 0] - s[1, 1]) / 2, s[0, 1]
     radius = ufl.sqrt(half**2 + shear**2)
     larger, smaller = mean + radius, mean - radius
@@ -114,19 +113,19 @@ def tensile_part(s: Any) -> Any:
 
 
 FLOOR, FLOOR_FROM_FLAT = 1e-5, 1e-2
-"""Part of the taut stiffness that wrinkled and slack cells have in H0 on top of their tangent, so
-that it stays definite; and while a sheet gets its first stresses, when cells turn from taut to
-wrinkled and back. A hundredth later on would make the iterations grow with the mesh: 6 in a load
-step of the inflated square with 32 cells a side and 19 with 128, where it takes 9 now."""
+"""Fraction of the taut stiffness added in H0 to the tangent of wrinkled and slack cells to keep it
+definite: in general, and while a flat sheet gets its first stresses and cells alternate between
+taut and wrinkled. A hundredth throughout would make the iterations grow with the mesh: 6 in a load
+step of the inflated square with 32 cells a side and 19 with 128, which now takes 9."""
 
 
 class Stiffening:
-    """What plain and folded cells have in H0 that they have not in the energy.
+    """Artificial stiffness in H0 of plain and folded cells, beyond the energy.
 
-    Attributes: `prestress`: isotropic section force (force per length): without it a flat sheet has
-    no stiffness against pressure; `floor`: part of the taut stiffness added to the tangent of laws
-    that wrinkle; `compression`: part of compressive section forces in the geometric stiffness: 0,
-    as it is indefinite with them, or 1 in the second derivatives.
+    Attributes: `prestress`: isotropic section force (force per length), as a flat sheet has no
+    stiffness against pressure; `floor`: fraction of the taut stiffness added to the tangent of
+    wrinkling laws; `compression`: fraction of compressive section forces in the geometric
+    stiffness: 0 to keep it semidefinite, 1 for the second derivatives.
     """
 
     def __init__(self, mesh: Any) -> None:
@@ -136,7 +135,7 @@ class Stiffening:
 
     @contextmanager
     def none(self) -> Iterator[None]:
-        """Leave the second derivatives of the energy, as long as this lasts."""
+        """Within this context, assemble the energy's second derivatives."""
         parts = self.prestress, self.floor, self.compression
         kept = [float(part.value) for part in parts]
         for part, value in zip(parts, (0.0, 0.0, 1.0), strict=True):
@@ -148,9 +147,9 @@ class Stiffening:
                 part.value = value
 
     def set(self, prestress: float, failures: int = 0, least: float = 0.0) -> None:
-        """Take this prestress, and the floor that goes with it, `least` or more. After a line
-        search that has failed, as slack cells let a step go too far, the floor is higher, and ten
-        times as high after each further one."""
+        """Set the prestress, and the floor that goes with it, at least `least`. A failure of the
+        line search, as slack cells let a step go too far, raises the floor, each further one
+        tenfold."""
         self.prestress.value = prestress
         raised = failures + (prestress > 0.0)
         floor = FLOOR_FROM_FLAT * 10.0 ** (raised - 1) if raised else FLOOR

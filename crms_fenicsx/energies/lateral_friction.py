@@ -1,14 +1,14 @@
 """Friction of cables that slide sideways: Coulomb's law, smoothed so that a cable can stick.
 
-Each sliding node has the potential ``F eps f(s/eps)`` of its slip s, with the force F held while
-the potential is minimised:
+Each sliding node has the potential ``F eps f(s/eps)`` of its slip s, with the force F fixed during
+the minimisation:
 
     f(y) = y^2 - |y|^3/3  for |y| < 1,   |y| - 1/3 beyond.
 
-The force F f'(y) is reached at the slip eps exactly and does not grow any more, so that what slides
-feels Coulomb's force and what is idle does not creep (the mollifier of M. Li et al., Incremental
-potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's place on its edge,
-``s = slope * fraction + offset``, see `crms_fenicsx.friction.slip`.
+The force F f'(y) reaches F exactly at the slip eps and then stays constant, so that a sliding node
+feels Coulomb's force and an unloaded one does not creep (the mollifier of M. Li et al., Incremental
+potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's position on its
+edge, ``s = slope * fraction + offset``, see `crms_fenicsx.friction.slip`.
 """
 
 from __future__ import annotations
@@ -43,21 +43,20 @@ class Slips(ElementTable):
     # on it, its last vertex
     pointers: Indices
     blocks: Indices
-    place: Indices  # (n,) which of them the node is
-    slope: Array  # slope, offset: (n,) slip by place on the edge (length)
+    place: Indices  # (n,) position of the node among them
+    slope: Array  # slope, offset: (n,) slip as a function of the edge fraction (length)
     offset: Array
-    bound: Array  # (n,) friction force F of a node that slides (force)
-    eps: Array  # (n,) slip at which that force is reached (length)
+    bound: Array  # (n,) friction force F of a sliding node (force)
+    eps: Array  # (n,) slip at which it is reached (length)
     addresses = ("blocks",)
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the nodes."""
         return self.pointers, self.blocks
 
 
 class LateralFriction(EnergyTerm):
-    """Friction of the sliding nodes of cables, (3.3-1) with stick."""
+    """Sideways friction of the cables' sliding nodes, (3.3-1) with stick."""
 
     name = "friction"
     of_cables = True
@@ -71,7 +70,7 @@ class LateralFriction(EnergyTerm):
         self.patterns = (self.pattern,)
 
     def renew(self, table: Slips) -> None:
-        """Take other forces and material curves for the same nodes."""
+        """Use other forces and material curves for the same nodes."""
         self.table = table
 
     def sums(self, x: Array, out: Array) -> None:
@@ -85,18 +84,17 @@ class LateralFriction(EnergyTerm):
         out[0] = friction_energy(self.slips, t.bound, t.eps, self._force)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the friction forces."""
         t = self.table
         add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness ``force / slip`` against the slip; see `secant_stiffness`."""
+        """Add the secant stiffness ``force / slip``; see `secant_stiffness`."""
         t = self.table
         self._stiffen(secant_stiffness(self.slips, t.bound, t.eps))
         self.pattern.add(A)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives: what slides far has no stiffness against the slip."""
+        """Add the second derivatives, without stiffness of nodes that slide beyond eps."""
         t = self.table
         self._stiffen(tangent_stiffness(self.slips, t.bound, t.eps))
         add_slip_curvature(
@@ -125,9 +123,7 @@ class LateralFriction(EnergyTerm):
         )  # fmt: skip
 
     def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
-        """The friction of such nodes."""
         return LateralFriction(table)
 
     def element_energies(self, sums: Array) -> Array:
-        """Potentials of the nodes."""
         return friction_potentials(self.slips, self.table.bound, self.table.eps)

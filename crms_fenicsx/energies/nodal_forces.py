@@ -15,7 +15,7 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 class NodalForces(EnergyTerm):
     """Potential ``-F . u`` of the nodal forces F of all loads on the membrane.
 
-    Attributes: `forces` (n, 3): what this rank's cells give to its vertices (force).
+    Attributes: `forces` (n, 3): nodal forces from this rank's cells (force).
     """
 
     name = "dead load"
@@ -25,7 +25,7 @@ class NodalForces(EnergyTerm):
         self.forces, self._u, self._minus = np.zeros((3, n, 3))
 
     def take(self, loads: Iterable[MembraneLoad]) -> None:
-        """Take the forces of loads at their factors."""
+        """Sum the loads' forces at their factors."""
         self.forces[:] = 0.0
         for load in loads:
             self.forces += load.factor * load.forces
@@ -41,7 +41,6 @@ class NodalForces(EnergyTerm):
         return -float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the forces."""
         self.unknowns.add_to_vertices(self._minus, g)
 
 
@@ -66,7 +65,6 @@ class JointForces(EnergyTerm):
         return -float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the forces."""
         _subtract(g, self._blocks, self.forces)
 
 

@@ -1,20 +1,20 @@
-"""Water that stands on a membrane: its level, and its energy, integrated exactly.
+"""Ponding water: its level, and its energy, integrated exactly.
 
-Water of the weight w by volume, up to the level s, has over the plan A the energy
+Water of specific weight w up to the level s has over the plan A the energy
 
-    Pi = -w/2 int <s - z>^2 dA + w s V0,    <h> = h where that is positive, else 0.
+    Pi = -w/2 int <s - z>^2 dA + w s V0,    <h> = h where positive, else 0.
 
-With a level that is given V0 is nothing, as its water comes and goes. Where the volume V0 is given
-the level follows from ``int <s - z> dA = V0``, at which Pi is stationary in s: its gradient is then
-that at the level found, and its second derivatives have a dyad beside those of a given level,
+For a given level V0 is zero, as water flows in and out. For a given volume V0 the level follows
+from ``int <s - z> dA = V0``, where Pi is stationary in s: its gradient is that at the level found,
+and its second derivatives are those of a given level plus the dyad
 
     w / A_wet  grad(V) grad(V)^T,    V = int <s - z> dA,    A_wet = int_{z < s} dA.
 
-On a facet all follows from the means of products of the shape functions over its wet part, of its
-area: ``t_ij = mean(N_i N_j over z < s)``. With the depths h_i of its corners, negative where it is
-dry, ``mean(<h> N_i) = t_ij h_j`` and ``mean(<h>^2) = t_ij h_i h_j``. The wet part is the facet, its
-corner at a wet vertex, or all but the corner at a dry one. Pi is twice continuously differentiable
-but where an edge or a facet lies in the water's surface.
+On a facet everything follows from the moments of the shape functions over the wet part, as means
+over the facet: ``t_ij = mean(N_i N_j over z < s)``. With the depths h_i of its corners, negative if
+dry, ``mean(<h> N_i) = t_ij h_j`` and ``mean(<h>^2) = t_ij h_i h_j``. The wet part is the whole
+facet, its corner at one wet vertex, or all but the corner at one dry vertex. Pi is twice
+continuously differentiable unless an edge or a facet lies in the water surface.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.runtime.arrays import EPSILON, Array
 
 TURNS = 200
-"""Newton steps and bisections at most: from anywhere to the last digit they are some ten."""
+"""Limit of Newton steps and bisections; about ten suffice from any start to the last digit."""
 
 
 def find_level(
@@ -43,8 +43,8 @@ def find_level(
     level: float,
 ) -> float:
     """Find the level at which water has a volume, by Newton's method. Collective. The volume is a
-    convex function of the level where the surface lies under all of the water, so that Newton's
-    steps come from above; where it does not, or is dry, they are kept in brackets. Units: sums
+    convex function of the level where the membrane lies under all of the water, so that Newton's
+    iterates come from above; elsewhere, and where it is dry, they are bracketed. Units: sums
     (length cubed), volume (length cubed), level (length)."""
     low, high, step = -float("inf"), float("inf"), volume ** (1 / 3)
     total = sums.copy()
@@ -63,7 +63,7 @@ def find_level(
             target = newton
         elif high - low < float("inf"):
             target = (low + high) / 2
-        else:  # up to where there is a surface, or down to below it
+        else:  # no bracket yet: up to where there is a surface, or down to below it
             target, step = level + (step if smoothing_length <= 0.0 else -step), 2 * step
         if abs(target - level) <= 2 * EPSILON * max(abs(target), abs(level)):
             return target
@@ -83,7 +83,7 @@ def _wet_products(h, t):  # type: ignore[no-untyped-def]
             t[i, j] = whole * (2.0 if i == j else 1.0) / 12.0
     if wet == 0 or wet == 3:
         return
-    # the corner at the one vertex that is wet, or dry
+    # the corner at the single wet, or dry, vertex
     k = 0
     while (h[k] > 0.0) != (wet == 1):
         k += 1
@@ -91,7 +91,7 @@ def _wet_products(h, t):  # type: ignore[no-untyped-def]
     s, r = h[k] / (h[k] - h[a]), h[k] / (h[k] - h[b])
     scale = s * r / 12.0 if wet == 1 else -s * r / 12.0
     # Shape functions at the corner's three vertices; the mean of a product of linear functions is
-    # a twelfth of the sum of the products at the vertices and of the product of the sums.
+    # a twelfth of the sum of the products at the vertices plus the product of the sums.
     sk, sa, sb = 3.0 - s - r, s, r
     t[k, k] += scale * (1.0 + (1.0 - s) ** 2 + (1.0 - r) ** 2 + sk * sk)
     t[a, a] += scale * (s * s + sa * sa)
@@ -109,7 +109,7 @@ def _wet_products(h, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _facet(X, x, corners, level, p, h, t):  # type: ignore[no-untyped-def]
-    """Places p (3, 3), depths and wet products of a facet; returns its area in plan, signed."""
+    """Positions p (3, 3), depths and wet moments of a facet; returns its signed area in plan."""
     for m in range(3):
         for i in range(3):
             p[m, i] = X[corners[m], i] + x[corners[m], i]
@@ -122,7 +122,7 @@ def _facet(X, x, corners, level, p, h, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def water_sums(X, x, corners, weights, level, out):  # type: ignore[no-untyped-def]
-    """Integrals over the plan of the wet part into `out` (3,): of <h>^2, of <h>, and its area."""
+    """Integrals over the wet plan into `out` (3,): of <h>^2, of <h>, and its area."""
     out[:] = 0.0
     p, h, t = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for f in range(len(corners)):
@@ -206,11 +206,11 @@ def add_water_pressure(X, x, corners, weights, level, factor, g):  # type: ignor
 
 
 class Ponding(EnergyTerm):
-    """Energy of a pond, less that of its water at the height `datum`.
+    """Energy of a pond, relative to its water at the height `datum`.
 
-    Unlike other terms it communicates in `sums`, where the volume is given: to find the level.
+    Unlike other terms it communicates in `sums` if the volume is given, to find the level.
 
-    Attributes: `pond`: the water; load steps change its factor; `level`: height z of the water's
+    Attributes: `pond`: the water, whose factor load steps change; `level`: height z of the water
     surface at the last `sums` (length). Units: datum (length).
     """
 
@@ -220,19 +220,19 @@ class Ponding(EnergyTerm):
 
     def __init__(self, pond: Pond, table: Facets, datum: float) -> None:
         self.pond, self.datum, self.level = pond, datum, pond.level
-        # Areas of the plan are positive where the cells lie on the side of them that is up.
+        # Plan areas are positive if the pond's side of the cells faces up.
         self.table, self._weights = table, pond.side * table.weights
         self._pattern = ElementPattern(*table.element_blocks)
         self.patterns = (self._pattern,)
 
     @property
     def _weight(self) -> float:
-        """Weight by volume at the current factor (force / length cubed)."""
+        """Specific weight at the current factor (force / length cubed)."""
         return self.pond.factor * self.pond.weight
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's parts of the integrals of depth squared, depth, and 1 over the wet plan.
-        Collective where the volume is given."""
+        Collective if the volume is given."""
         facets = (self.unknowns.X, x, self.table.corners, self._weights)
         if self.pond.given == "level":
             self.level = self.pond.level
@@ -249,16 +249,15 @@ class Ponding(EnergyTerm):
         return self._weight * (kept - float(sums[0]) / 2)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the gradient at the present level."""
+        """Add the gradient at the current level."""
         _add_gradient(
             self.unknowns.X, x, self.table.corners, self._weights, self.level,
             -self._weight / 2, 0.0, g,
         )  # fmt: skip
 
     def add_pressure(self, x: Array, g: Array, factor: float) -> None:
-        """Add the water's forces on the membrane, normal to it, times a factor. They are the
-        gradient's but at the rim of its cells, where that has what would come or go with water
-        beyond it."""
+        """Add `factor` times the water's forces normal to the membrane. They differ from the
+        gradient only at the rim of the pond's cells, where water would flow over."""
         add_water_pressure(
             self.unknowns.X,
             x,
@@ -270,7 +269,7 @@ class Ponding(EnergyTerm):
         )
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives at the present level."""
+        """Add the second derivatives at the current level."""
         blocks = self._pattern.values.reshape(-1, 3, 3, 3, 3)
         _hessian(
             self.unknowns.X, x, self.table.corners, self._weights, self.level,
@@ -279,7 +278,7 @@ class Ponding(EnergyTerm):
         self._pattern.add(A)
 
     def dyads(self, sums: Array) -> Sequence[float]:
-        """What a given volume is stiffer than a given level by (force / length^5)."""
+        """Stiffness of a given volume beyond that of a given level (force / length^5)."""
         if self.pond.given == "level" or not sums[2] > 0.0:
             return ()
         return (self._weight / float(sums[2]),)

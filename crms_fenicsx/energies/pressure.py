@@ -1,19 +1,19 @@
-"""Air pressure on the plain cells as an exact follower load (section 2.4), and its sliding rim.
+"""Air pressure on plain cells as an exact follower load (section 2.4), and on a sliding rim.
 
-The volume V under the membrane, seen from a point c, has the exact pressure as its gradient only
-inside; over an edge a -> b of the rim each of both vertices lacks the force
+The volume V under the membrane, measured from a point c, has the exact pressure forces as its
+gradient only in the interior; at an edge a -> b of the rim each of its vertices lacks the force
 
     f = (a - c) x (b - c) / 6
 
-for a unit pressure. Held vertices do not need it. Where both are held in a direction k at the same
-height h over c, as in a plane of symmetry, f is up to its component along k the gradient of
+for a unit pressure. Held vertices do not need it. If both are held in a direction k at the same
+height h above c, as in a plane of symmetry, f without its component along k is the gradient of
 
     -h / 6 (a_i b_j - a_j b_i),    i, j the directions that follow k,
 
-the volume between the plane and c. At an end of such a chain of edges that leaves (v_j, -v_i) h / 6
-over. Where i or j is held as well, at a corner with another plane or on a held edge, that is the
-gradient of -+ h / 6 v_i v_j. All these are products of three coordinates; they make the result
-independent of c.
+the volume between the plane and c. At an end v of a chain of such edges (v_j, -v_i) h / 6 remains.
+If i or j is held as well, at a corner with another plane or on a held edge, this is the gradient of
+-+ h / 6 v_i v_j. All these are products of three coordinates; they make the result independent of
+c.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 class FollowerPressure(EnergyTerm):
-    """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
+    """Potential ``-p (V - V0)`` of a uniform pressure, with the volume V under the membrane.
 
-    Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as the
-    `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure` has what
-    is missing. V is counted from `origin`; V0 is that of the stress-free surface, so that the
-    energy is the work done since and does not depend on the origin.
+    Its gradient is the pressure's exact nodal forces, normal to the current surface, if the
+    `open_edges` are held; for edges that slide in planes `RimPressure` adds the missing part. V is
+    measured from `origin`; V0 is that of the stress-free surface, so that the energy is the work
+    done since, independent of the origin.
 
     Attributes: `integral`: the volume gained, and the gradient of the potential. Shapes and units:
     pressure (force per area), origin (3,) (length).
@@ -65,13 +65,13 @@ class FollowerPressure(EnergyTerm):
         F = Kinematics(u, (e1, e2)).F
         self.origin = fem.Constant(mesh, origin)
         X = ufl.SpatialCoordinate(mesh) - self.origin
-        # V - V0 per area, term by term, so that a small change is not lost in a large volume.
+        # V - V0 per area, term by term, so that small changes are not lost in a large volume.
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
         x = X + u
 
         def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
-            # of u . n + X . n, by hand: UFL's derivative has twice as many products
+            # derivative of u . n + X . n by hand: UFL's has twice as many products
             dF = [ufl.dot(ufl.grad(v), e) for e in (e1, e2)]
             work = ufl.dot(v, n) + ufl.dot(dF[0], ufl.cross(F[1], x))
             work += ufl.dot(dF[1], ufl.cross(x, F[0]))
@@ -80,7 +80,7 @@ class FollowerPressure(EnergyTerm):
         self.integral = Integral(u.function_space, variation)
 
     def _hessian_form(self) -> fem.Form:
-        """The form of the second derivatives, compiled when they are first wanted."""
+        """The form of the second derivatives, compiled on first use."""
         V = self.u.function_space
         e1, e2 = tangent_basis(V.mesh, None)
         F = Kinematics(self.u, (e1, e2)).F
@@ -91,7 +91,6 @@ class FollowerPressure(EnergyTerm):
         return fem.form(ufl.derivative(force, self.u, ufl.TrialFunction(V)))
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
         super().attach(unknowns)
         vertices = unknowns.vertex_blocks()
         a, b = vertices[edge_ends(self.u.function_space)].T
@@ -101,7 +100,6 @@ class FollowerPressure(EnergyTerm):
             self._hessian.attach(unknowns)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         if self._hessian is None:
             self._hessian = FormPattern(self._hessian_form(), self.u.function_space)
             self._hessian.attach(self.unknowns)
@@ -126,19 +124,20 @@ PLANE = 1e-9
 
 @dataclass(frozen=True)
 class Rim:
-    """What this rank knows of the rim."""
+    """This rank's part of the rim."""
 
-    # (m, 3) products of coordinates, by local degree of freedom times three plus direction
+    # (m, 3) coordinates in each product, as three times the local degree of freedom plus direction
     components: Indices
     factors: Array  # (m,) their factors in the volume
-    # (n,) vertices, by local degree of freedom, at which the rim is free: neither held nor in a
-    # plane that is held in its normal direction
+    # (n,) local degrees of freedom of vertices where the rim is free: neither held nor in a plane
+    # that is held in its normal direction
     free: Indices
     sliding: Indices  # (k,) local edges that are not held, but slide in a plane
 
 
 def rim_of(membrane: Membrane) -> Rim:
-    """Sort the open edges of a membrane by how they are held in its current shape. Collective."""
+    """Classify the open edges of a membrane by how they are held in its current shape.
+    Collective."""
     edges, V, held = membrane.open_edges, membrane.V, membrane.held
     places, size = membrane.positions(), membrane.size
     pairs, senses = edges.vertices, edges.senses
@@ -172,7 +171,8 @@ def rim_of(membrane: Membrane) -> Rim:
 
 
 def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indices, Array]:
-    """Owned vertices at which chains of edges end; how many more begin there. Collective."""
+    """Owned end vertices of chains of edges; number of chains that start there, minus ends.
+    Collective."""
     count = la.vector(V.dofmap.index_map, dtype=np.float64)
     np.add.at(count.array, a, s)
     np.subtract.at(count.array, b, s)
@@ -183,8 +183,8 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
 
 
 class RimPressure(EnergyTerm):
-    """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
-    Shapes and units: pressure (force per area), origin (3,) (length)."""
+    """Potential of the pressure on the volume that closes the rim: ``-p`` times its change. Shapes
+    and units: pressure (force per area), origin (3,) (length)."""
 
     name = "pressure"
 
@@ -192,7 +192,6 @@ class RimPressure(EnergyTerm):
         self.rim, self.pressure, self.origin = rim, pressure, origin
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
         super().attach(unknowns)
         vertex, direction = np.divmod(self.rim.components, 3)
         self._at = 3 * unknowns.vertex_blocks()[vertex] + direction
@@ -207,7 +206,7 @@ class RimPressure(EnergyTerm):
         return -float(self.pressure.value) * float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the forces that the rim lacks; those along held directions mean nothing."""
+        """Subtract the rim's missing forces; those along held directions are meaningless."""
         y, factors = (
             self._X + x.reshape(-1)[self._at],
             -float(self.pressure.value) * self.rim.factors,
@@ -218,6 +217,6 @@ class RimPressure(EnergyTerm):
 
 
 def gain(X: Array, x: Array) -> Array:
-    """``prod(X + x) - prod(X)`` of rows of three, not lost in the products' size."""
+    """``prod(X + x) - prod(X)`` of rows of three, without cancellation."""
     (A, B, C), (a, b, c) = X.T, x.T
     return np.asarray(a * (B + b) * (C + c) + A * (b * (C + c) + B * c))

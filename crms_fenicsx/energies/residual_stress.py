@@ -1,4 +1,4 @@
-"""Section forces that a membrane has beside its materials' prestress when it is not strained."""
+"""Residual section forces of an unstrained membrane, in addition to its materials' prestress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 class ResidualStress(EnergyTerm):
-    """Energy ``int S : E`` of second Piola-Kirchhoff forces S that stay, E the strain. Shapes and
+    """Energy ``int S : E`` of constant second Piola-Kirchhoff forces S at the strain E. Shapes and
     units: forces (n, 3, 3) (force per length)."""
 
     name = "residual stress"
@@ -50,25 +50,21 @@ class ResidualStress(EnergyTerm):
         self.patterns = (self._hessian,)
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
         super().attach(unknowns)
         self._hessian.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy."""
         out[0] = self.integral.value
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the nodal forces of this rank's cells."""
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         self._hessian.add(A)
 
 
 def _axes(mesh: Any) -> Array:
-    """Those of `tangent_basis` without a warp, (n, 2, 3)."""
+    """Axes of `tangent_basis` without a warp, (n, 2, 3)."""
     x = mesh.geometry.x[geometry_dofmap(mesh)]
     first = x[:, 1] - x[:, 0]
     first = first / np.linalg.norm(first, axis=1)[:, None]

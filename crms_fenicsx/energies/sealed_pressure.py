@@ -1,9 +1,9 @@
-"""Pressure of sealed air, which falls as the volume grows, on plain cells, folded cells and rim.
+"""Pressure of sealed air, which falls with the volume, on plain cells, folded cells and rim.
 
-The terms of a given pressure know their part of the volume each. Here they have the unit pressure,
-and are added up to one term of the whole volume: the pressure follows from the sum over all ranks.
-Its second derivatives are those of a given pressure and the dyad ``Pi'' grad(V) grad(V)^T``, which
-H0 takes as it takes those of cables.
+Each term of a given pressure knows its part of the volume. Here these terms have unit pressure and
+are combined in one term of the whole volume, as the pressure follows from the sum over all ranks.
+The second derivatives are those of a given pressure plus the dyad ``Pi'' grad(V) grad(V)^T``, which
+H0 treats like those of cables.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 class SealedPressure(EnergyTerm):
     """Potential of sealed air; see `SealedAir`.
 
-    Attributes: `air`: the air; load steps change its temperature and the atmosphere; `parts`: terms
-    of parts of the volume; that of folded cells comes to them before the term is used.
+    Attributes: `air`: the air; load steps change its temperature and the atmospheric pressure;
+    `parts`: terms of parts of the volume; that of folded cells is added before the term is used.
     """
 
     name = "pressure"
@@ -46,16 +46,14 @@ class SealedPressure(EnergyTerm):
 
     @property
     def n_sums(self) -> int:  # type: ignore[override]
-        """The parts' volumes."""
+        """One volume for each part."""
         return len(self.parts)
 
     @property
     def exact_hessian(self) -> bool:  # type: ignore[override]
-        """Whether those of the parts are."""
         return all(part.exact_hessian for part in self.parts)
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
         super().attach(unknowns)
         for part in self.parts:
             part.attach(unknowns)
@@ -67,7 +65,7 @@ class SealedPressure(EnergyTerm):
             part.sums(x, out[k : k + 1])
 
     def pressure(self, sums: Array) -> float:
-        """Pressure over that of the atmosphere (force per area)."""
+        """Gauge pressure (force per area)."""
         return self.air.pressure(float(sums.sum()))
 
     def energy(self, sums: Array) -> float:
@@ -83,16 +81,14 @@ class SealedPressure(EnergyTerm):
         g += self._forces
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the nodal forces, with the sign of a gradient."""
         self._add_forces(self.pressure(sums), x, sums, g)
 
     @property
     def patterns(self) -> Sequence[BlockPattern]:  # type: ignore[override]
-        """Those of the parts."""
         return tuple(pattern for part in self.parts for pattern in part.patterns)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives at a given pressure."""
+        """Add the second derivatives at the current pressure."""
         self._unit.value = self.pressure(sums)
         try:
             for k, part in enumerate(self.parts):
@@ -117,6 +113,6 @@ class SealedPressure(EnergyTerm):
         return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
-        """The present pressure on such facets: few of them change the volume by little."""
+        """The current, fixed pressure on such facets: few of them hardly change the volume."""
         self._pressed.value = self.pressure(sums)
         return FoldedFollowerPressure(table, self._pressed, self._origin.value)

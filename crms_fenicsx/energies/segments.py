@@ -1,13 +1,13 @@
 """Length of a straight segment, smoothed where its ends come together.
 
-All that a cable does to the membrane depends on lengths of segments between points. The distance d
+All effects of a cable on the membrane depend on lengths of segments between points. The distance d
 of two points is not differentiable at d = 0, where a fold point meets a mesh vertex. Below a small
 length eps it is replaced by a twice continuously differentiable function that is exact from eps on:
 
     l(d) = eps (3/8 + 3/4 u^2 - 1/8 u^4),   u = d/eps < 1.
 
-With a negative eps it is the distance everywhere, without a gradient below |eps|: for segments
-whose ends are given and may coincide.
+A negative eps means the distance itself, with zero gradient below |eps|, for segments whose ends
+are prescribed and may coincide.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def smoothed_length(d: float, eps: float) -> float:
 
 @numba.njit(cache=True, inline="always")
 def slope_over_distance(d: float, eps: float) -> float:
-    """l'(d) / d, so that the gradient is this times the difference of the points (1/length)."""
+    """l'(d) / d (1/length): times the difference of the points, it is the gradient."""
     if d >= abs(eps):
         return 1.0 / d if d > 0.0 else 0.0
     if eps < 0.0:
@@ -39,7 +39,7 @@ def slope_over_distance(d: float, eps: float) -> float:
 
 @numba.njit(cache=True, inline="always")
 def turn_coefficient(d: float, eps: float) -> float:
-    """k in the Hessian ``l'(d)/d I - k r r^T`` of l, r the difference of the points."""
+    """k in the Hessian ``l'(d)/d I - k r r^T`` of l, with the difference r of the points."""
     if d >= abs(eps):
         return 1.0 / d**3 if d > 0.0 else 0.0
     if eps < 0.0:
@@ -81,8 +81,8 @@ def add_segment_forces(X, x, segments, eps, forces, g):  # type: ignore[no-untyp
 
 @numba.njit(cache=True)
 def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-untyped-def]
-    """``force * Hessian(length)`` per segment: the (3, 3) block that counts + on the diagonal
-    and - off it, into `blocks` (n, 3, 3)."""
+    """``force * Hessian(length)`` per segment: the (3, 3) block with + on the diagonal and - off
+    it, into `blocks` (n, 3, 3)."""
     for s in range(segments.shape[0]):
         r0, r1, r2, d = difference(X, x, segments[s, 0], segments[s, 1])
         r = (r0, r1, r2)
@@ -96,7 +96,7 @@ def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-u
 
 @numba.njit(cache=True)
 def edge_fractions(X, x, pointers, blocks, place, fractions, gradients):  # type: ignore[no-untyped-def]
-    """Places on edges, as shares of their lengths (n,), and their derivatives by all blocks."""
+    """Positions on edges as fractions of their lengths (n,), and derivatives by all blocks."""
     gradients[:] = 0.0
     for k in range(place.shape[0]):
         start, end, at = pointers[k], pointers[k + 1], pointers[k] + place[k]
@@ -129,8 +129,8 @@ def add_slip_forces(pointers, blocks, gradients, force, slope, g):  # type: igno
 
 @numba.njit(cache=True)
 def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ignore[no-untyped-def]
-    """Put ``stiffness * grad(fraction) grad(fraction)^T`` into `values`, pairs of blocks (m, 3, 3).
-    The pairs are those of one node after the other, by rows."""
+    """Put ``stiffness * grad(fraction) grad(fraction)^T`` into `values` (m, 3, 3), for all pairs of
+    blocks of one node after the other, by rows."""
     pair = 0
     for k in range(stiffness.shape[0]):
         for q in range(pointers[k], pointers[k + 1]):
@@ -143,10 +143,10 @@ def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ign
 
 @numba.njit(cache=True)
 def add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, force, values):  # type: ignore[no-untyped-def]
-    """Add ``force * Hessian(fraction)`` to such `values`. With total the edge's length, u_q its
-    derivatives and s the fraction, the second derivatives are
-    ``(sum_q c_q Hessian(d_q) - grad(s) u^T - u grad(s)^T) / total``, c_q = 1 - s before the node
-    and -s behind it."""
+    """Add ``force * Hessian(fraction)`` to such `values`. With the edge's length `total`, its
+    derivatives u_q and the fraction s, the second derivatives are
+    ``(sum_q c_q Hessian(d_q) - grad(s) u^T - u grad(s)^T) / total``, with c_q = 1 - s before the
+    node and -s behind it."""
     start = 0
     for k in range(force.shape[0]):
         first, n = pointers[k], pointers[k + 1] - pointers[k]

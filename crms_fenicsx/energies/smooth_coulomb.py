@@ -12,7 +12,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 @numba.njit(cache=True, inline="always")
 def _potential(y, bound, eps):  # type: ignore[no-untyped-def]
-    """Potential of a node whose slip is y times eps, either way."""
+    """Potential of a node at the absolute slip y eps."""
     if y < 1.0:
         return bound * eps * y * y * (1.0 - y / 3.0)
     return bound * eps * (y - 1.0 / 3.0)
@@ -20,7 +20,7 @@ def _potential(y, bound, eps):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
-    """Potential of all nodes; its derivative by their slips into `force` (n,)."""
+    """Potential of all nodes; its derivatives by their slips into `force` (n,)."""
     energy = 0.0
     for k in range(slip.shape[0]):
         y = abs(slip[k]) / eps[k]
@@ -45,8 +45,8 @@ def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
 
 
 def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
-    """Energy that friction stores elastically, and that it dissipates (force x length). Shapes:
-    slip, bound, eps, elastic (n,)."""
+    """Elastically stored and dissipated friction energy (force x length). Shapes: slip, bound, eps,
+    elastic (n,)."""
     force = np.abs(coulomb_forces(slip, bound, eps))
     back = np.minimum(np.abs(slip), elastic)
     y = np.minimum(back / eps, 1.0)
@@ -56,9 +56,9 @@ def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tu
 
 
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
-    """Stiffness ``force / slip`` of nodes, (n,) (force/length). It is that of the parabola which
-    touches the potential at the present slip and lies above it elsewhere: the tangent is zero
-    beyond eps, and says nothing of what comes below."""
+    """Secant stiffness ``force / slip`` of nodes, (n,) (force/length): that of the parabola that
+    touches the potential at the current slip and lies above it elsewhere. The tangent vanishes
+    beyond eps and does not see the stiffness at smaller slips."""
     y = np.abs(slip) / eps
     return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
 

@@ -1,17 +1,17 @@
-"""Compiled stress laws of `crms_fenicsx.model.materials`: folded cells, orthotropic plain ones.
+"""Compiled stress laws of `crms_fenicsx.model.materials`, for folded and orthotropic plain cells.
 
-Orthotropic tension field. A membrane that cannot carry compression has the energy of the best
-tensile stress, ``max sigma : E - 1/2 sigma : C : sigma``. Where D E is tensile that is D E (taut);
-where E is negative semidefinite it is zero (slack). Else it is uniaxial along some n (wrinkled),
-with the energy ``max over n of (n E n)^2 / (2 n n : C : n n)``. With
+Orthotropic tension field. A membrane without compressive stiffness has the energy of the optimal
+tensile stress, ``max sigma : E - 1/2 sigma : C : sigma``. If D E is tensile, that is the stress
+(taut); if E is negative semidefinite, it is zero (slack). Otherwise it is uniaxial along some n
+(wrinkled), with the energy ``max over n of (n E n)^2 / (2 n n : C : n n)``. With
 
     rho = (c11 / c22)^(1/4),  kappa = (2 c12 + c66) / (2 (c11 c22)^(1/2)),
     a = E11,  b = rho E12,  d = rho^2 E22,  M = (a + d) / 2,  H = (a - d) / 2,
     tan(psi / 2) = n2 / (n1 rho)
 
 this is the maximum over psi of N^2 / (2 c11 q), N = M + H cos(psi) + b sin(psi) and
-q = 1 + (kappa - 1) / 2 sin(psi)^2. As q is even in both, psi lies in the quadrant of the signs of
-H and b, where the slope vanishes once:
+q = 1 + (kappa - 1) / 2 sin(psi)^2. As q is even in cosine and sine, psi lies in the quadrant of the
+signs of H and b, where the derivative has one zero:
 
     (1 + kappa) / 2 |H| / |cos(psi)| - |b| / |sin(psi)| = (1 - kappa) / 2 M.
 """
@@ -32,13 +32,12 @@ from crms_fenicsx.model.materials import (
 )
 
 MOST_STEPS = 50
-"""Newton steps for a direction; they end by themselves, after 4 on average and 10 at most."""
+"""Limit of Newton steps for a direction; 4 are needed on average, at most 10."""
 
 
 @numba.njit(cache=True)
 def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """Direction of the tension in a wrinkled orthotropic membrane. Returns (cos(psi), sin(psi), N,
-    M), in the terms above."""
+    """Tension direction of a wrinkled orthotropic membrane: (cos(psi), sin(psi), N, M) as above."""
     rho, kappa = p[16], p[17]
     a, b, d = e0, 0.5 * rho * e2, rho * rho * e1
     mean, half = 0.5 * (a + d), 0.5 * (a - d)
@@ -47,7 +46,7 @@ def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
     if not steep:
         slope, level, r = level, slope, -r
     # slope x - level + r x / (1 + x^2)^(1/2) = 0, x = tan(psi) if steep, else its inverse. The
-    # left side is concave: from a lower bound of the root Newton's steps rise, until rounding.
+    # left side is concave: from a lower bound of the root Newton's iterates rise, until rounding.
     slope = max(slope, 1e-100 * (level + r))
     x = 0.0
     if slope > 0.0:
@@ -65,7 +64,7 @@ def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
 
 
 def orthotropic_flag(laws: npt.ArrayLike) -> bool | None:
-    """What `stress` and `tangent` want as `orthotropic`, for cells with these laws."""
+    """Value of the argument `orthotropic` of `stress` and `tangent` for cells with these laws."""
     return True if np.any(np.asarray(laws) == ORTHOTROPIC_TENSION_FIELD) else None
 
 
@@ -73,9 +72,9 @@ def orthotropic_flag(laws: npt.ArrayLike) -> bool | None:
 def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
     """Energy per area; section forces (S11, S22, S12) into s. Returns (energy, state). `p` is
     `MembraneMaterial.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut, 1 wrinkled, 0
-    slack. Where `orthotropic` is None, and not True, the orthotropic tension field is not compiled:
-    its iteration takes longer than all the rest."""
-    # Taut: without the energy at rest, S^2 / E t, in which small changes would be lost.
+    slack. With `orthotropic` None instead of True, the orthotropic tension field is not compiled,
+    whose iteration takes longer to compile than all the rest."""
+    # Taut: the constant prestress energy S^2 / E t is left out, as small changes would be lost.
     energy = 0.0
     for i in range(3):
         s[i] = p[12 + i]
@@ -99,7 +98,7 @@ def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _isotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
-    """As `stress` where not taut, at the strain from the stress-free state; s that of taut."""
+    """`stress` of cells that are not taut, from the total strain; s holds the taut stress."""
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
     larger, smaller = mean + radius, mean - radius
@@ -117,7 +116,6 @@ def _isotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
-    """As `_isotropic`."""
     if s[0] >= 0.0 and s[1] >= 0.0 and s[0] * s[1] >= s[2] * s[2]:
         return 0.0, 2
     if e0 > 0.0 or e1 > 0.0 or 4 * e0 * e1 < e2 * e2:
@@ -135,7 +133,7 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
-    """Consistent tangent (3, 3) into C, in wrinkling laws plus `floor` times the taut stiffness.
+    """Consistent tangent (3, 3) into C; wrinkling laws add `floor` times the taut stiffness.
     `orthotropic` as in `stress`."""
     for i in range(3):
         for j in range(3):
@@ -157,8 +155,8 @@ def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _isotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """Whether (nearly) taut, else the tangent's dyads, paired with (E11, E22, 2 E12). One along the
-    tension, and one across as it turns with the strain, each with its factor."""
+    """Whether (nearly) taut, else the tangent's dyads, paired with (E11, E22, 2 E12): one along the
+    tension and one for its rotation with the strain, each with its factor."""
     nothing = (0.0, 0.0, 0.0)
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
@@ -174,7 +172,7 @@ def _isotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _orthotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """As `_isotropic_dyads`. With f(psi, E) the energy in a given direction, the tangent of its
+    """As `_isotropic_dyads`. With the energy f(psi, E) for a given direction, the tangent of its
     maximum over psi is ``f_EE + f_Epsi f_Epsi^T / (-f_psipsi)``."""
     nothing = (0.0, 0.0, 0.0)
     s0 = p[0] * e0 + p[1] * e1 + UNSTRAINED * p[0]
@@ -188,7 +186,7 @@ def _orthotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
         return taut, nothing, nothing, 0.0, 0.0
     rho, m = p[16], 0.5 * (p[17] - 1)
     q = 1 + m * sin * sin
-    turn = m * sin * cos / q  # q' / (2 q), which at the maximum is N' / N
+    turn = m * sin * cos / q  # q' / (2 q), at the maximum equal to N' / N
     along = (0.5 * (1 + cos), 0.5 * (1 - cos) * rho * rho, 0.5 * sin * rho)
     across = (
         -0.5 * sin - turn * along[0],

@@ -1,9 +1,9 @@
-"""Tension field of orthotropic membranes in the plain cells: the law cell by cell, then held.
+"""Tension field of orthotropic membranes in plain cells, evaluated cell by cell, then held.
 
-In a wrinkled cell the direction of the tension has no closed form. Before energy and gradient are
-assembled a compiled loop finds stress and energy of each cell and leaves them in piecewise constant
-fields. As the energy is a maximum over directions, its derivative is that at the held direction
-(envelope theorem): energy and gradient that are assembled from the fields are exact.
+The tension direction in a wrinkled cell has no closed form. Before energy and gradient are
+assembled, a compiled loop puts each cell's stress and energy into DG0 fields. As the energy is a
+maximum over directions, its derivative is that at the fixed direction (envelope theorem), so energy
+and gradient assembled from the fields are exact.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 @numba.njit(cache=True)
 def cell_values(u, dofs, axes, rest, shapes, row, p, cells, strains, values):  # type: ignore[no-untyped-def]
     """Strains (n, 3); energy per area, section forces and state into `values` at the cells. `rest`
-    (n, 3) is the strain without u. `shapes` (n, 2, 2) takes the differences of u along two sides to
-    slopes along the axes, `row` (n,) says which parameters a cell has."""
+    (n, 3) is the strain at u = 0, `shapes` (n, 2, 2) maps differences of u along two sides to
+    slopes along the axes, `row` (n,) is each cell's row of parameters."""
     e, s = np.empty(3), np.empty(3)
     slopes = np.empty((2, 3))
     for c in range(len(cells)):

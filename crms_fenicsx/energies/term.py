@@ -1,4 +1,4 @@
-"""The protocol of a term of the potential energy, and the checks of a term that a user adds."""
+"""The protocol of a term of the potential energy, and checks of user-defined terms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 
 @dataclass(frozen=True)
 class CompiledCells:
-    """What makes terms of few elements in the place of a term without any."""
+    """Creates element-wise terms in place of a term that is assembled by DOLFINx."""
 
     # elements_on, of_elements: as the term's methods
     elements_on: Callable[[Booleans], ElementTable | None]
@@ -34,24 +34,25 @@ class EnergyTerm(ABC):
 
     An evaluation has two halves around one reduction over the ranks. First each term writes this
     rank's share of its scalar sums (`sums`), then it computes energy and gradient from the global
-    sums (`energy`, `add_gradient`). What both halves need is computed in `sums`, and kept. Of a
-    term only `sums` and `add_gradient` are compulsory.
+    sums (`energy`, `add_gradient`); `sums` keeps what both halves need. Only `sums` and
+    `add_gradient` are compulsory.
 
     Arrays `x` and `g` are (n_local, 3): displacements (length) and forces (force) of the local
-    blocks of a layout, ghosts included. Of its `Unknowns` a term of mesh vertices needs
+    blocks of a layout, ghosts included. A term of mesh vertices needs from its `Unknowns`
 
     ``n_vertices``
-        Vertices that this rank owns. Their blocks are their degrees of freedom in DOLFINx's order,
-        0 ... n_vertices - 1, as `Scene.vertices` returns them; higher numbers are not vertices.
+        Number of vertices owned by this rank. Their blocks are their degrees of freedom in
+        DOLFINx's order, 0 ... n_vertices - 1, as `Scene.vertices` returns them; higher numbers are
+        not vertices.
     ``vertex_blocks()``
-        Blocks of all local vertices, ghosts too, by degree of freedom.
+        Blocks of all local vertices, ghosts included, by degree of freedom.
     ``X``
         Positions of all blocks at zero displacement, (n_local, 3) (length).
 
-    Each rank adds its own share, to ghosts as well, and each share is added by one rank only.
-    Nothing here may communicate (but `sums` of terms that are not made of elements, which all ranks
-    call together), and `sums`, `energy` and `add_gradient` are called in each
-    iteration: they should allocate nothing and have no loop over elements in Python.
+    Each rank adds its own share, to ghosts as well; each contribution is added by one rank only.
+    Methods must not communicate (except `sums` of terms without elements, which all ranks call
+    together). `sums`, `energy` and `add_gradient` are called in each iteration: they should neither
+    allocate memory nor loop over elements in Python.
 
     Attributes
     ----------
@@ -60,35 +61,35 @@ class EnergyTerm(ABC):
     n_sums
         Number of scalar sums.
     integral
-        An `Integral` over the membrane, whose value and gradient are brought up to date before
-        `sums`, in one pass over the mesh with all others.
+        An `Integral` over the membrane. Its value and gradient are updated before `sums`, in one
+        pass over the mesh with all others.
     stiffening
-        What its stiffness has that its energy has not, set by the minimiser.
+        Artificial stiffness beyond its energy, set by the minimiser.
     of_cables
-        Whether it is there because of cables, and nothing of it would be without them.
+        Whether it exists only because of cables and vanishes without them.
     has_history
-        Whether `begin_step` and `commit` do anything. Each solve then begins where the load step
-        began. Checkpoints do not keep the history of a term of your own, and refuse it.
+        Whether `begin_step` and `commit` have an effect. Each solve then starts at the beginning of
+        the load step. Checkpoints do not save the history of a user-defined term, and refuse it.
     exact_hessian
-        Whether `add_hessian` and the dyads are all of its energy's second derivatives, and its
-        forces nothing but the energy's slope; `Solver.tangent` names the terms of which it is not.
+        Whether `add_hessian` and the dyads are the complete second derivatives of its energy, and
+        its forces are the energy's gradient; `Solver.tangent` names the terms without.
     links : (n, 2)
-        Pairs of cable points that it couples most; points are relaxed together with those that
-        they are linked to.
+        Pairs of cable points that it couples most; linked points are relaxed together.
     section_forces : (n, 3, 3)
-        Second Piola-Kirchhoff section forces that it puts in this rank's cells beside those of the
-        materials, tensors in space (force per length): results add them. None without any.
+        Second Piola-Kirchhoff section forces of this rank's cells in addition to the materials',
+        tensors in space (force per length), which results include; None without any.
     patterns
-        Where its stiffness has blocks, see `crms_fenicsx.dofs.block_patterns`; from `attach` on.
+        Block positions of its stiffness, see `crms_fenicsx.dofs.block_patterns`; from `attach` on.
     active : (n,)
-        Elements of which stiffness is wanted, where a term can leave out others; they have blocks
-        of no use then.
+        Elements whose stiffness is wanted, if a term can leave out others, whose blocks are then
+        meaningless.
     columns
-        Where the columns of the dyads of a term that was `split` have entries; None without dyads.
+        Pattern of the dyads' columns of a term that was `split`; None without dyads.
     twin
-        Does what `elements_on` and `of_elements` do in loops over few cells, which DOLFINx's forms
-        have not; None if nothing does.
+        Provides `elements_on` and `of_elements` by loops over few cells, for terms assembled by
+        DOLFINx forms; None if there is none.
     unknowns
+        The layout, from `attach` on.
         The layout, from `attach` on.
 
     Examples
@@ -127,7 +128,7 @@ class EnergyTerm(ABC):
     unknowns: Unknowns
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout; called whenever the scene gets a new one, as cables come or slacken."""
+        """Use this layout; called for each new layout of the scene, as cables come or slacken."""
         self.unknowns = unknowns
 
     @abstractmethod
@@ -145,30 +146,31 @@ class EnergyTerm(ABC):
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add a positive semidefinite stiffness (force/length) to the matrix of H0.
 
-        It sets the speed and not the solution; without it the minimiser learns of the term from
-        gradients. The matrix takes blocks of three, of `patterns` alone.
+        It affects the speed, not the solution; without it the minimiser learns of the term only
+        from gradients. The matrix takes (3, 3) blocks of `patterns` only.
         """
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the energy's second derivatives (force/length), but for the dyads, to the matrix.
+        """Add the energy's second derivatives (force/length), without the dyads, to the matrix.
 
-        They need not be definite. By default they are the stiffness.
+        They may be indefinite. By default they are the stiffness.
         """
         self.add_stiffness(x, sums, A)
 
     def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add what the stiffness would be without cables to a matrix of the vertices alone.
+        """Add the stiffness without cables to a matrix of the vertices only, used by multigrid.
 
-        Multigrid is made of it. By default it is that of `add_stiffness`, of which such a matrix
-        drops the entries of cables' points, and nothing of terms of cables.
+        By default that of `add_stiffness`, of which such a matrix drops the entries of cable
+        points, and nothing for terms of cables.
         """
         if not self.of_cables:
             self.add_stiffness(x, sums, A)
 
     def dyads(self, sums: Array) -> Sequence[float] | Array:
-        """Values (force/length) of stiffness ``value * column column^T`` that couples many points.
+        """Values (force/length) of the stiffness ``value * column column^T`` that couples many
+        points.
 
-        Those that are not positive are skipped.
+        Values that are not positive are skipped.
         """
         return ()
 
@@ -177,15 +179,15 @@ class EnergyTerm(ABC):
         raise NotImplementedError(f"{type(self).__name__} has dyads, but no columns")
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of what rounding leaves of forces that cancel at this rank's points."""
+        """Squared norm of the rounding errors of forces that cancel at this rank's points."""
         return 0.0
 
     def elements_on(self, chosen: Booleans) -> ElementTable | None:
-        """Return this rank's elements that depend on some blocks.
+        """Return this rank's elements that depend on chosen blocks.
 
-        Any rank can make a term of them by `of_elements`, in which other blocks are held while
-        these move. By default they are those of `twin`. Where there are none this term's forces are
-        held, which is exact for energies that are linear in these blocks.
+        Any rank can make a term of them by `of_elements`, in which these blocks move and others are
+        fixed. By default those of `twin`. With None, this term's forces are held, which is exact
+        for energies linear in these blocks.
 
         Parameters
         ----------
@@ -195,7 +197,7 @@ class EnergyTerm(ABC):
         return None if self.twin is None else self.twin.elements_on(chosen)
 
     def of_elements(self, table: Any, sums: Array) -> EnergyTerm:
-        """Make a term of elements that this term of some rank has given, joined or renumbered.
+        """Make a term of elements from this term on some rank, joined or renumbered.
 
         Parameters
         ----------
@@ -211,26 +213,26 @@ class EnergyTerm(ABC):
         """Put the dyads of a term that was `split` into its `columns`."""
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of a term's elements at the last `sums`, (n,) (force x length)."""
+        """Energies of the elements at the last `sums`, (n,) (force x length)."""
         raise NotImplementedError(f"{type(self).__name__} is not made of elements")
 
     def split(self, groups: Integers, comm: MPI.Intracomm) -> EnergyTerm:
-        """Return a term `of_elements` that is separate for groups of blocks. Collective.
+        """Split a term made by `of_elements` into independent groups of blocks. Collective.
 
         Parameters
         ----------
         groups : (n_local,)
-            Number of the group that a block moves with, or -1. No element joins two of them.
+            Group with which each block moves, or -1. No element joins two groups.
         comm
-            Processes, each with groups of its own.
+            Processes, each with its own groups.
         """
         return self
 
     def begin_step(self, x: Array) -> None:
-        """Take the current state as a load step's start."""
+        """Mark the current state as the start of a load step."""
 
     def commit(self, x: Array, sums: Array) -> None:
-        """Take the current state as an accepted load step's end."""
+        """Mark the current state as the end of an accepted load step."""
 
 
 NAMES = ("membrane", "pressure", "dead load", "penalty", "cables", "friction")
@@ -240,8 +242,7 @@ NAMES = ("membrane", "pressure", "dead load", "penalty", "cables", "friction")
 def checked_energy(
     term: object, u: fem.Function, cell_tags: Any, taken: Collection[str]
 ) -> tuple[EnergyTerm, float]:
-    """Check a term, and evaluate it once. Collective. Returns the term, and its energy
-    (force x length)."""
+    """Check a term and evaluate it once; return it and its energy (force x length). Collective."""
     if not isinstance(term, EnergyTerm):
         raise InputError(
             f"add_term: {term!r} is no EnergyTerm; derive its class from crms_fenicsx.EnergyTerm."
@@ -275,7 +276,7 @@ def _check_integral(name: str, integral: object, V: fem.FunctionSpace, cell_tags
 
 
 def _evaluated(term: EnergyTerm, u: fem.Function) -> float:
-    """Energy at the current displacements."""
+    """Energy of the term at the current displacements."""
     unknowns = Unknowns(u.function_space)
     comm, vector = unknowns.comm, np.zeros((unknowns.n_local, 3))
     vector[unknowns.vertex_blocks()] = u.x.array.reshape(-1, 3)
