@@ -1,8 +1,8 @@
-"""Cables that keep their line on the fabric: what holds their points at places of their edges.
+"""Cables that keep their line on the fabric: springs that hold their points on edges.
 
-A point of a cable in a pocket, or bonded, crosses its edge at one place of the fabric. A stiff
-spring holds it there, with the energy ``k/2 (a (s - s0))^2``: s the place on the edge now, as a
-share of its length, s0 that at which it was laid, a the edge's stress-free length.
+A point of a cable that is bonded or lies in a pocket crosses its edge at a fixed material point. A
+stiff spring holds it there, with the energy ``k/2 (a (s - s0))^2``: s and s0 are the current and
+initial positions on the edge as fractions of its length, a the edge's stress-free length.
 """
 
 from __future__ import annotations
@@ -31,19 +31,18 @@ class HeldPoints(ElementTable):
     # points on it, its last vertex
     pointers: Indices
     blocks: Indices
-    place: Indices  # (n,) which of them the point is
-    rest: Array  # (n,) its place on the edge, as a share of the length
-    stiffness: Array  # (n,) against that share, k a^2 (force x length)
+    place: Indices  # (n,) position of the point among them
+    rest: Array  # (n,) its initial fraction s0 of the edge
+    stiffness: Array  # (n,) k a^2 (force x length)
     addresses = ("blocks",)
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the points."""
         return self.pointers, self.blocks
 
 
 class HeldLine(EnergyTerm):
-    """What holds points of cables at their places on edges."""
+    """Springs that hold cable points on their edges."""
 
     name = "held lines"
     exact_hessian = True
@@ -57,7 +56,7 @@ class HeldLine(EnergyTerm):
         self.patterns = (self.pattern,)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy; keeps what the gradient needs."""
+        """This rank's part of the energy; keeps fractions for the gradient."""
         t = self.table
         edge_fractions(
             self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
@@ -66,18 +65,16 @@ class HeldLine(EnergyTerm):
         out[0] = float(self.element_energies(out).sum())
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the springs' forces."""
         t = self.table
         add_slip_forces(t.pointers, t.blocks, self._gradients, self._off, t.stiffness, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness without that of the springs' forces."""
+        """Add the stiffness, without the geometric part of the springs' forces."""
         t = self.table
         slip_stiffness(t.pointers, t.blocks, self._gradients, t.stiffness, self.pattern.values)
         self.pattern.add(A)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         t, values = self.table, self.pattern.values
         slip_stiffness(t.pointers, t.blocks, self._gradients, t.stiffness, values)
         add_slip_curvature(
@@ -100,9 +97,7 @@ class HeldLine(EnergyTerm):
         )
 
     def of_elements(self, table: HeldPoints, sums: Array) -> HeldLine:
-        """What holds such points."""
         return HeldLine(table)
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of the points (force x length)."""
         return np.asarray(0.5 * self.table.stiffness * self._off**2)

@@ -1,8 +1,8 @@
 """Integrals over the cells and their gradients, assembled in one pass over the mesh.
 
 Value and gradient, and the integrals of several terms, need the same geometry and displacement of a
-cell, and DOLFINx's way to a cell and back costs as much as any of them. So there is one form for
-all, whose test function has four components for each integral:
+cell, and DOLFINx's access to a cell costs as much as any of them. So one form assembles them all;
+its test function has four components for each integral:
 
     (v, q)  ->  gradient along v  +  integral of density * q.
 
@@ -22,16 +22,15 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 def one_point(mesh: Any, **options: Any) -> ufl.Measure:
-    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
+    """Measure of the stress-free surface; one point is exact, as strains are constant in a cell."""
     return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
 
 
 class Integral:
-    """A functional of the vertex displacements with its gradient, as `FusedAssembly` assembles it.
+    """A functional of the vertex displacements with its gradient, assembled by `FusedAssembly`.
 
-    Attributes: `value`: this rank's part of the integral in the last pass; `gradient` (n, 3) array:
-    the gradient's part from this rank's cells in the last pass, in DOLFINx's order. Shapes: form
-    (3,).
+    Attributes: `value`: this rank's part of the integral in the last pass; `gradient` (n, 3): the
+    part of its gradient from this rank's cells, in DOLFINx's order. Shapes: form (3,).
     """
 
     def __init__(
@@ -45,17 +44,17 @@ class Integral:
         self.value = 0.0
         self.gradient: Array = np.zeros((0, 3))
         self.passes: dict[tuple[Integral, ...], FusedAssembly] = {}
-        """Passes that begin with this integral, by all that they assemble."""
+        """Passes that start with this integral, by all the integrals they assemble."""
 
 
 class FusedAssembly:
-    """Assembles integrals together by one form, which is compiled here."""
+    """Assembles several integrals with one form, compiled here."""
 
     def __init__(self, integrals: Sequence[Integral]) -> None:
         self.integrals = integrals
         V, size = integrals[0].V, 4 * len(integrals)
         space = fem.functionspace(V.mesh, ("Lagrange", 1, (size,)))
-        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
+        # Rows are read as V's: DOLFINx's numbering does not depend on the number of components.
         assert np.array_equal(space.dofmap.list, V.dofmap.list)
         dofs = space.dofmap.index_map
         self._entries: Array = np.zeros((dofs.size_local + dofs.num_ghosts, size))
@@ -70,14 +69,14 @@ class FusedAssembly:
 
     @classmethod
     def of(cls, integrals: Sequence[Integral]) -> FusedAssembly:
-        """The pass over these integrals, always the same one: it is compiled once."""
+        """Return the pass over these integrals, cached, so that it is compiled once."""
         passes, key = integrals[0].passes, tuple(integrals)
         if key not in passes:
             passes[key] = cls(integrals)
         return passes[key]
 
     def assemble(self) -> None:
-        """Give all integrals their value and gradient at the current state of their functions."""
+        """Update value and gradient of all integrals at the current state of their functions."""
         for integral in self.integrals:
             if integral.prepare is not None:
                 integral.prepare()

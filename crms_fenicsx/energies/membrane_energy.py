@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
-    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which leave this term without a new
-    form; `integral`: energy and nodal forces; `stiffening`: what is in the stiffness only;
-    `frames`: see `Membrane.frames`.
+    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which thus leave this term without a
+    new form; `integral`: energy and nodal forces; `stiffening`: artificial stiffness; `frames`: see
+    `Membrane.frames`.
     """
 
     name = "membrane"
@@ -105,7 +105,7 @@ class MembraneEnergy(EnergyTerm):
         self._cell_values: dict[int, fem.Expression] = {}
 
     def renew_materials(self) -> None:
-        """Take the numbers that `materials` have now; laws and warps are as before."""
+        """Update the parameters from `materials`; laws and warps are unchanged."""
         materials = self.materials.values()
         self._modulus = max(material.reference_modulus for material in materials)
         self._prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
@@ -115,7 +115,7 @@ class MembraneEnergy(EnergyTerm):
             self.tension_field.parameters[:] = self._of_tension_field()
 
     def _of_tension_field(self) -> Array:
-        """Parameters of the materials that wrinkle and are orthotropic, in the tags' order."""
+        """Parameters of the wrinkling orthotropic materials, in the order of tags."""
         own = sorted(self.materials.items())
         wrinkle = [m.parameters for _, m in own if m.law == ORTHOTROPIC_TENSION_FIELD]
         return np.array(wrinkle)
@@ -125,7 +125,7 @@ class MembraneEnergy(EnergyTerm):
         return dx if self.cell_tags is None else dx(tag)
 
     def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
-        """The form of energy and gradient, as `Integral` wants it."""
+        """The form of energy and gradient, as `Integral` needs it."""
         variation: Any = 0
         for tag, (law, kinematics) in self.terms.items():
             work = ufl.inner(law.stress, kinematics.strain_variation(v))
@@ -154,7 +154,7 @@ class MembraneEnergy(EnergyTerm):
         return stiffness
 
     def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
-        """The law of the wrinkling orthotropic cells among the owned ones, None without any."""
+        """The law of the owned cells that wrinkle and are orthotropic; None without any."""
         wanted = sorted(
             tag for tag, own in self.materials.items() if own.law == ORTHOTROPIC_TENSION_FIELD
         )
@@ -172,7 +172,7 @@ class MembraneEnergy(EnergyTerm):
         return TensionField(self.u, cells, axes, duals, rest, parameters, row)
 
     def _sewn(self, frames: Array | None) -> tuple[fem.Function | None, Any]:
-        """Parts that areas of cells' own shapes have of theirs in the mesh, and frames, as UFL."""
+        """Area ratios of the cells' own shapes to those in the mesh, and frames, as UFL."""
         if frames is None:
             return None, None
         mesh = self.u.function_space.mesh
@@ -186,7 +186,7 @@ class MembraneEnergy(EnergyTerm):
         return weight, tuple(basis)
 
     def rest_strains(self, cells: Indices) -> Array:
-        """Strains (n, 3) of cells in the mesh: 0 where it is their stress-free shape."""
+        """Strains (n, 3) of cells in the mesh: 0 if it is their stress-free shape."""
         if self.frames is None:
             return np.zeros((len(cells), 3))
         g = self.frames[cells]
@@ -194,12 +194,10 @@ class MembraneEnergy(EnergyTerm):
         return np.stack([(G[:, 0, 0] - 1) / 2, (G[:, 1, 1] - 1) / 2, G[:, 0, 1]], axis=1)
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
         super().attach(unknowns)
         self._pattern.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy."""
         out[0] = self.integral.value
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
@@ -207,10 +205,10 @@ class MembraneEnergy(EnergyTerm):
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at this rank's vertices. A cell's forces
-        are its section force times its size, of which the squares sum up to the area. The section
-        force is that of the prestress and, from displacement gradients of the size of the largest
-        displacement over a quarter of the membrane, that of the strain."""
+        """Squared norm of the rounding errors of forces at this rank's vertices. A cell's forces
+        are its section force times its size; the squared sizes sum up to the area. The section
+        force is the prestress plus that of displacement gradients estimated as the largest
+        displacement over a quarter of the membrane."""
         if self._area == 0.0:
             return 0.0
         gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5 + self._rest
@@ -224,12 +222,11 @@ class MembraneEnergy(EnergyTerm):
         self._pattern.add(A)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives."""
         with self.stiffening.none():
             self.add_stiffness(x, sums, A)
 
     def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness of all of this rank's cells, folded ones as if they were plain."""
+        """Add the stiffness of all of this rank's cells, folded ones treated as plain."""
         plain = self.plain.x.array.copy()
         self.plain.x.array[:] = 1.0
         try:
@@ -239,7 +236,7 @@ class MembraneEnergy(EnergyTerm):
 
     @property
     def links(self) -> Indices:  # type: ignore[override]
-        """Vertices along the sides of cells, if these can be relaxed alone."""
+        """Vertex pairs along the sides of cells, if cells can be relaxed separately."""
         none = np.zeros((0, 2), dtype=np.int32)
         return none if self.twin is None else self.edges()
 
@@ -253,8 +250,8 @@ class MembraneEnergy(EnergyTerm):
         return edge_ends(self.u.function_space)
 
     def cell_results(self) -> Array:
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells. In
-        the material axes, (n, 7), as of `FoldedMembraneEnergy.results`; folded cells are treated as
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells, in
+        the material axes, (n, 7), as in `FoldedMembraneEnergy.results`; folded cells are treated as
         plain. Collective: the first call compiles."""
         mesh = self.u.function_space.mesh
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
@@ -266,7 +263,7 @@ class MembraneEnergy(EnergyTerm):
             if tag not in self._cell_values:
                 E, S = kinematics.strain(), law.stress
                 values = [E[0, 0], E[1, 1], 2 * E[0, 1], S[0, 0], S[1, 1], S[0, 1], law.state]
-                # One point is enough, as all this is constant in a cell.
+                # One point is enough, as all values are constant in a cell.
                 self._cell_values[tag] = fem.Expression(
                     ufl.as_vector(values), np.array([[1 / 3, 1 / 3]])
                 )
@@ -275,7 +272,7 @@ class MembraneEnergy(EnergyTerm):
         return results
 
     def material_tags(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        """Tag of each of the cells' material, (n,)."""
+        """Material tag of each cell, (n,)."""
         if self.cell_tags is None:
             return np.full(len(cells), next(iter(self.materials)), dtype=np.int32)
         order = np.searchsorted(self.cell_tags.indices, cells)
@@ -288,7 +285,7 @@ class MembraneEnergy(EnergyTerm):
         return np.array(moduli, dtype=float)[material]
 
     def laws(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Array]:
-        """Stress laws of the cells and the laws' parameters, (n,) and (n, N_PARAMETERS)."""
+        """Stress laws (n,) of the cells, and their parameters (n, N_PARAMETERS)."""
         tags, material = np.unique(self.material_tags(cells), return_inverse=True)
         materials = [self.materials[int(tag)] for tag in tags]
         laws = np.array([own.law for own in materials], dtype=np.int32)
@@ -296,8 +293,8 @@ class MembraneEnergy(EnergyTerm):
         return laws[material], parameters[material]
 
     def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
-        """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3): with which vectors in
-        the mesh are multiplied to have those of this shape."""
+        """Dual in-plane axes 1 and 2 of the cells, (n, 2, 3): scalar products with vectors in the
+        mesh give components in the cells' stress-free shape."""
         if self.frames is not None:
             return dual_axes(self.frames[cells])
         mesh = self.u.function_space.mesh

@@ -1,7 +1,7 @@
-"""Trace the path of a cable from a route given in plan or in space.
+"""Trace the path of a cable along a route given in plan or in space.
 
-Each leg of a route is the shortest way from its start to its end within the section of the surface
-with one plane.
+Each leg of a route is the shortest path from its start to its end within the section of the surface
+with a plane.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from crms_fenicsx.surface.plane_section import (
 )
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 
-# The direct way is shorter than one around the back by more than this: two ways around a tube that
-# are about as long are as good as each other.
+# Largest ratio of the direct to the actual length of a detour around the back: two ways around a
+# tube of nearly the same length are equally good.
 DETOUR = 0.95
 
 
 def checked_route(route: ArrayLike, snap: float) -> Array:
-    """Return a route as an array, (k, 2) or (k, 3); raise PathError if it is none."""
+    """Check a route and return it as an array, (k, 2) or (k, 3); raise PathError if invalid."""
     if not 0.0 < snap <= 0.1:
         raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
     try:
@@ -76,8 +76,8 @@ def near_section(
     comm: MPI.Intracomm | None = None,
     along_legs: bool = False,
 ) -> Booleans:
-    """Mask (m,) of the cells on which `trace` finds the same path as on the whole mesh, or as on
-    all cells along the legs that have no anchor."""
+    """Mask (m,) of cells on which `trace` finds the same path as on the whole mesh; with
+    `along_legs`, of fewer cells, which suffice if the legs without an anchor are direct."""
     course = checked_route(route, snap)
     x = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
@@ -88,7 +88,7 @@ def near_section(
     if course.shape[1] == 2:
         ends = np.column_stack([course, np.zeros(len(course))])
         up, margin = np.array([0.0, 0.0, 1.0]), 3.0 * size if along_legs else np.inf
-        # trace may move ends to the rim, and the plane along
+        # trace may move ends to the rim, which moves the plane
         planes = [Plane.of(a, b, up, up) for a, b in pairwise(vectors(ends))]
         mask[strips(planes, x, rows, (RIM + snap) * size, margin)[1]] = True
         flat = flattened(x[rows])
@@ -96,18 +96,18 @@ def near_section(
         least = nearest_within(centre, ends)
         if comm is not None:
             comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
-        # what trace names when the route leaves the membrane
+        # cells that trace names when the route leaves the membrane
         mask[_in_reach(centre, radius, ends, least)] = True
         return mask
     feet = feet_of(x, rows, course, comm)
     centre, radius = balls(x[rows])
-    # all around the vertices of the nearest cell, which make the normal
+    # cells around the vertices of the nearest cell, which determine the normal
     places = np.array([foot.position for foot in feet])
     sizes = np.array([foot.size for foot in feet])
     mask[_in_reach(centre, radius, places, sizes * (1.0 + 1e-9) + snap * size)] = True
     planes, straight = [], []
     for i in range(len(course) - 1):
-        # whether an end is an anchor depends on the boundary, which one rank may not see
+        # an end is an anchor depending on the boundary, which a single rank may not see
         starts = [places[i]] + ([course[i]] if i == 0 else [])
         stops = [places[i + 1]] + ([course[i + 1]] if i == len(course) - 2 else [])
         if along_legs and all(np.array_equal(own[0], own[-1]) for own in (starts, stops)):
@@ -117,10 +117,10 @@ def near_section(
             for b in stops:
                 if norm(b - a) == 0.0:
                     continue
-                with suppress(PathError):  # if this is the leg, trace says so
+                with suppress(PathError):  # raised again by trace if this leg occurs
                     planes.append(Plane.of(a, b, feet[i].normal, feet[i + 1].normal))
     mask[strips(planes, x, rows, snap * size, np.inf)[1]] = True
-    if straight:  # no point of a way is farther from the leg's middle than half the way's length
+    if straight:  # no point of a path is farther from the leg's middle than half the path's length
         a, b = places[straight], places[np.array(straight) + 1]
         reach = 0.5 * norm(b - a) / DETOUR + 2.0 * size
         mask[_in_reach(centre, radius, 0.5 * (a + b), reach)] = True
@@ -128,14 +128,14 @@ def near_section(
 
 
 def _in_reach(centre: Array, radius: Array, targets: Array, reach: Array) -> Integers:
-    """The cells, given by balls around them, that may come within reach of some target."""
+    """Cells, given by balls around them, that may be within reach of some target."""
     target, cell = pairs_within(centre, targets, reach + radius.max(initial=0.0))
     near = norm(centre[cell] - targets[target]) - radius[cell] <= reach[target]
     return cell[near]
 
 
 class IndirectLeg(LookupError):  # noqa: N818 - no error: a request for data
-    """A leg does not go straight on: the cells along it are not enough to find its way."""
+    """A leg is not direct: the cells along it do not suffice to find its path."""
 
 
 def trace(
@@ -148,8 +148,8 @@ def trace(
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
 ) -> Path:
-    """The path that a cable takes over a surface along a route (k, 2) or (k, 3), whose corners
-    inside cells are cut off by no more than a cell's size."""
+    """Path of a cable over a surface along a route (k, 2) or (k, 3). Route corners inside cells are
+    cut off, by at most a cell's size."""
     surface = TargetSurface.checked(vertices, points, cells)
     course = checked_route(route, snap)
     if course.shape[1] == 2:
@@ -164,7 +164,7 @@ def trace(
             if along_legs and first.point is not None and last.point is not None:
                 raise IndirectLeg
             leg = _leg_points(surface, first, last, f"leg {i} of the route", snap)
-        if found and isinstance(found[-1], CellPoint):  # a corner inside a cell is cut off
+        if found and isinstance(found[-1], CellPoint):  # cut off a corner inside a cell
             found, leg = found[:-1], leg[1:]
         found += leg
     kept = without_backtracking(found, surface.ids[surface.cells])
@@ -183,9 +183,9 @@ def trace(
 def _refuse_shortcuts(
     surface: TargetSurface, path: Path, course: Array, places: list[Place]
 ) -> None:
-    """Refuse a path that does not pass the route's places in order, within a cell's size."""
-    # A route that comes back through the cells that it went out by cannot be held by their edges:
-    # both ways cancel, which is right at a corner inside a cell, but not of a part of a route.
+    """Refuse a path that does not pass the route points in order, within a cell's size."""
+    # A route that returns through the same cells cannot be represented by edge crossings: both
+    # ways cancel, which is right at a corner inside a cell, but not for a longer part of a route.
     x = path.positions(surface.ids, surface.points)
     start, side = x[:-1], np.diff(x, axis=0)
     square = np.maximum(dot(side, side), 1e-300)
@@ -196,7 +196,7 @@ def _refuse_shortcuts(
     middles = dot(targets - start, side) / square
     aside = norm(start + middles[..., None] * side - targets)
     halves = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
-    passed = 0.0  # segments of the path that lie behind, with the part of the last one
+    passed = 0.0  # number of path segments already passed, with the fraction of the last one
     for (i, _), middle, half, passes in zip(on, middles, halves, aside <= reach, strict=True):
         first = np.maximum(middle - half, np.maximum(passed - np.arange(len(side)), 0.0))
         near = passes & (first <= np.minimum(middle + half, 1.0))
@@ -213,7 +213,7 @@ def _refuse_shortcuts(
 def _leg_points(
     surface: TargetSurface, first: Place, last: Place, name: str, snap: float
 ) -> list[SurfacePoint]:
-    """Return the points of the surface on one leg, its ends (if no anchors) among them."""
+    """Surface points of one leg, including its ends unless they are anchors."""
     if np.array_equal(first.position, last.position):
         raise PathError(
             f"{name} has no length: both its ends lie at {as_text(first.position)} of the membrane;"
@@ -222,7 +222,7 @@ def _leg_points(
     for anchor, other in ((first, last), (last, first)):
         if other.point is not None and anchor.foot is not None:
             if norm(anchor.foot.position - other.position) <= snap * anchor.foot.size:
-                return [other.point]  # straight below the anchor
+                return [other.point]  # directly below the anchor
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
     section = section_of(cuts(surface, [plane], [(first, last)], snap)[0], name)
     gaps = section.gaps()
@@ -236,7 +236,7 @@ def _leg_points(
         node: float(dot(x - plane.origin, plane.ahead)) for node, x in section.positions.items()
     }
     if start is None or end is None:
-        # seen from an anchor, only what lies between the leg's ends
+        # from an anchor, only the part between the leg's ends is visible
         seen = sorted(
             (advance[node], node)
             for node in section.rim
@@ -266,7 +266,7 @@ def _leg_points(
 def _direct_ways(
     surface: TargetSurface, places: list[Place], snap: float
 ) -> list[list[SurfacePoint] | None]:
-    """Return the points of the legs that go straight on; None for others."""
+    """Points of the direct legs; None for others."""
     ways: list[list[SurfacePoint] | None] = [None] * (len(places) - 1)
     legs: list[tuple[int, Plane, tuple[Place, Place]]] = []
     for i, (first, last) in enumerate(pairwise(places)):
@@ -277,7 +277,7 @@ def _direct_ways(
         if surface.in_one_cell((first.point, last.point)):
             ways[i] = [first.point, last.point]
             continue
-        with suppress(PathError):  # it is raised when it is this leg's turn
+        with suppress(PathError):  # raised later for this leg
             plane = Plane.of(first.position, last.position, first.normal, last.normal)
             legs.append((i, plane, (first, last)))
     ends = [both for _, _, both in legs]
@@ -290,13 +290,13 @@ def _direct_ways(
 def _direct_way(
     surface: TargetSurface, plane: Plane, first: Place, last: Place, cut: Cut
 ) -> list[SurfacePoint] | None:
-    """Points of a leg that is the shortest way on the whole surface, from the cells around it."""
-    # A way that leaves these cells is longer than the leg by twice a cell's size, and one over an
-    # opening is no shorter than straight on.
+    """Points of a leg that is the shortest path on the whole surface, from the cells around it."""
+    # A path that leaves these cells is longer than the leg by twice a cell's size, and one across
+    # an opening is no shorter than the straight line.
     assert first.point is not None and last.point is not None
     try:
         section = section_of(cut, "a leg")
-    except PathError:  # perhaps of cells at the end of what is seen here
+    except PathError:  # possibly in cells at the end of the strip
         return None
     start = section.put(first.point, first.position, START)
     end = section.put(last.point, last.position, END)
@@ -314,13 +314,13 @@ def _direct_way(
 def _end_node(
     section: Section, place: Place, own: Node, surface: TargetSurface, snap: float
 ) -> Node | None:
-    """Return the section's node at an end of the leg; None for an anchor beyond the boundary."""
+    """The section's node at an end of the leg; None for an anchor beyond the boundary."""
     if place.point is not None:
         return section.put(place.point, place.position, own)
     if place.beyond:
         return None
-    # not at the foot itself, which in general lies beside the plane: what hangs straight from the
-    # anchor shall hang over the path
+    # not at the foot itself, which generally lies beside the plane: spans hanging from the anchor
+    # shall be above the path
     found = section.nearest(place.position, surface, snap)
     return None if found is None else section.put(*found, own)
 
@@ -333,7 +333,7 @@ def _refuse_detour(
     length: float,
     name: str,
 ) -> None:
-    """Refuse a way around the back, where the direct one is interrupted by an opening."""
+    """Refuse a path around the back if the direct one is interrupted by an opening."""
     if not gaps:
         return
     arcs = {node: dict(others) for node, others in section.arcs.items()}
