@@ -36,7 +36,6 @@ class BlockPattern:
         self.values: Array = np.zeros((len(rows), 3, 3))
 
     def add(self, A: BlockSink) -> None:
-        """Add `values` to a stiffness matrix."""
         A.take(self)
 
 
@@ -89,7 +88,6 @@ class SegmentPattern(BlockPattern):
         """Value of each segment."""
 
     def add(self, A: BlockSink) -> None:
-        """Add the blocks made from `own_values`."""
         values = self.values.reshape(4, *self.own_values.shape)
         values[:2] = self.own_values
         np.negative(self.own_values, out=values[2:])

@@ -60,8 +60,7 @@ class ClusterLayout:
     def _connect(
         self, n: int, elements: Sequence[tuple[Indices, Indices]]
     ) -> tuple[Integers, Integers]:
-        """Sort n free blocks into clusters; return their order, and the cluster of each in that
-        order."""
+        """Sort n free blocks into clusters; return their order, and clusters in that order."""
         ends = [0, *(int(pointers[-1]) for pointers, _ in elements)]
         first = [own[:-1] + end for (own, _), end in zip(elements, np.cumsum(ends), strict=False)]
         pointers = np.concatenate([*first, [sum(ends)]]).astype(np.int64)

@@ -71,9 +71,8 @@ def rows_on(pointers, blocks, chosen):  # type: ignore[no-untyped-def]
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:
-    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3), read from
-    the mesh geometry. DOLFINx's `tabulate_dof_coordinates` maps them from the reference cell
-    instead: the rounding depends on the cell, and that choice on the mesh's distribution."""
+    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3). DOLFINx's
+    `tabulate_dof_coordinates` is not used, as its rounding depends on the mesh's distribution."""
     vertices = V.dofmap.index_map
     places = np.zeros((vertices.size_local + vertices.num_ghosts, 3))
     places[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
@@ -99,8 +98,7 @@ def vertex_starts(V: fem.FunctionSpace) -> Integers:
 
 
 EVENLY = "vec_mdot_use_gemv"
-"""PETSc option, read when a vector is created: compute several dot products as one matrix-vector
-product."""
+"""PETSc option, read when a vector is created: compute several dot products as a matrix product."""
 
 
 class Unknowns(LocalBlocks):
@@ -185,8 +183,8 @@ class Unknowns(LocalBlocks):
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
         """A ghosted vector and its local array (n, 3), ghosts included, which share memory. PETSc's
-        default multiple dot product is switched off: its last digits depend on how the vectors
-        happen to be aligned in memory, so that runs would not be reproducible."""
+        default multiple dot product is switched off: its rounding depends on the alignment of the
+        vectors in memory, so that runs would not be reproducible."""
         options = PETSc.Options()
         if not options.hasName(EVENLY):
             options[EVENLY] = False
@@ -203,7 +201,7 @@ class Unknowns(LocalBlocks):
         return np.concatenate([owned, self.ghosts])
 
     def vertex_numbers(self) -> Integers:
-        """DOLFINx's global vertex numbers of the local blocks, (n_local,); -1 for points.
+        """DOLFINx's global vertex numbers of local blocks, (n_local,), -1 for points.
         Collective."""
         vector, numbers = self.vector()
         first = self.V.dofmap.index_map.local_range[0]
@@ -224,8 +222,8 @@ class Unknowns(LocalBlocks):
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
-        """Transfer forces of tied points to their vertices and of ghosts to their owners. `g`
-        (n, 3) is the vector's local array."""
+        """Add forces of tied points to their vertices, and of ghosts to their owners, in `g` (n,
+        3)."""
         self.hand_over(g)
         self.add_ghosts(vector)
 
@@ -243,7 +241,6 @@ class GhostFlags:
         self.shared = self.on_any(ghosts)
 
     def destroy(self) -> None:
-        """Free the PETSc vector."""
         self._vector.destroy()
 
     def of_owners(self, flags: Booleans) -> Booleans:

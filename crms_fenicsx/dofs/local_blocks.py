@@ -34,9 +34,8 @@ class LocalBlocks:
         weights: Array,
         n_loaded: int | None = None,
     ) -> None:
-        """Tie points to vertices: their position is a weighted mean of the vertices'. `X` must hold
-        the positions of all these blocks. Shapes: tied points (n,), interpolation, weights
-        (n, 3)."""
+        """Tie points to vertices, as weighted means; `X` must hold the positions of all these
+        blocks. Shapes: tied points (n,), interpolation, weights (n, 3)."""
         self.tied_points, self.interpolation, self.weights = tied_points, interpolation, weights
         self.n_tied_points, self.n_loaded = (
             len(tied_points),
@@ -64,8 +63,7 @@ class LocalBlocks:
         x[self.tied_points[some]] = moved + self._undisplaced[some]
 
     def set_edge_sliders(self, edge_sliders: Indices, directions: Array) -> None:
-        """Restrict points to displacements along a direction. Shapes: edge sliders (n,), directions
-        (n, 3)."""
+        """Restrict edge sliders (n,) to displacements along directions (n, 3)."""
         self.edge_sliders, self.directions = np.asarray(edge_sliders, dtype=np.intp), directions
         self.n_edge_sliders = len(edge_sliders)
         self._at_edge_sliders, self._along = (
@@ -74,8 +72,7 @@ class LocalBlocks:
         )
 
     def project(self, values: Array) -> None:
-        """Project the edge sliders' vectors in `values` (n_local, 3) on their lines; allocates
-        nothing."""
+        """Project the edge sliders' vectors in `values` (n_local, 3) on their lines, in place."""
         if self.n_edge_sliders:
             np.take(values, self.edge_sliders, axis=0, out=self._at_edge_sliders, mode="clip")
             np.einsum("ni,ni->n", self._at_edge_sliders, self.directions, out=self._along)
@@ -100,9 +97,8 @@ class LocalBlocks:
         return blocks, shares
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
-        """Distribute stiffness blocks, those of tied points to their vertices. Shapes: rows, cols
-        (n,). Returns places (2, m): local blocks of rows and columns; sources, weights (m,): the
-        block that goes there, and its weight."""
+        """Distribute stiffness blocks at rows, cols (n,), those of tied points to their vertices.
+        Returns places (2, m): local rows and columns; sources, weights (m,): block and weight."""
         if self.n_tied_points == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))
         blocks, share = self.carriers()

@@ -18,8 +18,8 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
-"""Of a pattern: indices of its blocks, their weights, the position of each block in the matrix's
-values, and the distance between its rows there."""
+"""Indices of a pattern's blocks, their weights, positions in the matrix's values and row
+strides."""
 
 
 class StiffnessMatrix:
@@ -99,11 +99,9 @@ class StiffnessMatrix:
         self._all_rows = np.arange(len(self._pointers) - 1, dtype=PETSc.IntType)
 
     def destroy(self) -> None:
-        """Free the PETSc matrix."""
         self.petsc.destroy()
 
     def clear(self) -> None:
-        """Set all entries to zero."""
         self._values[:] = 0.0
 
     def take(self, pattern: BlockPattern) -> None:
@@ -134,8 +132,7 @@ class StiffnessMatrix:
         return sources, weights, self._starts[block], self._strides[block]
 
     def assemble(self) -> None:
-        """Assemble the PETSc matrix from the added values, edge sliders projected on their lines.
-        Collective."""
+        """Assemble the matrix, with edge sliders projected on their lines. Collective."""
         if len(self._sliding):
             self._project()
         if self.unknowns.comm.size == 1:

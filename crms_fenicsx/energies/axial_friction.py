@@ -40,8 +40,8 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8
-"""Largest number of dyads per cable in H0, each of which costs a solve; further runs of the cable
-are made stiffer instead."""
+"""Largest number of dyads per cable in H0, each of which costs a solve; further runs are
+stiffer."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,7 @@ class _Run:
 
 
 class CapstanTension(EnergyTerm):
-    """Strain energy and axial friction potential of cables. Shapes and units: L0 (n_cables,)
-    (length)."""
+    """Strain energy and axial friction of cables. Shapes and units: L0 (n_cables,) (length)."""
 
     name = "cables"
     of_cables = True
@@ -121,7 +120,6 @@ class CapstanTension(EnergyTerm):
         self.grips, self.slips, self._solved = grips, grips.slips.copy(), None
 
     def spans_of(self, c: int) -> slice:
-        """Spans of a cable."""
         return slice(int(self.chains.starts[c]), int(self.chains.starts[c + 1]))
 
     def nodes_of(self, c: int) -> slice:
@@ -129,8 +127,7 @@ class CapstanTension(EnergyTerm):
         return slice(int(self.chains.starts[c]) - c, int(self.chains.starts[c + 1]) - c - 1)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the span lengths, and of the nodes' rest arc length less the
-        offset."""
+        """This rank's part of the spans' lengths and the nodes' rest arc lengths (less offset)."""
         c, X = self.chains, self.unknowns.X
         segment_lengths(X, x, c.segments, c.smoothing, self._lengths)
         edge_fractions(X, x, c.pointers, c.blocks, c.place, self._fractions, self._gradients)
@@ -217,9 +214,8 @@ class CapstanTension(EnergyTerm):
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
-        """Taut runs of spans between sticking nodes. A node sticks if friction is stiffer there
-        than the cable beside it, by the secant ``force / slip``: many nodes have little slip and
-        will stick as soon as they reverse."""
+        """Taut runs of spans between sticking nodes: those where friction is stiffer than the cable
+        beside them, by the secant ``force / slip``, as many barely slip and soon stick again."""
         grips, lengths = self.grips, sums[: self.n_spans]
         stiffness = secant_stiffness(self.slips, grips.bound, grips.eps)
         runs = []

@@ -75,12 +75,10 @@ class BarEnergy(EnergyTerm):
         out[0] = _energy(self._X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the bars' forces on their ends."""
         _add_forces(self._X, x, self.table.ends, self.forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the rounding errors of this rank's bar forces: of a bar's direction and
-        length, from coordinates that may be larger than the bar."""
+        """Squared norm of the rounding errors of this rank's bar forces, due to the coordinates."""
         ends = self._X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
@@ -94,8 +92,7 @@ class BarEnergy(EnergyTerm):
         self._add(x, 0.0, self.least, A)
 
     def _add(self, x: Array, slack: float, least: float, A: BlockSink) -> None:
-        """Add the stiffness, with a fraction `slack` for slack guys and forces not below
-        `least`."""
+        """Add the stiffness: `slack` times that of slack guys, and forces not below `least`."""
         t = self.table
         axial = (
             np.where(t.tension_only & (self.lengths < (1 - self.loose) * t.L0), slack, 1.0)

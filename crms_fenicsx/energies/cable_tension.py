@@ -95,14 +95,12 @@ class CableTension(EnergyTerm):
         return float(np.sum(self.energies(sums)))
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the nodal forces of the tensions."""
         np.take(self.tensions(sums), self.cable, out=self._forces)
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the rounding errors of this rank's segment forces: of a segment's
-        direction, from coordinates larger than the segment, and of the cable's tension, from its
-        length. Prescribed ends that coincide have none."""
+        """Squared norm of the rounding errors of this rank's segment forces: of directions and
+        tensions, due to the coordinates. Prescribed ends that coincide have none."""
         ends = self.unknowns.X[self.segments] + x[self.segments]
         far = np.linalg.norm(ends, axis=2).max(axis=1)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -131,8 +129,7 @@ class CableTension(EnergyTerm):
         self.pattern.add(A)
 
     def stiffnesses(self, sums: Array) -> Array:
-        """Axial stiffness EA/L0 of each taut or nearly taut cable (force/length); a nearly taut one
-        will soon be taut."""
+        """Axial stiffness EA/L0 of taut and nearly taut cables, else 0 (force/length)."""
         return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
 
     def dyads(self, sums: Array) -> Array:
@@ -163,9 +160,9 @@ class CableTension(EnergyTerm):
         return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
 
     def split(self, groups: Integers, comm: MPI.Intracomm) -> CableTension:
-        """Split cables into pieces, one for each group that they run through. A piece is as stiff
-        as all pieces of its cable together, so that the sum of the energies, each piece moving as
-        if the others were fixed, is an upper bound of the true energy."""
+        """Split cables into pieces, one for each group they run through. Each is as stiff as all
+        pieces of its cable together, so that the sum of energies, as if each moved alone, is an
+        upper bound of the true energy."""
         group = groups[self.segments].max(axis=1)
         pieces, piece = np.unique(group * len(self.EA) + self.cable, return_inverse=True)
         cables = pieces % len(self.EA)

@@ -66,8 +66,8 @@ def _angle(a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-def]
-    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3). Points that
-    still have the displacements `last` (n, 4, 3) are skipped."""
+    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3), updated
+    where the displacements differ from `last` (n, 4, 3)."""
     ra, rb, rq = np.empty(3), np.empty(3), np.empty(3)
     for k in range(points.shape[0]):
         moved = False
@@ -138,9 +138,8 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # type: ignore[no-untyped-def]
-    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the active intersections. The
-    residual depends on three vectors from p: to the previous point on the side, to the next one,
-    and along the chord, numbered 0, 1 and 2 here."""
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of active intersections. Vectors 0, 1
+    and 2 lead from p to the previous and next point on the side, and along the chord."""
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors

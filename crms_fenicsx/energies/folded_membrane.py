@@ -256,8 +256,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         )  # fmt: skip
 
     def cell_results(self) -> Array:
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums, in
-        the material axes, (n, 7)."""
+        """See `results`."""
         return self.results
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:

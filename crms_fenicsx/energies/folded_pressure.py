@@ -81,7 +81,7 @@ ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
 
 @numba.njit(cache=True)
 def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
-    """Second derivatives of ``factor x volume`` of active facets, blocks (n, 3, 2, 3, 3) at `ROWS`,
+    """Second derivatives of ``factor x volume`` of active facets, (n, 3, 2, 3, 3) at `ROWS`,
     `COLUMNS`."""
     p = np.empty(3)
     for f in range(len(active)):
@@ -130,11 +130,9 @@ class FoldedFollowerPressure(EnergyTerm):
         out[0] = volume - self._stress_free
 
     def energy(self, sums: Array) -> float:
-        """Minus the work of the pressure since the stress-free shape (force x length)."""
         return -float(self.pressure.value) * float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the pressure's nodal forces."""
         t, factor = self.table, -float(self.pressure.value)
         if factor != 0.0:
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)

@@ -84,7 +84,6 @@ class HeldLine(EnergyTerm):
         self.pattern.add(A)
 
     def elements_on(self, chosen: Booleans) -> HeldPoints | None:
-        """Points with chosen blocks on their edges."""
         t = self.table
         rows = t.rows_on(chosen)
         if len(rows) == 0:

@@ -147,9 +147,8 @@ class Stiffening:
                 part.value = value
 
     def set(self, prestress: float, failures: int = 0, least: float = 0.0) -> None:
-        """Set the prestress, and the floor that goes with it, at least `least`. A failure of the
-        line search, as slack cells let a step go too far, raises the floor, each further one
-        tenfold."""
+        """Set the prestress and its floor, at least `least`. Each failure of a line search, due to
+        slack cells that allow too large steps, raises the floor tenfold."""
         self.prestress.value = prestress
         raised = failures + (prestress > 0.0)
         floor = FLOOR_FROM_FLAT * 10.0 ** (raised - 1) if raised else FLOOR

@@ -109,7 +109,6 @@ class LateralFriction(EnergyTerm):
         slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness * t.slope**2, values)
 
     def elements_on(self, chosen: Booleans) -> Slips | None:
-        """Nodes with chosen blocks on their edges."""
         t = self.table
         rows = t.rows_on(chosen)
         if len(rows) == 0:

@@ -121,7 +121,6 @@ class MembraneEnergy(EnergyTerm):
         return np.array(wrinkle)
 
     def _on(self, tag: int, dx: ufl.Measure) -> ufl.Measure:
-        """The measure on one part."""
         return dx if self.cell_tags is None else dx(tag)
 
     def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
@@ -201,7 +200,6 @@ class MembraneEnergy(EnergyTerm):
         out[0] = self.integral.value
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the nodal forces of this rank's cells."""
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
@@ -216,7 +214,6 @@ class MembraneEnergy(EnergyTerm):
         return self._area * (4 * EPSILON * force) ** 2
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the positive semidefinite stiffness of this rank's cells."""
         if self.tension_field is not None:
             self.tension_field.update_tangents()
         self._pattern.add(A)
@@ -293,8 +290,8 @@ class MembraneEnergy(EnergyTerm):
         return laws[material], parameters[material]
 
     def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
-        """Dual in-plane axes 1 and 2 of the cells, (n, 2, 3): scalar products with vectors in the
-        mesh give components in the cells' stress-free shape."""
+        """Dual in-plane axes 1 and 2 of the cells, (n, 2, 3): their products with vectors in the
+        mesh are components in the stress-free shape."""
         if self.frames is not None:
             return dual_axes(self.frames[cells])
         mesh = self.u.function_space.mesh

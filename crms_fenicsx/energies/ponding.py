@@ -244,20 +244,18 @@ class Ponding(EnergyTerm):
         water_sums(*facets, self.level, out)
 
     def energy(self, sums: Array) -> float:
-        """Energy of the water (force x length)."""
         kept = self.pond.volume * (self.level - self.datum) if self.pond.given == "volume" else 0.0
         return self._weight * (kept - float(sums[0]) / 2)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Add the gradient at the current level."""
         _add_gradient(
             self.unknowns.X, x, self.table.corners, self._weights, self.level,
             -self._weight / 2, 0.0, g,
         )  # fmt: skip
 
     def add_pressure(self, x: Array, g: Array, factor: float) -> None:
-        """Add `factor` times the water's forces normal to the membrane. They differ from the
-        gradient only at the rim of the pond's cells, where water would flow over."""
+        """Add `factor` times the water's forces normal to the membrane: the gradient's except at
+        the rim of the pond's cells, where water would flow over."""
         add_water_pressure(
             self.unknowns.X,
             x,
@@ -269,7 +267,6 @@ class Ponding(EnergyTerm):
         )
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives at the current level."""
         blocks = self._pattern.values.reshape(-1, 3, 3, 3, 3)
         _hessian(
             self.unknowns.X, x, self.table.corners, self._weights, self.level,

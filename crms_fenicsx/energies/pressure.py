@@ -136,8 +136,7 @@ class Rim:
 
 
 def rim_of(membrane: Membrane) -> Rim:
-    """Classify the open edges of a membrane by how they are held in its current shape.
-    Collective."""
+    """Classify a membrane's open edges by how they are held in its current shape. Collective."""
     edges, V, held = membrane.open_edges, membrane.V, membrane.held
     places, size = membrane.positions(), membrane.size
     pairs, senses = edges.vertices, edges.senses
@@ -171,8 +170,7 @@ def rim_of(membrane: Membrane) -> Rim:
 
 
 def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indices, Array]:
-    """Owned end vertices of chains of edges; number of chains that start there, minus ends.
-    Collective."""
+    """Owned end vertices of chains of edges, and their excess of starts over ends. Collective."""
     count = la.vector(V.dofmap.index_map, dtype=np.float64)
     np.add.at(count.array, a, s)
     np.subtract.at(count.array, b, s)
@@ -183,8 +181,8 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
 
 
 class RimPressure(EnergyTerm):
-    """Potential of the pressure on the volume that closes the rim: ``-p`` times its change. Shapes
-    and units: pressure (force per area), origin (3,) (length)."""
+    """Potential of the pressure on the volume that closes the rim. Shapes and units: pressure
+    (force per area), origin (3,) (length)."""
 
     name = "pressure"
 
@@ -202,7 +200,6 @@ class RimPressure(EnergyTerm):
         out[0] = self.rim.factors @ gain(self._X, x.reshape(-1)[self._at])
 
     def energy(self, sums: Array) -> float:
-        """Minus the work of the pressure since the stress-free shape (force x length)."""
         return -float(self.pressure.value) * float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:

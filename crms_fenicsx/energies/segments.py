@@ -81,8 +81,8 @@ def add_segment_forces(X, x, segments, eps, forces, g):  # type: ignore[no-untyp
 
 @numba.njit(cache=True)
 def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-untyped-def]
-    """``force * Hessian(length)`` per segment: the (3, 3) block with + on the diagonal and - off
-    it, into `blocks` (n, 3, 3)."""
+    """``force * Hessian(length)`` of segments, blocks (n, 3, 3) with + on the diagonal, - off
+    it."""
     for s in range(segments.shape[0]):
         r0, r1, r2, d = difference(X, x, segments[s, 0], segments[s, 1])
         r = (r0, r1, r2)

@@ -45,8 +45,7 @@ def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
 
 
 def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
-    """Elastically stored and dissipated friction energy (force x length). Shapes: slip, bound, eps,
-    elastic (n,)."""
+    """Elastically stored and dissipated friction energy (force x length); all arguments (n,)."""
     force = np.abs(coulomb_forces(slip, bound, eps))
     back = np.minimum(np.abs(slip), elastic)
     y = np.minimum(back / eps, 1.0)
@@ -56,9 +55,8 @@ def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tu
 
 
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
-    """Secant stiffness ``force / slip`` of nodes, (n,) (force/length): that of the parabola that
-    touches the potential at the current slip and lies above it elsewhere. The tangent vanishes
-    beyond eps and does not see the stiffness at smaller slips."""
+    """Secant stiffness ``force / slip`` of nodes, (n,) (force/length). Its parabola touches the
+    potential and lies above it elsewhere; the tangent would vanish beyond eps."""
     y = np.abs(slip) / eps
     return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
 

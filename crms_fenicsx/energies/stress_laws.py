@@ -133,8 +133,7 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
-    """Consistent tangent (3, 3) into C; wrinkling laws add `floor` times the taut stiffness.
-    `orthotropic` as in `stress`."""
+    """Consistent tangent (3, 3) into C, plus `floor` times the taut stiffness in wrinkling laws."""
     for i in range(3):
         for j in range(3):
             C[i, j] = p[3 * i + j]

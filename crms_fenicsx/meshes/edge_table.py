@@ -24,8 +24,8 @@ def edge_keys(pairs: NDArray[np.integer]) -> Integers:
 
 def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
     """Order the vertices along distinct edges, given as pairs, and count the line's ends. The line
-    starts at the smallest end, or for a loop at the smallest vertex, where it also ends; it stops
-    at a branch. The edges form one line if there is one vertex more than edges."""
+    starts at the smallest end, or for a loop at the smallest vertex, and stops at a branch. The
+    edges form one line if there is one vertex more."""
     beside: dict[int, list[int]] = {}
     for a, b in pairs:
         beside.setdefault(a, []).append(b)

@@ -35,7 +35,6 @@ def limit(file: Path, seconds: int) -> None:
 
 
 def read_by_gmsh(file: Path) -> Arrays:
-    """Read a .msh file."""
     import gmsh
 
     gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
@@ -49,8 +48,8 @@ def read_by_gmsh(file: Path) -> Arrays:
 
 
 def read_step(file: Path, size: str, unit: str) -> Arrays:
-    """Read a STEP file with OpenCASCADE and mesh its faces with edges of length `size` in `unit`;
-    each face is a group "face 1" and so on, each curve with one face "edge 1" and so on."""
+    """Read a STEP file with OpenCASCADE and mesh its faces. Groups are "face 1" ... and, for curves
+    with one face, "edge 1" ...; `size` is the edge length in `unit`."""
     import gmsh
 
     gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)

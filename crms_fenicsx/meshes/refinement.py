@@ -13,7 +13,7 @@ from crms_fenicsx.runtime.errors import InputError, MeshError
 
 _MOST_CELLS = 2e7
 _RANGE = 1e-100, 1e100
-"""Range of lengths whose fourth powers do not overflow or underflow."""
+"""Range of lengths whose squares and cubes neither overflow nor underflow."""
 
 
 def check_positive(what: str, **numbers: float) -> None:

@@ -61,8 +61,7 @@ class SmoothSurface:
 
 
 def arc_lengths_on(points: Array, normals: Array, straight: Booleans) -> Array:
-    """Lengths of the k - 1 arcs of a curve through points with surface normals (k, 3); those marked
-    `straight` are segments."""
+    """Arc lengths between points with surface normals (k, 3), (k - 1,); of chords if `straight`."""
     steps = np.diff(points, axis=0)
     chords = norm(steps)
     turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)

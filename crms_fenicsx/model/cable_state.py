@@ -34,8 +34,8 @@ NodeId = tuple[int, int]
 
 
 End = Literal["tied", "held", "off"]
-"""How a cable's end is held: tied to a point of the membrane, held at its point on a held part of
-the membrane, or by an anchor off the membrane."""
+"""Support of a cable's end: tied to a point of the membrane, held at a point of a held part of the
+membrane, or held by an anchor off the membrane."""
 
 
 @dataclass(frozen=True)

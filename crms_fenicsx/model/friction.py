@@ -143,7 +143,7 @@ class MaterialCurve:
         return self.arc[first] + share * length, feet[rows, best], part
 
     def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
-        """Unit chords (n, 3) from a distance `reach` (n,) before each place to as far behind it."""
+        """Unit chords (n, 3) from a distance `reach` (n,) before each place to as far after it."""
         # a chord between two points close together is dominated by rounding
         found = np.zeros((len(at), 3))
         for part in np.unique(parts):

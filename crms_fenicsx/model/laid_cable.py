@@ -27,7 +27,7 @@ RELAY = "lay another cable with scene.lay_cable(...) instead"
 ROUNDED = 1e-12
 """Strain that a cable needs on its path to count as taut."""
 NEARLY_TAUT = 2e-3
-"""Compressive strain up to which a cable counts as nearly taut."""
+"""Relative excess length up to which a cable still counts as taut at first."""
 BULGE, MOST_BULGE = 1.2, 0.02
 """As `NEARLY_TAUT` where folds bulge: factor of the squared mean turn (rad) at nodes, and maximum.
 On meshes with 9 cells along a side, cables keep some tension up to a factor of 1.0."""
@@ -318,7 +318,8 @@ class LaidCable(Handle[CableState]):
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
-        """Internal: whether it is long enough to be taut, or `nearly`, allowing for fold bulges."""
+        """Internal: whether it is short enough to be taut, or `nearly`, allowing for fold
+        bulges."""
         steps = np.diff(self.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -ROUNDED

@@ -22,8 +22,8 @@ from crms_fenicsx.runtime.errors import InputError
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
-"""Codes of the stress laws, as in the kernels of `crms_fenicsx.energies.stress_laws`, which have
-all but the last, a user's own law."""
+"""Codes of the stress laws; kernels in `crms_fenicsx.energies.stress_laws` have all but the
+last."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""

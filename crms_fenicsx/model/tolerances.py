@@ -7,8 +7,8 @@ Each exceeds the one before for the reason given, so that modules agree on what 
 from __future__ import annotations
 
 SAME_PLACE = 1e-9
-"""Distance of points that coincide, relative to a cable's length or to the size of the membrane or
-of the surrounding cells."""
+"""Distance of coinciding points, relative to the length of a cable or the size of the membrane or
+of nearby cells."""
 
 SMOOTHING = 3e-3
 """Smoothing of segment lengths, relative to the size of the surrounding cells. The larger it is,
@@ -16,28 +16,24 @@ the faster fold points held at a vertex converge; each lengthens the cable by 0.
 `crms_fenicsx.equilibrium.system.System.renew_smoothing_length` subtracts again."""
 
 BLOCKED = SMOOTHING
-"""A sliding point closer to a vertex has run into it. Farther away, only the cable and the membrane
-hold it."""
+"""A sliding point closer to a vertex has run into it; farther away, the vertex does not hold it."""
 
 PRESSED = 2 * SMOOTHING
-"""A frictionless point closer to a vertex is held as if on it; beyond, smoothing does not affect
-lengths, and the point slides freely."""
+"""A frictionless point closer to a vertex is held as if on it; beyond, lengths are not smoothed."""
 
 BEYOND = 0.01
-"""Start of a path on the other side of a vertex, outside the smoothing; also the distance from
-which a vertex beside a crossing blocks the path of a geodesic."""
+"""Start of a path on the other side of a vertex, outside the smoothing; also the distance within
+which a vertex beside a crossing holds the path of a geodesic."""
 
 INSIDE = 0.02
-"""Distance of points put on an edge from its ends, larger than that of a path that has just passed
-the vertex."""
+"""Least distance of points put on an edge from its ends, larger than for paths just past a
+vertex."""
 
 GRIPPED = 0.025
-"""A point that friction lets slide this close to a vertex has run into it, including one put on
-the edge at `INSIDE`."""
+"""A gripped point closer to a vertex has run into it, including one put on the edge at `INSIDE`."""
 
 STAYS = 0.1
-"""Largest move of a point with friction on a new path for which it keeps its position; points that
-move more are placed anew."""
+"""Points with friction that a new path would move by at most this keep their position."""
 
 PAST = 0.25
 """Reach beyond an edge's end within which a span is judged by the edge; see `contact.lift_off`."""

@@ -72,7 +72,7 @@ def geometric_dimension(domain: ufl.AbstractDomain) -> int:
 
 
 def interpolation_points(element: Any) -> NDArray[np.floating]:
-    """Return the reference points of an element, shape (points, topological dimension), for
+    """Return an element's reference points (points, topological dimension), for
     `dolfinx.fem.Expression`. A method in 0.9, a property since 0.10."""
     points: Any = element.interpolation_points
     points = points() if callable(points) else points

@@ -11,8 +11,7 @@ Value = TypeVar("Value")
 
 class ReadOnly(Generic[Value]):
     """Descriptor that shows a private attribute under a public name. Assigning to it raises an
-    `AttributeError` with a remedy: the value would be unchecked, on one rank only and unknown to
-    the solver."""
+    `AttributeError` with a remedy, as the value would be unchecked and on one rank only."""
 
     def __init__(self, source: str, remedy: str) -> None:
         self._get, self._remedy = attrgetter(source), remedy

@@ -73,8 +73,8 @@ def _along_edge(end: Support, vertex: Support) -> bool:
 
 
 def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]) -> Corridor:
-    """Move each end that lies on an edge the corridor follows into a cell beside that edge, if
-    possible not the cell through which the path continues."""
+    """Move each end on an edge that the corridor follows into a cell beside it, if possible not the
+    one through which the path continues."""
     result = list(supports)
     for i, step in ((0, 1), (-1, -1)):
         if _along_edge(supports[i], supports[i + step]):

@@ -73,8 +73,7 @@ def _cross(a: complex, b: complex) -> float:
 
 
 def _turns(a: complex, b: complex, sign: float) -> bool:
-    """Whether b turns from a to one side (1 left, -1 right) or is parallel to a; not if it is
-    antiparallel or one of them is zero."""
+    """Whether b turns to one side of a (1 left, -1 right) or is parallel, but not antiparallel."""
     turn = a.conjugate() * b
     return sign * turn.imag > -TOUCHES * turn.real
 
@@ -264,8 +263,8 @@ def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
-    """For each vertex of an end's edge, a position in the direction of the end, whose distance may
-    be mere rounding."""
+    """For each vertex of an end's edge, a position in direction of the end, which may be too
+    close."""
     if not isinstance(end, EdgePoint):
         return {}
     return {v: beyond[1] for v in end.edge if v != beyond[0]}

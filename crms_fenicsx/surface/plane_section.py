@@ -110,8 +110,7 @@ def strips(
 
 
 def _width(advance: Array, length: Array, reach: float) -> Array:
-    """Half-width of a leg's strip of cells, growing beyond the leg's ends, where moving these
-    shifts the plane more."""
+    """Half-width of a leg's strip, growing beyond its ends, where moving these has more effect."""
     beyond = np.maximum(np.maximum(-advance, advance - length), 0.0) / length
     return np.asarray(2.0 * reach * (1.0 + 2.0 * beyond))
 
@@ -128,7 +127,7 @@ def cuts(
     snap: float,
     margin: float = np.inf,
 ) -> list[Cut]:
-    """Cut the surface with the planes of legs up to `margin` (length) beyond both ends; ends at
+    """Cut the surface with the planes of legs, up to `margin` (length) beyond both ends; end
     vertices lie exactly in the plane."""
     if not planes:
         return []
@@ -248,8 +247,8 @@ class Section:
     def nearest(
         self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
-        """Closest point of the section to a point in its plane, a node if one is within `snap`;
-        None if the section is empty."""
+        """Closest point of the section to a point in its plane, preferably a node; None if
+        empty."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
             for corners, nodes in self.cells.items()
@@ -277,8 +276,8 @@ class Section:
         return CellPoint((u, v, w), (x, y, z)), places[i]
 
     def gaps(self) -> dict[tuple[Node, Node], float]:
-        """Arc lengths over openings: between section ends on the boundary that face each other,
-        which the outer sides of a dome at the ground do not."""
+        """Arc lengths over openings between section ends that face each other, unlike the outer
+        sides of a dome at the ground."""
         ends: list[Node] = []
         looks: list[Array] = []
         for node in sorted(self.rim):

@@ -13,8 +13,7 @@ Support = tuple[int, ...]
 Edge = tuple[int, int]
 
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
-"""Smallest and largest fraction inside an edge, for points that have reached its ends, or that
-rounding has put there."""
+"""Limits of fractions inside an edge, for points that have reached its ends, also by rounding."""
 
 
 def edge_of(a: int, b: int) -> Edge:
@@ -68,12 +67,10 @@ class EdgePoint:
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Vertices of the smallest simplex that contains the point."""
         return self.edge
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Barycentric weights of these vertices."""
         return (1.0 - self.fraction, self.fraction)
 
     def __str__(self) -> str:
@@ -104,7 +101,6 @@ class CellPoint:
 
     @property
     def support(self) -> tuple[int, ...]:
-        """Vertices of the smallest simplex that contains the point."""
         return self.cell
 
     def __str__(self) -> str:
