@@ -71,8 +71,9 @@ def rows_on(pointers, blocks, chosen):  # type: ignore[no-untyped-def]
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:
-    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3). DOLFINx's
-    `tabulate_dof_coordinates` is not used, as its rounding depends on the mesh's distribution."""
+    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3), from the
+    mesh geometry: those of DOLFINx's `tabulate_dof_coordinates` are mapped from the reference cell
+    of some cell, so that their rounding depends on the mesh's distribution."""
     vertices = V.dofmap.index_map
     places = np.zeros((vertices.size_local + vertices.num_ghosts, 3))
     places[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]

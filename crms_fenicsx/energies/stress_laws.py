@@ -133,7 +133,8 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
-    """Consistent tangent (3, 3) into C, plus `floor` times the taut stiffness in wrinkling laws."""
+    """Consistent tangent (3, 3) into C, plus `floor` times the taut stiffness in wrinkling laws;
+    `orthotropic` as in `stress`."""
     for i in range(3):
         for j in range(3):
             C[i, j] = p[3 * i + j]

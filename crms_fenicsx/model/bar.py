@@ -177,7 +177,8 @@ class PlacedBar(Handle[BarState]):
 
     @property
     def utilisation(self) -> float | None:
-        """Force over strength, in compression at most the Euler load; None if neither is known."""
+        """Force over strength, or in compression over the smaller of strength and Euler load; None
+        if neither is known."""
         known = [self.bar.strength] if self.force > 0.0 else [self.bar.strength, self.buckling]
         limits = [limit for limit in known if limit is not None]
         return abs(self.force) / min(limits) if limits else None
