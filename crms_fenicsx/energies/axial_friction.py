@@ -214,8 +214,8 @@ class CapstanTension(EnergyTerm):
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
-        """Taut runs of spans between sticking nodes: those where friction is stiffer than the cable
-        beside them, by the secant ``force / slip``, as many barely slip and soon stick again."""
+        """Taut runs of spans between sticking nodes. A node sticks if its secant friction stiffness
+        ``force / slip`` exceeds that of the cable beside it: many barely slip, and soon stick."""
         grips, lengths = self.grips, sums[: self.n_spans]
         stiffness = secant_stiffness(self.slips, grips.bound, grips.eps)
         runs = []

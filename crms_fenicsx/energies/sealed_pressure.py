@@ -113,6 +113,7 @@ class SealedPressure(EnergyTerm):
         return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
-        """The current, fixed pressure on such facets: few of them hardly change the volume."""
+        """The current pressure on such facets, held fixed, as few facets change the volume
+        little."""
         self._pressed.value = self.pressure(sums)
         return FoldedFollowerPressure(table, self._pressed, self._origin.value)

@@ -72,7 +72,8 @@ class EnergyTerm(ABC):
         the load step. Checkpoints do not save the history of a user-defined term, and refuse it.
     exact_hessian
         Whether `add_hessian` and the dyads are the complete second derivatives of its energy, and
-        its forces are the energy's gradient; `Solver.tangent` names the terms without.
+        its forces are the energy's gradient; `Solver.tangent` names the terms for which this is
+        False.
     links : (n, 2)
         Pairs of cable points that it couples most; linked points are relaxed together.
     section_forces : (n, 3, 3)

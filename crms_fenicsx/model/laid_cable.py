@@ -283,7 +283,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def ends(self) -> tuple[End, End]:
-        """How its two ends are held; an anchor at the same point as a tied node counts as held."""
+        """Supports of its two ends; an anchor next to a tied or coinciding node counts as held."""
 
         def end(anchor: int, beside: int) -> End:
             if self.nodes[anchor].kind != "anchor":

@@ -42,7 +42,7 @@ from crms_fenicsx.surface.plane_section import (
 )
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 
-# Largest ratio of the direct to the actual length of a detour around the back: two ways around a
+# Ratio of direct to actual length below which a path is a detour around the back: two ways around a
 # tube of nearly the same length are equally good.
 DETOUR = 0.95
 
