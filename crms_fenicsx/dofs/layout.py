@@ -184,7 +184,7 @@ class Unknowns(LocalBlocks):
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
         """A ghosted vector and its local array (n, 3), ghosts included, which share memory. PETSc's
-        default multiple dot product is switched off: its rounding depends on the alignment of the
+        default multiple dot product is switched off: its rounding depends on the spacing of the
         vectors in memory, so that runs would not be reproducible."""
         options = PETSc.Options()
         if not options.hasName(EVENLY):
@@ -202,8 +202,7 @@ class Unknowns(LocalBlocks):
         return np.concatenate([owned, self.ghosts])
 
     def vertex_numbers(self) -> Integers:
-        """DOLFINx's global vertex numbers of local blocks, (n_local,), -1 for points.
-        Collective."""
+        """DOLFINx's global vertex numbers of local blocks, or -1, (n_local,). Collective."""
         vector, numbers = self.vector()
         first = self.V.dofmap.index_map.local_range[0]
         numbers[: self.n_vertices, 0] = first + np.arange(self.n_vertices)
@@ -223,8 +222,7 @@ class Unknowns(LocalBlocks):
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
-        """Add forces of tied points to their vertices, and of ghosts to their owners, in `g` (n,
-        3)."""
+        """Pass forces `g` (n, 3) of tied points on to vertices, and of ghosts to their owners."""
         self.hand_over(g)
         self.add_ghosts(vector)
 

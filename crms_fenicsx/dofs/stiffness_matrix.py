@@ -18,8 +18,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
-"""Indices of a pattern's blocks, their weights, positions in the matrix's values and row
-strides."""
+"""Of a pattern: block indices, weights, positions in the matrix's values and row strides there."""
 
 
 class StiffnessMatrix:

@@ -40,8 +40,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8
-"""Largest number of dyads per cable in H0, each of which costs a solve; further runs are
-stiffer."""
+"""Largest number of dyads per cable in H0: each costs a solve, so further runs are stiffer."""
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,8 @@ ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
 
 @numba.njit(cache=True)
 def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
-    """Second derivatives of ``factor x volume`` of active facets, (n, 3, 2, 3, 3) at `ROWS`,
-    `COLUMNS`."""
+    """Put second derivatives of ``factor x volume`` by active facets' `ROWS` and `COLUMNS` into
+    `blocks` (n, 3, 2, 3, 3)."""
     p = np.empty(3)
     for f in range(len(active)):
         if not active[f]:

@@ -113,7 +113,6 @@ class SealedPressure(EnergyTerm):
         return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
-        """The current pressure on such facets, held fixed, as few facets change the volume
-        little."""
+        """The current pressure, held fixed, on such facets: few hardly change the volume."""
         self._pressed.value = self.pressure(sums)
         return FoldedFollowerPressure(table, self._pressed, self._origin.value)

@@ -81,8 +81,7 @@ def add_segment_forces(X, x, segments, eps, forces, g):  # type: ignore[no-untyp
 
 @numba.njit(cache=True)
 def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-untyped-def]
-    """``force * Hessian(length)`` of segments, blocks (n, 3, 3) with + on the diagonal, - off
-    it."""
+    """``force * Hessian(length)`` of segments, (n, 3, 3): the block with + on the diagonal."""
     for s in range(segments.shape[0]):
         r0, r1, r2, d = difference(X, x, segments[s, 0], segments[s, 1])
         r = (r0, r1, r2)

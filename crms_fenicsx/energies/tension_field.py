@@ -60,8 +60,7 @@ def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-
 
 class TensionField:
     """Stress, energy and tangent of wrinkling orthotropic cells, as fields for UFL forms. Shapes:
-    cells (n,), axes (n, 2, 3) and their duals, rest (n, 3) strain, parameters (k, N_PARAMETERS),
-    row (n,)."""
+    cells, row (n,), axes, duals (n, 2, 3), rest strain (n, 3), parameters (k, N_PARAMETERS)."""
 
     def __init__(
         self, u: fem.Function, cells: Indices, axes: Array, duals: Array, rest: Array,

@@ -318,8 +318,7 @@ class LaidCable(Handle[CableState]):
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
-        """Internal: whether it is short enough to be taut, or `nearly`, allowing for fold
-        bulges."""
+        """Internal: whether it is short enough to be taut, or `nearly`, as folds bulge."""
         steps = np.diff(self.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -ROUNDED

@@ -22,8 +22,7 @@ from crms_fenicsx.runtime.errors import InputError
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
-"""Codes of the stress laws; kernels in `crms_fenicsx.energies.stress_laws` have all but the
-last."""
+"""Codes of the stress laws; kernels of all but the last: `crms_fenicsx.energies.stress_laws`."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""

@@ -7,8 +7,7 @@ Each exceeds the one before for the reason given, so that modules agree on what 
 from __future__ import annotations
 
 SAME_PLACE = 1e-9
-"""Distance of coinciding points, relative to the length of a cable or the size of the membrane or
-of nearby cells."""
+"""Distance of coinciding points, relative to the size of a cable, the membrane or nearby cells."""
 
 SMOOTHING = 3e-3
 """Smoothing of segment lengths, relative to the size of the surrounding cells. The larger it is,
@@ -26,8 +25,7 @@ BEYOND = 0.01
 which a vertex beside a crossing holds the path of a geodesic."""
 
 INSIDE = 0.02
-"""Least distance of points put on an edge from its ends, larger than for paths just past a
-vertex."""
+"""Distance of points put on an edge from its ends, larger than for paths just past a vertex."""
 
 GRIPPED = 0.025
 """A gripped point closer to a vertex has run into it, including one put on the edge at `INSIDE`."""

@@ -263,8 +263,7 @@ def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
-    """For each vertex of an end's edge, a position in direction of the end, which may be too
-    close."""
+    """Position in the direction of an end, by vertex of its edge, as the end may be too close."""
     if not isinstance(end, EdgePoint):
         return {}
     return {v: beyond[1] for v in end.edge if v != beyond[0]}

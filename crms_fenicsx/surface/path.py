@@ -114,7 +114,7 @@ class _Surroundings:
 def without_backtracking(
     points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
-    """Remove points where a polyline turns back into its last cell; less than two may remain."""
+    """Remove points where a polyline turns back into its last cell; fewer than two may remain."""
     kept = list(points)
     surroundings = _Surroundings(cells, kept)
     _cancel(kept, surroundings)

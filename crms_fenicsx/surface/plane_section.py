@@ -247,8 +247,7 @@ class Section:
     def nearest(
         self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
-        """Closest point of the section to a point in its plane, preferably a node; None if
-        empty."""
+        """Closest point of the section to a point in its plane, preferably a node, or None."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
             for corners, nodes in self.cells.items()

@@ -21,8 +21,7 @@ class Polygons(NamedTuple):
 
 
 def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
-    """Facets (n, 3), with weights (n,), of the mean over all corners' fans of polygons in CSR
-    form."""
+    """Facets (n, 3) and weights (n,) of the mean over the fans from all corners of polygons."""
     sizes = np.diff(starts)
     numbers: list[Integers] = []
     facets: list[Indices] = [np.zeros((0, 3), dtype=np.int32)]
