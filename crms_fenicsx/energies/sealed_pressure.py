@@ -113,6 +113,6 @@ class SealedPressure(EnergyTerm):
         return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
-        """The current pressure, held fixed, on such facets: few hardly change the volume."""
+        """The current pressure, held fixed, on such facets, as a few change the volume little."""
         self._pressed.value = self.pressure(sums)
         return FoldedFollowerPressure(table, self._pressed, self._origin.value)

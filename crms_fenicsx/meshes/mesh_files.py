@@ -49,7 +49,7 @@ def from_gmsh(
     comm
         Communicator of the mesh; the call is collective. Other ranks need no model.
     outside, ranks
-        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
+        As for `from_arrays`.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def from_file(
     path
         The file.
     outside, ranks
-        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
+        As for `from_arrays`.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def from_step(
     unit
         Length unit of the mesh, "m", "cm" or "mm"; the file defines its own.
     outside, ranks
-        The side towards which pressure acts and the rank of each cell, as for `from_arrays`.
+        As for `from_arrays`.
 
     Raises
     ------

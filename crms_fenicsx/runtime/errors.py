@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 from mpi4py import MPI
-from petsc4py import PETSc  # noqa: F401 (its end is registered before what is registered here)
+from petsc4py import PETSc  # noqa: F401 (registers its exit handler before ours)
 
 from crms_fenicsx.runtime.arrays import Array
 

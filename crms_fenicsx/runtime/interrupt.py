@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc  # noqa: F401 (its handlers are there before they are replaced here)
+from petsc4py import PETSc  # noqa: F401 (installs its handlers before ours)
 
 logger = logging.getLogger("crms_fenicsx")
 

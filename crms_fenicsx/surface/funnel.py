@@ -73,7 +73,7 @@ def _cross(a: complex, b: complex) -> float:
 
 
 def _turns(a: complex, b: complex, sign: float) -> bool:
-    """Whether b turns to one side of a (1 left, -1 right) or is parallel, but not antiparallel."""
+    """Whether b turns from a to one side (1 left, -1 right) or is parallel; not antiparallel."""
     turn = a.conjugate() * b
     return sign * turn.imag > -TOUCHES * turn.real
 
