@@ -172,7 +172,8 @@ def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
 
 
 def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:
-    """Return a mapping in rank 0's order of names, for collective loops over it. Collective."""
+    """Return a mapping in rank 0's order of names, for collective loops over it: `same` accepts
+    any order. Collective."""
     return {name: given[name] for name in comm.bcast(list(given))}
 
 
