@@ -57,7 +57,7 @@ class LocalPotential:
             self.terms.append(term.split(self.layout.groups, whole.comm))
         self._clusters = [self.layout.clusters_of(*own) for own in elements]
         for term in self.terms:
-            term.attach(self.layout)  # the protocol part that terms need
+            term.attach(self.layout)  # type: ignore[arg-type]  # as much as terms need
         self._sums = [np.zeros(term.n_sums) for term in self.terms]
         springs: Sequence[Any] = clusters.elements_of(SPRINGS)
         self._damping = [Damping(table) for table in springs]
