@@ -84,8 +84,7 @@ def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
 def with_clamps(
     crossings: Sequence[Crossing], clamps: Sequence[Clamp], cables: Sequence[LaidCable]
 ) -> list[Crossing]:
-    """Known crossings, with each clamp assigned to the nearest one of its cables, or to a new
-    crossing at its place."""
+    """Known crossings, with each clamp at the nearest one of its cables, or at a new one."""
     number = {cable.name: c for c, cable in enumerate(cables)}
     held = {clamp.name for clamp in clamps}
     found = [
@@ -174,8 +173,7 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
 
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
-    """Parts of a cable between clamps, given as nodes with fractions of the unstressed length and
-    grips; None without clamps."""
+    """Parts of a cable between clamps (nodes, unstressed fractions, grips); None without any."""
     old = cable.parts
     if not own:
         return None

@@ -1,9 +1,8 @@
 """Crossings of cables, found from their paths; lifted parts by the cells under them.
 
 Two cables that cross inside a cell share one free point there, or the folds of one would cut the
-other. The cells follow from the order of the cables' points around each cell, so crossings move
-with paths and fold points: one that slides over an edge is found in the next cell, one that slides
-off vanishes.
+other. The cells follow from the order of the cables' points around each cell: a crossing that
+slides over an edge is found in the next cell, one that slides off vanishes.
 """
 
 from __future__ import annotations
@@ -137,8 +136,7 @@ class Meetings:
 
 
 def _intersections(ends: Array) -> Array:
-    """Parameters (n, 2) of the intersections of lines 01 and 23, in barycentric weights (n, 4,
-    3)."""
+    """Parameters (n, 2) of intersections of lines 01 and 23, from weights (n, 4, 3)."""
     a, b, p, q = (ends[:, k, :2].T for k in range(4))
     u, v, w = b - a, q - p, p - a
     cross = u[0] * v[1] - u[1] * v[0]
@@ -150,8 +148,7 @@ def _intersections(ends: Array) -> Array:
 
 
 TANGLED = 8
-"""Cells between two crossings of the same cables below which these are tangled: taut cables do not
-cross back so soon."""
+"""Cells between two crossings of the same cables up to which these are tangled, not taut."""
 
 
 def arrange(
@@ -260,8 +257,7 @@ def _without_crossings(
 def _lower_first(
     found: Sequence[Meeting], nodes: NodeTable, cables: Sequence[LaidCable]
 ) -> tuple[Integers, Integers, Array]:
-    """First and last nodes (m, 2) of the links that meet, the lower cable's first, and the
-    fractions along them, (m, 2)."""
+    """First and last nodes (m, 2) of meeting links, the lower cable's first; fractions (m, 2)."""
     links = np.array([one[:2] for one in found], dtype=np.int64).reshape(-1, 2)
     along = np.array([one.along for one in found], dtype=float).reshape(-1, 2)
     cable = nodes.cable[links]

@@ -118,8 +118,7 @@ def gained_volume(net: CableNet) -> float:
 
 
 def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
-    """Current minus stress-free volume between each triangle and the origin, (n,), term by term to
-    avoid cancellation."""
+    """Change (n,) of the volumes between triangles and the origin, without cancellation."""
     a, h = X[triangles], u[triangles]
     d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
     n0 = np.cross(d[:, 0], d[:, 1])

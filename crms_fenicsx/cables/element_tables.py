@@ -137,8 +137,7 @@ def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
 
 
 def depth_of(numbering: CableNumbering) -> tuple[Facets, Integers]:
-    """Facets enclosing the space between folded cells and their corner triangles, and the local
-    cell of each."""
+    """Facets around the space between folded cells and their corner triangles, and local cells."""
     return _FoldedCellsOf(numbering).depth()
 
 
@@ -223,8 +222,7 @@ class _FoldedCellsOf:
         return Facets(*fan_facets(pieces.starts, pieces.corners), plain)
 
     def depth(self) -> tuple[Facets, Integers]:
-        """Facets enclosing the space between each cell's facets and its corner triangle, and their
-        local cells."""
+        """Facets around the space between cells' facets and corner triangles, and local cells."""
         numbering, simplices, rows = self.numbering, self.strip.simplices, self.cells.rows
         every = np.arange(len(rows))
         pieces = self.cells.pieces(every, numbering.vertex_blocks, numbering.node_blocks)

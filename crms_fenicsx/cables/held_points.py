@@ -14,8 +14,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.surface.points import EdgePoint
 
 HOLDING = 1e2
-"""Stiffness of the points' springs along edges, relative to the fabric's: they yield by a hundredth
-of its strain."""
+"""Relative stiffness of the points' springs: they yield by a hundredth of the fabric's strain."""
 
 
 def holds_points(cables: Iterable[LaidCable]) -> bool:

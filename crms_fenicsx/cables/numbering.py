@@ -125,8 +125,7 @@ class CableNumbering:
         same = np.arange(len(points))
         same[shared] = shared[first[side]]
         new = same == np.arange(len(points))
-        # (nodes,) point number, shared by the two nodes of a crossing; -1 for vertices and lifted
-        # nodes
+        # (nodes,) point number, common to a crossing's nodes; -1 for vertices and lifted nodes
         self.number = np.full(len(nodes.kind), -1)
         self.number[points] = (np.cumsum(new) - 1)[same]
         self.first = points[new]  # row of one node of each point
@@ -322,8 +321,8 @@ class CableNumbering:
     def lines(
         self, edges: Integers, points: PointsOnEdges | None = None
     ) -> tuple[Integers, Indices]:
-        """Local blocks along edges, given by number, in CSR form: first vertex, points of taut
-        cables, last vertex."""
+        """Local blocks along edges in CSR form: first vertex, points of taut cables, last
+        vertex."""
         points = self.points if points is None else points
         counts = points.counts[edges]
         starts = pointers(counts + 2)

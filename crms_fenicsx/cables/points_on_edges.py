@@ -26,8 +26,7 @@ NODE = np.dtype(
     [
         ("kind", np.int64),
         ("crossing", np.int64),  # its number, or -1
-        # number of support vertices, 0 for anchors; their ids, padded with -1, and their weights on
-        # the unfolded mesh
+        # number of support vertices, 0 for anchors; their ids, padded with -1; unfolded weights
         ("size", np.int64),
         ("support", np.int64, 3),
         ("weights", float, 3),
@@ -37,8 +36,8 @@ NODE = np.dtype(
 
 
 class NodeTable:
-    """All n nodes of some cables, without positions in space. `rows` (n,) are `NODE` records, whose
-    fields are attributes."""
+    """All n nodes of some cables, without positions: `NODE` records `rows`, fields as
+    attributes."""
 
     def __init__(
         self,

@@ -1,8 +1,7 @@
 """Clamps of limited grip, through which cables slip.
 
 A cable with m clamps is a chain of m + 1 parts (`crms_fenicsx.energies.capstan_chain`), with dry
-friction bounded by the grip at each clamp. The unstressed arc at rest there is that at clamping, or
-the one after the last slip.
+friction bounded by the grip at each clamp. The rest arc is that at clamping or after the last slip.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ CLAMP_SLIP = 1e-6
 
 
 def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
-    """Grips (m,) and elastic slips (m,) (length) of clamps. Unlimited grips are replaced by the
-    axial stiffness."""
+    """Grips (m,) and elastic slips (m,) (length) of clamps; unlimited grips are EA."""
     assert cable.parts is not None
     EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.parts.at, 1.0])
     bounds = np.where(cable.parts.grips > 0.0, np.minimum(cable.parts.grips, EA), EA)

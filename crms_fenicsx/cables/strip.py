@@ -63,8 +63,7 @@ class Simplices:
         return keys
 
     def find(self, supports: Integers) -> Integers:
-        """Numbers of simplices given by vertex ids (k, 3), ascending, padded with -1; -1 if
-        absent."""
+        """Numbers of simplices by vertex ids (k, 3), ascending, padded with -1; -1 if absent."""
         if len(self.keys) == 0:
             return np.full(len(supports), -1)
         corners = np.minimum(np.searchsorted(self.vertices, supports), len(self.vertices) - 1)
@@ -74,8 +73,7 @@ class Simplices:
         return np.where(here & (self.keys[found] == keys), found, -1)
 
     def spanned(self, first: Integers, second: Integers) -> Integers:
-        """Numbers (k,) of the simplices spanned by the vertices of two others; -1 if there is none
-        or an input is -1."""
+        """Numbers (k,) of simplices spanned by the vertices of two others; -1 if there is none."""
         found: Integers = _spanned(self.corners, self.keys, len(self.vertices) + 1, first, second)
         return found
 

@@ -76,8 +76,7 @@ MAX_SWITCHES = 6
 class ContactMemory(Protocol):
     """Contact history of the last load step."""
 
-    # released, settled: contacts that were released, and those that then stay closed however the
-    # cable pulls
+    # released, settled: released contacts; those that then stay closed however the cable pulls
     released: set[ContactKey]
     settled: set[ContactKey]
 
@@ -99,8 +98,8 @@ class ActiveSet:
         )
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths, and return the changes in
-        words. Collective."""
+        """Switch cables between slack and taut for their current lengths; list changes.
+        Collective."""
         return self._switch(self.net.strip_shape(), solved=False)
 
     def update(self) -> list[str]:
@@ -114,8 +113,7 @@ class ActiveSet:
         return changes
 
     def _forget(self) -> None:
-        """Forget released and settled contacts of cables that have moved; those of others would
-        settle again at this state."""
+        """Forget the contact history of cables that have moved; that of others would recur."""
         self._first_look = False
         moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
         for keys in (self._released, self._settled):
@@ -167,8 +165,7 @@ class ActiveSet:
         return changes
 
     def _contacts(self, shape: StripShape) -> list[str]:
-        """Release taut cables where they pull the membrane; restore contact where they penetrate
-        it."""
+        """Release taut cables where they pull the membrane; close contacts that penetrate."""
         net, nodes = self.net, self.net.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
         may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
@@ -237,8 +234,7 @@ class ActiveSet:
         return dict(found)
 
     def _clamped(self, nodes: NodeTable) -> Booleans:
-        """Whether a clamp joins each node to another, (n,): these lift off together or not at
-        all."""
+        """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
             if cable.parts is not None:

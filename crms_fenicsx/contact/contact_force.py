@@ -124,8 +124,7 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
 
 def paper_forces(cable: LaidCable) -> Array:
     """Equivalent contact force of the paper at each node, (n,) (force): (3.2-1) inside the
-    membrane, (3.2-2) next to an anchor, at its boundary; both vanish at zero angle and stay finite
-    up to pi or just below."""
+    membrane, (3.2-2) next to an anchor; zero at zero angle and finite up to, or just below, pi."""
     forces = np.zeros(len(cable.nodes))
     if not cable.taut:
         return forces
@@ -133,8 +132,7 @@ def paper_forces(cable: LaidCable) -> Array:
     for k, (before, after) in turns(cable).items():
         if cable.nodes[k].kind == "crossing":
             continue
-        # |t2 - t1| = 2 sin(theta/2) and |t2 + t1| = 2 cos(theta/2) avoid the angle and a division
-        # by the sine.
+        # |t2 - t1| = 2 sin(theta/2) and |t2 + t1| = 2 cos(theta/2) avoid the angle and its sine.
         sine = float(np.linalg.norm(after - before)) / 2
         cosine = float(np.linalg.norm(after + before)) / 2
         i = contacts.index(k)
@@ -153,8 +151,7 @@ def forces_at(
     others: Mapping[int, Array] | None = None,
 ) -> tuple[Array, Array]:
     """Normal and lateral forces (m,) of a cable on the membrane at `nodes` (m,), as in
-    `ContactForces` (force), including the forces (3,) of `others`, cables clamped to it, by
-    node."""
+    `ContactForces`, with the forces (3,) by node of `others` that are clamped to it."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -328,8 +325,7 @@ def smooth_line_load(
 ) -> None:
     """Set `bearing` and `line` for one run of nodes on the membrane."""
     bearing[run] = normal[run]
-    # The turn at the cable's ends is unknown, and the force on a boundary edge next to an anchor is
-    # no line force.
+    # The turn at a cable's ends is unknown, and the force next to an anchor is no line force.
     rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
     arc = arc_lengths(cable.positions[run])
     own = stretches(arc)[rows]

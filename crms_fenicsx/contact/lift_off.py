@@ -2,8 +2,7 @@
 
 A cable lies on the outside of the membrane and can push, but not pull it. Where its tensions at a
 contact have an outward resultant, the contact is released and the cable passes straight above;
-where it would penetrate the membrane, it touches down again. Likewise at a crossing the upper cable
-cannot pull the lower one up.
+where it would penetrate the membrane, it touches down again. Nor can an upper cable pull a lower.
 
 Contacts released and restored in one solve stay closed, which prevents chattering.
 """
@@ -34,9 +33,8 @@ class Gap(NamedTuple):
     fraction: float  # on the edge; NaN at a vertex
     place: Array  # place, above: (3,) point of the membrane, and of the span
     above: Array
-    # whether both lie within the ends of edge and span. A span just beyond an edge's end, past the
-    # vertex on its other side, counts as well: paths keep that far off vertices, so both sides need
-    # not be distinguished.
+    # whether both lie within the ends of edge and span, or the span is just beyond an edge's end:
+    # paths keep that far off vertices, so the two sides need not be distinguished.
     inside: bool
     # vertex at the edge's end that the span passes closely on the other side; -1 if none
     past: int = -1
@@ -90,8 +88,7 @@ PULL = 1e-6
 DEPTH = 1e-6
 """Depth below the membrane, relative to the cell size, at which a cable touches down."""
 NEARLY = 0.05
-"""Height above the membrane, relative to the cell size, up to which a cable may touch it after
-folding it, since folds bulge."""
+"""Height, relative to the cell size, up to which a cable may touch its bulging fold again."""
 SUNK = 0.02
 """Depth below the membrane, relative to the cell size, that exceeds any discretisation error."""
 
@@ -150,8 +147,8 @@ class Polylines:
         return on[(self.pulls(on, *around) > PULL) | feet]
 
     def straight_parts(self, cables: Integers, links: Integers) -> Array:
-        """Ends (m, 2, 3) of the straight segments of `cables` (m,) after the nodes `links` (m,),
-        numbered without crossings."""
+        """Ends (m, 2, 3) of the segments of `cables` (m,) after nodes `links` (m,), crossings
+        excluded."""
         nodes, contacts = self.nodes, self.contacts
         own = np.flatnonzero(nodes.kind != CROSSING)
         at = np.searchsorted(own, nodes.starts[cables]) + links
@@ -198,9 +195,8 @@ def captured(
     With a `height` relative to the cell size: where the span is lower than that.
 
     Where the path rounds a vertex that the span passes on the other side, beyond the ends of all
-    path edges there, the span is above or below no edge: it then touches near the vertex. The path
-    lies in one plane, while each edge is examined along its own normal, so this happens where the
-    membrane is steep.
+    path edges there, the span touches near the vertex, as no edge lies below it. This happens in
+    steep regions: the path lies in one plane, while each edge is examined along its own normal.
 
     Moves the lifted nodes onto their span.
     """

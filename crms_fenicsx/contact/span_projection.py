@@ -1,8 +1,7 @@
 """Projections of spans: the cells under a lifted cable, where it may touch down.
 
 The path under a straight span is the section of the membrane with the plane of the span and the
-membrane's normal. It is traced from cell to cell by the signs of the vertices' distances from that
-plane.
+membrane's normal, traced from cell to cell by the vertices' signed distances from that plane.
 """
 
 from __future__ import annotations
@@ -115,8 +114,7 @@ def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> 
 def with_span_projections(
     cable: LaidCable, shape: StripShape
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
-    """Path of a cable with updated projections of its spans: points, and whether each is lifted;
-    None if nothing changes."""
+    """Path of a cable with updated span projections: points, lifted flags; None if unchanged."""
     nodes, contacts = cable.nodes, cable.contacts()
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False

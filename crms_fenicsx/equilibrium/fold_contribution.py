@@ -134,8 +134,7 @@ class FoldContribution(Contribution):
             self.wind.take(np.sum(winds, axis=0))
 
     def _make_twins(self, unknowns: Unknowns) -> None:
-        """Give the terms of plain cells compiled counterparts where their material laws have
-        one."""
+        """Give the terms of plain cells compiled counterparts where the materials have them."""
         energy, pressure = self.membrane.energy, self.pressure
         if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
             return

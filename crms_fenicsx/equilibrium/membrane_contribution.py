@@ -120,8 +120,7 @@ class PressureContribution(Contribution):
     Attributes: `cells`: 1 in plain cells under pressure, else 0; `value`: the pressure (force per
     area), or 1 if the air is sealed (`sealed` then has it); `term`: pressure on these cells, None
     until there is any; `sealed`: pressure of sealed air, which includes `term`, or None;
-    `folded_volume` (1,): volume gained under folded cells in the previous steps, with the paper's
-    pressure (length cubed).
+    `folded_volume` (1,): the paper's volume gained under folded cells before (length cubed).
     """
 
     def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:

@@ -1,7 +1,6 @@
 """Equilibrium on the paths of least energy: change paths while the energy falls.
 
-Trial states are only computed near equilibrium, which suffices to compare energies; full
-convergence comes at the end.
+Trial states are only computed near equilibrium, which suffices to compare energies.
 """
 
 from __future__ import annotations

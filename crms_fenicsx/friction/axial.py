@@ -40,8 +40,7 @@ LEAST_PART = 0.01
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """Rest arcs at the nodes with axial friction: ``slope * s + offset``, with s the edge
-    fraction."""
+    """Rest arcs at nodes with axial friction: ``slope * s + offset``, s the edge fraction."""
 
     nodes: list[int]  # their numbers
     slope: Array  # (n,), with
@@ -280,8 +279,7 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
 
 
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
-    """Sliding nodes with axial friction on this rank's edges: number among such cables, cable,
-    node."""
+    """Sliding nodes with axial friction on this rank's edges: index of cable, cable, node."""
     near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
     return [

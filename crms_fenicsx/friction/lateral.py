@@ -47,8 +47,7 @@ LEAST_STRAIN = 1e-4
 """Least strain for the force by which a cable first sticks."""
 
 LEAST_RISE = 1e-3
-"""Rise of the tension, relative to it, above which bounds grow; smoothed lengths alone cause less
-in an idle cable."""
+"""Rise of the tension, relative to it, for bounds to grow: an idle cable's smoothing gives less."""
 
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
@@ -146,8 +145,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
-    """Friction force (n,) at each node with friction, positive on a cable that slides left
-    (force)."""
+    """Friction force (n,) at nodes with friction, positive on a cable sliding left (force)."""
     friction, grip = cable.cable.sideways, cable.lateral
     assert friction is not None and grip is not None
     # a node on a vertex cannot slip: friction balances the pull, up to the bound

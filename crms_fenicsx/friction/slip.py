@@ -3,8 +3,7 @@
 The history is a curve on the stress-free membrane: the cable's line at the end of the last load
 step. It is independent of edges, so it survives sliding into other cells. The slip of a fold point
 is the signed distance of its material place from that curve, positive to the left of the cable,
-plus the remaining elastic slip: friction is elastic within a small slip eps, which keeps an idle
-cable from creeping.
+plus the remaining elastic slip: within a small slip eps friction is elastic, to prevent creep.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """New nodes that persist, their old numbers, and ranges of old nodes with the new nodes that
-    inherit from them."""
+    """New nodes that persist, their old numbers, and ranges of old nodes with their heirs."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]

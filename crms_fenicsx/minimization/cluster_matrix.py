@@ -65,8 +65,7 @@ class ClusterMatrix:
         }
 
     def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
-        """Rows and columns of a pattern's blocks in the lower triangle, the source block and the
-        weight of each."""
+        """Rows and columns of a pattern's blocks in the lower triangle; source block, weight."""
         whole, number = self.layout.whole, self.layout.number
         if whole.n_tied_points == 0:
             i, j, kept = _lower_half(pattern.rows, pattern.cols, number)

@@ -1,9 +1,8 @@
 """Initial Hessian H0 of the quasi-Newton solver: sparse stiffness plus one dyad per cable.
 
-The elongation of a cable couples all its points: EA/L0 times the dyad of the length's gradient
-would be a dense block. H0 = K + G C G^T keeps it apart: K is the sparse stiffness of all terms,
-G has one column per cable in tension, C = diag(EA/L0). It is solved by the
-Sherman-Morrison-Woodbury formula
+A cable's elongation couples all its points: EA/L0 times the dyad of the length's gradient would be
+a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness K of all terms, a column
+of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodbury:
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
 
@@ -11,8 +10,7 @@ On several processes the solves for Z dominate, so H0 is factorised with the ten
 (`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
 
 With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
-preconditions conjugate gradients on K + G C G^T: algebraic multigrid, with cable points eliminated
-first (`membrane_multigrid.py`).
+preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
 """
 
 from __future__ import annotations
@@ -74,11 +72,9 @@ def direct_solver(comm: MPI.Comm) -> str:
 
 
 class InitialHessian:
-    """Positive definite H0 of a potential; held components and those across edge sliders are
-    decoupled.
+    """Positive definite H0 of a potential, decoupled from held and across-slider components.
 
-    Attributes: `matrix`: K; `shift` (n_owned,): last shift of the diagonals of K's owned blocks
-    (force/length).
+    Attributes: `matrix`: K; `shift` (n_owned,): last shift of K's diagonal blocks (force/length).
     """
 
     def __init__(self, potential: Potential, prefix: str) -> None:
@@ -132,8 +128,7 @@ class InitialHessian:
 
     def rebuild(self, exact: bool = False) -> bool:
         """Assemble at the potential's current state, whose sums and `g` (unbalanced forces) must be
-        up to date. Returns whether H0 is definite as far as the factorisation tells; otherwise it
-        is unusable."""
+        up to date. Returns whether H0 is definite, as far as is known; otherwise it is unusable."""
         held = self.assemble(exact and self._exact)
         if self._membrane is not None:
             self._membrane.assemble(held)
@@ -168,8 +163,8 @@ class InitialHessian:
         return True
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
-        """Only assemble K at the potential's current state, and return its owned held components,
-        (n, 3)."""
+        """Only assemble K at the potential's state, and return its owned held components, (n,
+        3)."""
         A, unknowns = self.matrix, self.potential.unknowns
         held = unknowns.held[: unknowns.n_owned].copy()
         if unknowns.bounds is not None:
@@ -201,9 +196,8 @@ class InitialHessian:
         self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
 
     def _apply_to_all(self, columns: Array) -> Array:
-        """K^-1 or its preconditioner applied to columns: all at once if factorised, which is much
-        faster. Multigrid takes them one by one: several at once crash on several processes (PETSc
-        3.25)."""
+        """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
+        multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
         solved = np.empty_like(columns)
         if not self._exact:
             b, y = self.matrix.createVecs()
@@ -259,9 +253,8 @@ class InitialHessian:
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 
     def _take_out(self, y: Array) -> None:
-        """Remove held components and those across edge sliders from multigrid's result, whose
-        coarse levels ignore these constraints. It stays symmetric for right-hand sides without
-        them."""
+        """Remove held and across-slider components from multigrid's result, whose coarse levels
+        ignore these constraints. It stays symmetric for right-hand sides without them."""
         unknowns = self.potential.unknowns
         values = y.reshape(-1, 3)
         values[self._held] = 0.0

@@ -1,9 +1,8 @@
 """The potential of some blocks with all others held, minimised by Newton's method.
 
 Its terms are the elements that depend on these blocks; all other forces on them are constant.
-Blocks fall into clusters that share no element. Each has its own energy and its own step length;
-all step together. Clusters on the same cable interact through the stiffness of the cable's pieces,
-see `CableTension.split`.
+Blocks fall into clusters that share no element. Each has its own energy and step length; all step
+together. Clusters on one cable interact by the stiffness of its pieces, see `CableTension.split`.
 """
 
 from __future__ import annotations
@@ -40,9 +39,8 @@ class LocalPotential:
 
     Attributes: `layout`: the clusters, as blocks of `clusters`; `blocks` (n,): the moving blocks in
     the clusters' order; `x` (n_blocks, 3): displacements of the blocks of `clusters` (length),
-    changed in place; `g` (n, 3): forces on the moving blocks at the last evaluation (force);
-    `energies` (n_clusters,): energy of each cluster there (force x length); `steps`: Newton steps
-    made.
+    changed in place; `g` (n, 3): forces on the moving blocks, last evaluated (force); `energies`
+    (n_clusters,): cluster energies (force x length); `steps`: Newton steps made.
     """
 
     def __init__(self, whole: Potential, clusters: Clusters) -> None:

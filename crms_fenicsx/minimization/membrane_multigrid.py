@@ -1,8 +1,7 @@
 """Multigrid under cables: cable points are eliminated exactly, the membrane by multigrid.
 
-Stiff springs tie cable points to soft fabric, which multigrid does not resolve: on the whole
-stiffness K conjugate gradients take more than a thousand iterations. With points p before vertices
-v,
+Stiff springs tie cable points to soft fabric, which multigrid does not resolve: with the whole K
+conjugate gradients take over a thousand iterations. With points p before vertices v,
 
     K = [ Kpp  Kpv ]      S = Kvv - Kvp Kpp^-1 Kpv,
         [ Kvp  Kvv ]
@@ -14,8 +13,7 @@ multigrid on M, the stiffness of the membrane with plain cells and without cable
     B = [ 1  -Kpp^-1 Kpv ] [ Kpp^-1      ] [ 1             ]
         [          1     ] [         M^-1 ] [ -Kvp Kpp^-1  1 ].
 
-B is symmetric positive definite for any symmetric positive definite approximations of Kpp^-1 and
-M^-1.
+B is symmetric positive definite for any such approximations of Kpp^-1 and M^-1.
 """
 
 from __future__ import annotations
@@ -99,8 +97,7 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
 
 
 def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
-    """Traces (n,) of the owned diagonal blocks without `held` components (n, 3); independent of the
-    scene's orientation."""
+    """Traces (n,) of owned diagonal blocks without `held` components (n, 3); rotation invariant."""
     diagonal = matrix.getDiagonal()
     traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
     diagonal.destroy()

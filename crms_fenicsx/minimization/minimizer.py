@@ -57,8 +57,7 @@ CLOSE, NEAR = 1e-6, 100
 to a tolerance set by rounding or `atol`. Farther away the rule's error would matter."""
 
 EXACT = 1e-2
-"""Residual, relative to the force scale, below which H0 under cables is the energy's second
-derivative, where definite."""
+"""Relative residual below which H0 under cables is the energy's second derivative, if definite."""
 
 LONGEST = 15
 """Evaluations of a line search; longer ones almost always fail."""
@@ -280,8 +279,8 @@ class Minimizer:
         h0_prestress: tuple[float, ...] = (0.0,),
         interrupt: Interrupt | None = None,
     ) -> Outcome:
-        """Minimise from the potential's current state, which becomes the minimiser. Units:
-        h0_prestress (force per length)."""
+        """Minimise from the potential's state, the later minimiser. Units: h0_prestress
+        (force/length)."""
         potential = self.potential
         self._begin(interrupt)
         iterations = factorizations = failures = renewed = 0

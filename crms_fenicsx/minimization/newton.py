@@ -2,8 +2,7 @@
 
 Under cables it uses the exact second derivatives where definite. Nearly all force sits at a handful
 of cable points, each nonlinear over its own tiny distance, which updates from a few gradients
-cannot represent. These points are relaxed alone, also after a step that has raised the energy,
-before that step is shortened.
+cannot represent. These are relaxed alone, also where a step has raised the energy.
 
 Where much of a membrane is wrinkled or slack, quasi-Newton updates are outdated as soon as more
 cells wrinkle. Then H0 without updates is rebuilt in each iteration: Newton's method on an energy
@@ -31,8 +30,7 @@ STUBBORN, PATIENCE = 0.1, 8
 before that: cables that pass vertices take a few, which no Newton step speeds up."""
 
 RESTRAINT = 1e-2
-"""Initial stiffness of wrinkled cells in Newton's method, relative to the taut one times the square
-root of residual over force scale."""
+"""Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual/force scale)."""
 
 NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
 """Residual, relative to the force scale, down to which steps use the second derivatives where cable
@@ -56,8 +54,7 @@ class NewtonMethod:
     """Newton steps on a potential, with H0 as its Hessian.
 
     Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
-    second derivatives in this solve; `restraint`: stiffness added to the tangent of wrinkled cells,
-    relative to the taut one.
+    second derivatives in this solve; `restraint`: stiffness added to wrinkled cells, over the taut.
     """
 
     def __init__(
@@ -74,9 +71,8 @@ class NewtonMethod:
         self._count, self._mark = 0, 0.0
 
     def is_quick(self, residual: float, scale: float) -> bool:
-        """Whether the next step uses the second derivatives, with points relaxed: on the way from
-        afar to near the minimum, unless that fails or makes no progress. Units: residual
-        (force)."""
+        """Whether the next step uses the second derivatives, with points relaxed: on the way to
+        near the minimum, unless that fails or makes no progress. Units: residual (force)."""
         if self.trusts_exact and self._quick:
             self._count += 1
             if self._count == QUICK_STEPS:
@@ -95,8 +91,7 @@ class NewtonMethod:
         return self._quick
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
-        """Take over if a stage has `reduced` the residual too little. Units: residual, reduced
-        (force)."""
+        """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
         self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
         self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
 

@@ -50,8 +50,7 @@ class Potential:
         self.evaluations = 0
         self._asked = self.x_vector.duplicate()
         self._is_asked = self._is_summed = False
-        """Whether the state is that of the minimiser's last evaluation, and whether sums are
-        valid."""
+        """Whether the state is that of the minimiser's last evaluation; whether sums are valid."""
         unknowns.add_to_vertices(self._u, self.x)
 
     def destroy(self) -> None:

@@ -27,12 +27,10 @@ PATCH_PART, PATCH_RINGS = 0.02, 3
 number of rings of blocks around it."""
 
 MOST = 0.5
-"""Fraction of all blocks relaxed at once; beyond it all points are relaxed together, patches not at
-all."""
+"""Fraction of blocks relaxed at once; beyond it all points are relaxed together, patches not."""
 
 RATIO, BALANCED = 0.25, 0.3
-"""Residual of the points, relative to that of the vertices, above which they are relaxed, and the
-fraction of that bound to reach."""
+"""Residual of points, relative to that of vertices, above which they are relaxed; part to reach."""
 
 PATCHED, SETTLED = 1e-4, 1e-6
 """Residuals, relative to the force scale, above which patches are relaxed, and to reach."""
@@ -48,15 +46,14 @@ class LocalRelaxation:
     """Relaxes blocks of a potential that are out of balance.
 
     Each cluster of blocks is relaxed by one rank, with the elements of all, see `clusters.gather`;
-    clusters interact only through cable lengths. Block flags are (n_local,), ghosts as their
-    owners.
+    clusters interact only through cable lengths. Block flags are (n_local,), also for ghosts.
 
     Attributes: `steps`: Newton steps made, on all ranks.
     """
 
     afar = 0.2
-    """Residual, relative to the force scale, above which nothing is relaxed: on a still flat roof
-    cables would slide to worse paths."""
+    """Relative residual above which nothing is relaxed: on a flat roof cables would slide to worse
+    paths."""
 
     def __init__(self, potential: Potential) -> None:
         self.potential, self.steps = potential, 0
@@ -145,8 +142,8 @@ class LocalRelaxation:
         return True
 
     def _relax(self, chosen: Booleans, tolerance: float, vertices: bool) -> bool:
-        """Relax the chosen blocks (`vertices`: whether these include any) and return whether the
-        energy has not risen. Collective."""
+        """Relax the chosen blocks (`vertices`: if any are); True unless the energy rises.
+        Collective."""
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)

@@ -1,7 +1,6 @@
 """Stability: negative eigenvalues of the second derivatives, and convexity on the way to a state.
 
-By Sylvester's law a factorisation counts them, with cable tensions as unknowns (see
-`augmented_stiffness.py`).
+By Sylvester's law a factorisation counts them, with cable tensions as additional unknowns.
 
 Along the straight way between two states the slope of a convex energy rises. At the end's loads a
 stable path from the start leads down such a way, with the slope rising to zero. Where it falls in
@@ -48,7 +47,7 @@ def is_convex_from(potential: Potential, start: Array) -> bool:
 class ExactTangent:
     """Factorised second derivatives of a potential at its state. Collective.
 
-    Attributes: `negative`: number of negative eigenvalues. Shapes and units: springs (n_owned,)
+    Attributes: `negative`: number of negative eigenvalues. Units: springs (n_owned,)
     (force/length).
     """
 
@@ -78,8 +77,7 @@ class ExactTangent:
         self._y.destroy()
 
     def compliance(self, blocks: Indices) -> Array:
-        """Displacements of `blocks` (k,) under unit forces on them, (3 k, 3 k) (length/force).
-        Collective."""
+        """Displacements (3 k, 3 k) (length/force) of `blocks` (k,) by unit forces. Collective."""
         potential, unknowns = self.potential, self.potential.unknowns
         n, first = unknowns.n_owned, potential.comm.rank == 0
         found: Array = np.zeros((3 * len(blocks), 3 * len(blocks)))

@@ -134,8 +134,8 @@ def gradient_order(f: Differentiable, x: Array, d: Array, steps: Sequence[float]
 def stiffness_order(
     f: Differentiable, x: Array, d: Array, steps: Sequence[float] = CUBIC_STEPS
 ) -> float:
-    """Order of the remainder: 3 or more if gradient and stiffness at x are right along d, 2 if the
-    stiffness is not."""
+    """Order of the remainder: 3 or more if gradient and stiffness at x are right along d, else
+    2."""
     return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
 
 

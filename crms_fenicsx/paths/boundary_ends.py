@@ -38,8 +38,7 @@ from crms_fenicsx.surface.points import (
 )
 
 ASIDE = 0.1
-"""Lateral movement of an anchor in a load step, relative to the cell size, above which the cable is
-laid again."""
+"""Lateral anchor movement in a load step, relative to the cell size, to lay the cable again."""
 
 FARTHEST = 1000
 """Limit of boundary edges that an end may pass in one load step."""

@@ -26,8 +26,7 @@ from crms_fenicsx.surface.points import VertexPoint
 
 
 def lift_clamps(change: PathChange) -> list[str]:
-    """Move cables whose clamps pull off the membrane beside vertices and edges; return the changes
-    in words. Collective."""
+    """Move cables whose clamps pull off the membrane aside; return the changes. Collective."""
     cables = change.net.cables
     if not change.net.clamps or not any(cable.lifts_off for cable in cables):
         return []

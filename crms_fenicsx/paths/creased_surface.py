@@ -1,7 +1,7 @@
 """The current surface for pulling cables taut: edges folded by other cables, seams, anchors.
 
-Only edge lengths and the order of cells around a vertex enter. A folded edge has the length of the
-polyline through its fold points.
+Only edge lengths and the order of cells around vertices enter. Edges are measured along their
+folds.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ BASE = 1 << 32
 
 
 class FoldPoints:
-    """Fold points on edges, in order along each edge. Shapes: edges (k, 2), counts of points (k,),
-    points (m, 3)."""
+    """Fold points, in order along each edge: edges (k, 2), counts (k,), points (m, 3)."""
 
     def __init__(self, edges: Integers, counts: Integers, points: Array) -> None:
         self.edges, self.points = edges, points
@@ -112,8 +111,7 @@ def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
 
 
 def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
-    """Reject a path over a seam of more than two outer cells, where its continuation is
-    ambiguous."""
+    """Reject a path over a seam of more than two outer cells, as its continuation is ambiguous."""
     places = vectors(path.positions(shape.strip.vertices, shape.current))
     for point, place in zip(path.points, places, strict=True):
         if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:

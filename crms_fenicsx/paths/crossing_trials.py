@@ -3,8 +3,7 @@
 Two cables that press each other into the membrane have several nearby minima of energy, in which no
 vertex holds a cable: a cable passes a vertex on one side or the other; two cables cross an edge
 beside their crossing at one point or at two; and a contact beside a span is closed, as the cable
-has folded the membrane there, or open. The load path determines which one is found, the energies
-which one is the equilibrium.
+has folded the membrane there, or open. The load path picks one; the energies tell the equilibrium.
 """
 
 from __future__ import annotations
@@ -129,8 +128,8 @@ class CrossingTrials:
             yield Way(c, ("side", "", (vertex,), False), take)
 
     def _exchanges(self) -> Iterator[Way]:
-        """Shared edges beside a crossing, with the order of both points exchanged, so that the
-        crossing is beyond the edge."""
+        """Shared edges beside a crossing with both points swapped, so that it moves over the
+        edge."""
         for crossing in self.net.crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
             if crossing.separated or not all(map(self._is_free, pair)):

@@ -18,8 +18,7 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import adopt, straighten, way_past
 
 THERE_AND_BACK = 3
-"""Times in a load step that a cable may pass a vertex to either side: on each side the friction
-bounds may favour the other one."""
+"""Passes of a cable to either side of a vertex in a load step; bounds may favour the far side."""
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:

@@ -2,8 +2,7 @@
 
 A taut cable without friction lies along a geodesic of the current, folded surface. Instead of
 moving it over one vertex per equilibrium, its path is pulled taut on the current shape and tried:
-it is kept if the energy falls, else half of the flips are tried. No path is tried twice, so this
-terminates.
+it is kept if the energy falls, else half of the flips are tried. No path is tried twice.
 """
 
 from __future__ import annotations
@@ -63,9 +62,9 @@ class GeodesicSliding:
         """Corridors without anchors known to be valid, on any shape."""
 
     def straighten(self) -> bool:
-        """Pull the paths of cables taut that have not been in equilibrium yet, since a taut cable
-        on a bad path would cut into the membrane and prevent convergence. Collective. Returns
-        whether there were such cables."""
+        """Pull the paths of taut cables taut that have not been in equilibrium yet, and return
+        whether there are any. Collective. A bad path would cut into the membrane and prevent
+        convergence."""
         fresh = [
             cable
             for cable in self.net.cables
@@ -88,14 +87,12 @@ class GeodesicSliding:
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
-        """Make `straighten` reset the fold points of some cables, given by number, to straight
-        edges."""
+        """Make `straighten` reset the fold points of cables, by number, to straight edges."""
         for c in numbers:
             self.net.cables[c].update(path_is_geodesic=False)
 
     def renew_projections(self) -> list[str]:
-        """Move the paths of lifted parts below their spans; return the changes in words.
-        Collective."""
+        """Move paths of lifted parts below their spans; return the changes in words. Collective."""
         changes: list[str] = []
         off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
         if not off:
@@ -262,8 +259,7 @@ def _leaves_cells(cable: LaidCable) -> bool:
 
 
 Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
-"""Clamps beyond the two ends of a part of a path; empty where the part ends at a clamp itself, None
-without a clamp."""
+"""Clamps beyond both ends of a path's part; empty if an end is itself a clamp, None without."""
 
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:

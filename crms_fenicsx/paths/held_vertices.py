@@ -89,8 +89,7 @@ def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, 
 
 
 def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
-    """Forces of the other cables on each clamped cable, at clamps where all slide freely sideways:
-    the mesh carries their total pull."""
+    """Forces of the others on each clamped cable, at clamps where all cables slide sideways."""
     found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
     for held in clamped_together(cables):
         if all(cable.slides_freely and not cable.keeps_line for cable, _ in held):
@@ -175,8 +174,7 @@ def _string(places: Array, forces: Array) -> Array:
 
 
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
-    """Rows of consecutive vertices; none contains a clamped vertex, which holds other cables
-    too."""
+    """Rows of consecutive vertices; without clamped vertices, which hold other cables too."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
     clamps = () if cable.parts is None else cable.parts.nodes
     held_there = [k for k in clamps if cable.nodes[k].kind == "vertex"]
@@ -192,9 +190,8 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 
 
 def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
-    """Vertices that a cable's nodes are on or have come close to. Excluded are those along the
-    membrane's boundary, off which the cable can only slide, and clamps, unless all of their cables
-    can slide."""
+    """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
+    which it can only slide, and at clamps, unless all of their cables can slide."""
     near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]

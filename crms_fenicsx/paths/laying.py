@@ -46,9 +46,8 @@ from crms_fenicsx.surface.trace import IndirectLeg, trace
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
     """Map a route in space (k, 3) from points on other cables to unfolded cells. Collective.
     Returns route (m, 3): without points at crossings inside cells, which paths do not contain, and
-    with those at other cable points moved to the unfolded cells; known: the surface points of the
-    latter, by their rows in the route; folds: their positions in the folds, in the order of
-    `known`."""
+    with those at other cable points moved to the unfolded cells; known: surface points of these, by
+    rows of the route; folds: their positions in the folds, in the order of `known`."""
     if route.shape[1] == 2 or net.strip is None:
         return route, {}, []
     contacts: list[tuple[LaidCable, int]] = []
@@ -99,8 +98,7 @@ def lay(
     shortest: bool = False,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
-    """Trace the path, type its points, and add the cable to the net; see `Scene.lay_cable`. The
-    result is the same on all ranks."""
+    """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
@@ -243,9 +241,8 @@ def _follows_free_edge(path: Path, strip: Strip) -> bool:
 
 
 def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint]) -> float:
-    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it,
-    and shorten a path, for a membrane that hardly stretches, by as much as the strain that puts the
-    cable in tension."""
+    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it: in
+    a stiff membrane they shorten the path by as much as the cable's elastic strain."""
     vertices = shape.strip.vertices
     surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
     nodes = cable.contacts()

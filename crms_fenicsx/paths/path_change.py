@@ -169,8 +169,8 @@ class PathChange:
         ends: tuple[End, End] | None = None,
     ) -> None:
         """Replace a cable's path, keeping points on edges that it crossed before. Before the first
-        equilibrium these move to the string, since a cable would not be taut along the line in
-        which it was laid."""
+        equilibrium these move to the string, since no cable is taut along the line where it was
+        laid."""
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)

@@ -20,8 +20,8 @@ MISLED, MISLED_AT_CROSSINGS = 2, 1
 and the same for crossed cables, for which geodesics are less reliable."""
 
 WayKey = tuple[str, str, Support, bool]
-"""Key of a trial at a crossing: its kind, the other cable if any, the vertex or the edge, and which
-of two orders."""
+"""Key of a trial at a crossing: kind, other cable if any, vertex or edge, and which of two
+orders."""
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
@@ -36,16 +36,13 @@ class TriedPaths:
     left: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
     # trials at crossings; see `crms_fenicsx.paths.crossing_trials`
     ways: dict[str, set[WayKey]] = field(default_factory=dict)
-    # (n, 3) cable positions at the end of a load step (length), kept while the cable hardly moves,
-    # so that it cannot creep away
+    # (n, 3) cable positions at the end of a load step (length), kept against creep on small moves
     at: dict[str, Array] = field(default_factory=dict)
     L0: dict[str, float] = field(default_factory=dict)  # unstressed length at that time (length)
-    # released, settled: contacts released in the last load step, and those that then stay closed
-    # however the cable pulls
+    # released, settled: contacts released in the last step; those that then stay closed
     released: set[ContactKey] = field(default_factory=set)
     settled: set[ContactKey] = field(default_factory=set)
-    # rejected, straightened: of cables with friction: rejected ways past vertices, and fold points
-    # already straightened
+    # rejected, straightened: ways past vertices; fold points, of cables with friction
     rejected: set[tuple[str, Corridor]] = field(default_factory=set)
     straightened: set[tuple[str, Corridor]] = field(default_factory=set)
     # current ways past a vertex of cables with friction, by cable
@@ -81,9 +78,8 @@ class TriedPaths:
             ways -= {way for way in ways if way[0] == name}
 
     def forget_moved(self, cables: Sequence[LaidCable]) -> None:
-        """Forget the paths tried for cables that have moved since. Done once in a load step, at its
-        first equilibrium: at an unchanged state all would be rejected again, and a step without
-        load increment must cost nothing."""
+        """Forget the paths tried for cables that have moved since, once in a load step, at its
+        first equilibrium: an unchanged state would reject all again, and must cost nothing."""
         if not self._first_look:
             return
         self._first_look = False

@@ -1,12 +1,10 @@
 """Trials of passing vertices of the mesh on the other side, kept if they lower the energy.
 
-The new path crosses the edges on the other side near the vertices, along a string between the
-remaining points.
+The new path crosses the edges on the other side near the vertices, along a taut string.
 
 Geodesics do not tell where a cable held by vertices goes: it is shortest in the valley that it
 presses into a mesh line. The forces on it tell (see `held_vertices`), and the energy decides. With
-friction, a cable first leaves overloaded vertices one by one (see `friction_release`), which does
-not always suffice.
+friction, cables first leave overloaded vertices one by one, which may not suffice.
 """
 
 from __future__ import annotations
