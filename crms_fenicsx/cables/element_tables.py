@@ -94,8 +94,7 @@ class CableTables:
     cable: Indices  # (n,) number among the taut cables
     links: Integers  # (n, 2) rows of each segment's end nodes in the table of nodes
     folded: FoldedCells  # cells with folded sides
-    # chord ends at free fold points on sides: corner blocks (k, 4), row of `folded` (k,), row of
-    # the fold point in the table of nodes (k,)
+    # chord ends at free fold points: corner blocks (k, 4), rows of `folded` and of nodes (k,)
     kinks: Indices
     kink_cells: Integers
     kink_nodes: Integers

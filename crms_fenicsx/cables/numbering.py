@@ -321,8 +321,7 @@ class CableNumbering:
     def lines(
         self, edges: Integers, points: PointsOnEdges | None = None
     ) -> tuple[Integers, Indices]:
-        """Local blocks along edges in CSR form: first vertex, points of taut cables, last
-        vertex."""
+        """Local blocks along edges in CSR form: start vertex, points of taut cables, end vertex."""
         points = self.points if points is None else points
         counts = points.counts[edges]
         starts = pointers(counts + 2)

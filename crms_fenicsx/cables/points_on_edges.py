@@ -36,8 +36,7 @@ NODE = np.dtype(
 
 
 class NodeTable:
-    """All n nodes of some cables, without positions: `NODE` records `rows`, fields as
-    attributes."""
+    """All n nodes of some cables, without positions: `NODE` records, with fields as attributes."""
 
     def __init__(
         self,

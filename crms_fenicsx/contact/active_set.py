@@ -98,8 +98,8 @@ class ActiveSet:
         )
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; list changes.
-        Collective."""
+        """Switch cables between slack and taut for their current lengths; return the changes in
+        words. Collective."""
         return self._switch(self.net.strip_shape(), solved=False)
 
     def update(self) -> list[str]:

@@ -147,8 +147,7 @@ class Polylines:
         return on[(self.pulls(on, *around) > PULL) | feet]
 
     def straight_parts(self, cables: Integers, links: Integers) -> Array:
-        """Ends (m, 2, 3) of the segments of `cables` (m,) after nodes `links` (m,), crossings
-        excluded."""
+        """Ends (m, 2, 3) of segments of `cables` (m,) after `links` (m,), crossings not counted."""
         nodes, contacts = self.nodes, self.contacts
         own = np.flatnonzero(nodes.kind != CROSSING)
         at = np.searchsorted(own, nodes.starts[cables]) + links

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 UNSMOOTHED = 1e-13
-"""Error of a cable's smoothed length against its polyline, relative to the unstressed length, above
-which the smoothing length is corrected."""
+"""Error of a cable's smoothed length, relative to its unstressed one, that is corrected."""
 
 
 class CableContribution(Contribution):

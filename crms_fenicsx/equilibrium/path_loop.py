@@ -1,6 +1,6 @@
 """Equilibrium on the paths of least energy: change paths while the energy falls.
 
-Trial states are only computed near equilibrium, which suffices to compare energies.
+Trial states near equilibrium suffice to compare energies; only the last one converges fully.
 """
 
 from __future__ import annotations

@@ -40,7 +40,8 @@ FAR = 0.01
 most load steps of an erected structure move less."""
 
 ENDLESS = 10.0
-"""Movement under water, relative to the membrane's size, that no fabric's stretch can explain."""
+"""Movement under water, relative to the membrane's size, above which no equilibrium is expected: no
+fabric stretches so far."""
 
 
 class System:

@@ -109,8 +109,7 @@ def remap_axial(cable: LaidCable) -> None:
     for gone, heir in heirs:
         new[:3, heir] += old[:3, gone].sum(axis=1, keepdims=True) / len(heir)
     if cable.cable.cone:
-        # Here eps is as large as the slip: bounds with another eps would do other work, and path
-        # changes would be rejected for that.
+        # eps is as large as the slip: another one would do other work, and bar path changes.
         new[1:3, stays] = old[1:3, rows]
         for gone, heir in heirs:
             added = [k for k in heir if k not in stays]

@@ -47,8 +47,8 @@ class AugmentedStiffness:
             self._matrix = None
 
     def factorize(self, columns: Array) -> bool:
-        """Factorise with this rank's rows of G C^1/2, (n, n_dyads); True if definite.
-        Collective."""
+        """Factorise with this rank's rows of G C^1/2, (n, n_dyads). Collective. Returns whether H0
+        is positive definite."""
         comm = self._stiffness.comm.tompi4py()
         changed = columns.shape != self._pattern.shape or bool((columns != 0)[~self._pattern].any())
         pointers, indices, values = self._stiffness.getValuesCSR()
@@ -73,8 +73,7 @@ class AugmentedStiffness:
         used = (columns != 0).reshape(n // 3, 3, n_dyads).any(axis=1)
         self._pattern = np.repeat(used, 3, axis=0)
         rows, dyads = np.nonzero(self._pattern)
-        # The tensions' rows follow on the last rank. MUMPS reads a symmetric matrix's upper
-        # triangle.
+        # The tensions' rows follow on the last rank. MUMPS reads only the upper triangle.
         tensions = np.arange(n_dyads * (comm.rank == comm.size - 1))
         widths, more = np.diff(pointers), np.bincount(rows, minlength=n)
         ends = np.cumsum(widths + more)

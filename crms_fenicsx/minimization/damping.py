@@ -27,8 +27,8 @@ from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1
-"""Fraction of its edge by which the unbalanced force moves a sliding point; 0.02 to 0.2 do
-alike."""
+"""Fraction of its edge by which the unbalanced force alone moves a sliding point; 0.02 to 0.2
+perform alike."""
 
 REACH = 0.9
 """Fraction of the way to the edge's end that a sliding point may go in a Newton step."""
@@ -86,8 +86,7 @@ class Damping:
 
     def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
         """Move sliding points in `x` back that on the way from `x0` come too near an edge's end;
-        x0, x (n_local, 3). Returns the moved blocks (m,), all owned, and changes (m, 3)
-        (length)."""
+        x0, x (n_local, 3). Returns moved blocks (m,), all owned, and changes (m, 3) (length)."""
         before, _ = self._places(unknowns.X + x0)
         after, side = self._places(unknowns.X + x)
         # A point already beyond an end goes no farther.

@@ -163,8 +163,7 @@ class InitialHessian:
         return True
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
-        """Only assemble K at the potential's state, and return its owned held components, (n,
-        3)."""
+        """Only assemble K at the potential's state, and return owned held components, (n, 3)."""
         A, unknowns = self.matrix, self.potential.unknowns
         held = unknowns.held[: unknowns.n_owned].copy()
         if unknowns.bounds is not None:

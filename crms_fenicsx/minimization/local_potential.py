@@ -28,8 +28,7 @@ SHORT, TWICE = 0.3, 2
 the number of short steps after which H0 replaces them for as many steps."""
 
 STEADY = 1e-11
-"""Energy change, relative to the sizes of its parts, below which rounding dominates and the
-trapezoidal rule replaces the difference."""
+"""Energy change, relative to its parts, below which the trapezoidal rule avoids rounding."""
 
 
 class LocalPotential:

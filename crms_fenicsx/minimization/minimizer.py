@@ -279,8 +279,8 @@ class Minimizer:
         h0_prestress: tuple[float, ...] = (0.0,),
         interrupt: Interrupt | None = None,
     ) -> Outcome:
-        """Minimise from the potential's state, the later minimiser. Units: h0_prestress
-        (force/length)."""
+        """Minimise from the potential's current state, which becomes the minimiser. Units:
+        h0_prestress (force per length)."""
         potential = self.potential
         self._begin(interrupt)
         iterations = factorizations = failures = renewed = 0

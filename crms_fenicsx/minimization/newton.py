@@ -54,7 +54,8 @@ class NewtonMethod:
     """Newton steps on a potential, with H0 as its Hessian.
 
     Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
-    second derivatives in this solve; `restraint`: stiffness added to wrinkled cells, over the taut.
+    second derivatives in this solve; `restraint`: stiffness added to wrinkled cells,
+    relative to that of taut ones.
     """
 
     def __init__(

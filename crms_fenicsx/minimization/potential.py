@@ -143,8 +143,7 @@ class Potential:
         return [*springs, *(pattern for term in terms for pattern in term.patterns)]
 
     def add_stiffness(self, A: BlockSink, exact: bool = False) -> None:
-        """Add stiffness and damping at the current state, with its sums and gradient; if `exact`
-        the terms' second derivatives without damping."""
+        """Add stiffness and damping at the evaluated state; if `exact`, second derivatives only."""
         if self.damping is not None and not exact:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)

@@ -46,14 +46,14 @@ class LocalRelaxation:
     """Relaxes blocks of a potential that are out of balance.
 
     Each cluster of blocks is relaxed by one rank, with the elements of all, see `clusters.gather`;
-    clusters interact only through cable lengths. Block flags are (n_local,), also for ghosts.
+    clusters interact only through cable lengths. Flags are (n_local,), consistent on ghosts.
 
     Attributes: `steps`: Newton steps made, on all ranks.
     """
 
     afar = 0.2
-    """Relative residual above which nothing is relaxed: on a flat roof cables would slide to worse
-    paths."""
+    """Residual, relative to the force scale, above which nothing is relaxed: on a still flat roof
+    cables would slide to worse paths."""
 
     def __init__(self, potential: Potential) -> None:
         self.potential, self.steps = potential, 0
@@ -142,8 +142,8 @@ class LocalRelaxation:
         return True
 
     def _relax(self, chosen: Booleans, tolerance: float, vertices: bool) -> bool:
-        """Relax the chosen blocks (`vertices`: if any are); True unless the energy rises.
-        Collective."""
+        """Relax the chosen blocks (`vertices`: whether these include any) and return whether the
+        energy has not risen. Collective."""
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)

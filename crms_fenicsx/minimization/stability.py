@@ -47,8 +47,7 @@ def is_convex_from(potential: Potential, start: Array) -> bool:
 class ExactTangent:
     """Factorised second derivatives of a potential at its state. Collective.
 
-    Attributes: `negative`: number of negative eigenvalues. Units: springs (n_owned,)
-    (force/length).
+    Attributes: `negative`: count of negative eigenvalues. Units: springs (n_owned,) (force/length).
     """
 
     def __init__(

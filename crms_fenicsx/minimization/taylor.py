@@ -134,8 +134,8 @@ def gradient_order(f: Differentiable, x: Array, d: Array, steps: Sequence[float]
 def stiffness_order(
     f: Differentiable, x: Array, d: Array, steps: Sequence[float] = CUBIC_STEPS
 ) -> float:
-    """Order of the remainder: 3 or more if gradient and stiffness at x are right along d, else
-    2."""
+    """Order of the remainder: 3 or more if gradient and stiffness at x are right along d; 2 if only
+    the gradient is."""
     return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
 
 
@@ -158,8 +158,7 @@ def noise(X: Array, seed: int) -> Array:
 
 @dataclass(frozen=True)
 class TaylorRates:
-    """Orders of the remainders in the step; infinite where the remainder is pure rounding, as for
-    quadratic energies.
+    """Orders of the remainders in the step; infinite for pure rounding, as of quadratic energies.
 
     Attributes
     ----------

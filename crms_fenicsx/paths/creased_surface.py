@@ -1,7 +1,6 @@
 """The current surface for pulling cables taut: edges folded by other cables, seams, anchors.
 
-Only edge lengths and the order of cells around vertices enter. Edges are measured along their
-folds.
+Only edge lengths, measured through fold points, and the order of cells around vertices enter.
 """
 
 from __future__ import annotations
@@ -226,8 +225,7 @@ def _places(anchors: Mapping[int, Array]) -> dict[int, tuple[float, float, float
 
 
 def _arcs(line: Sequence[Sequence[float]]) -> list[float]:
-    """Arc lengths of a polyline (n, 3) at its points. For the few points of an edge this is faster
-    than the overhead of `arc_lengths`."""
+    """Arc lengths of a polyline (n, 3); faster than `arc_lengths` for the few points of an edge."""
     steps = ((b[0] - a[0], b[1] - a[1], b[2] - a[2]) for a, b in pairwise(line))
     sizes = (math.sqrt(x * x + y * y + z * z) for x, y, z in steps)
     return list(accumulate(sizes, initial=0.0))

@@ -18,7 +18,8 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import adopt, straighten, way_past
 
 THERE_AND_BACK = 3
-"""Passes of a cable to either side of a vertex in a load step; bounds may favour the far side."""
+"""Passes allowed to either side of a vertex in a load step: the friction bounds on each side may
+favour the other one."""
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:

@@ -62,9 +62,8 @@ class GeodesicSliding:
         """Corridors without anchors known to be valid, on any shape."""
 
     def straighten(self) -> bool:
-        """Pull the paths of taut cables taut that have not been in equilibrium yet, and return
-        whether there are any. Collective. A bad path would cut into the membrane and prevent
-        convergence."""
+        """Pull the paths of new taut cables taut, and return whether there are any. Collective.
+        On bad paths these would cut into the membrane and prevent convergence."""
         fresh = [
             cable
             for cable in self.net.cables

@@ -89,7 +89,8 @@ def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, 
 
 
 def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
-    """Forces of the others on each clamped cable, at clamps where all cables slide sideways."""
+    """Forces of the other cables on each clamped cable, at clamps where all slide freely sideways:
+    the mesh carries their total pull."""
     found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
     for held in clamped_together(cables):
         if all(cable.slides_freely and not cable.keeps_line for cable, _ in held):

@@ -169,8 +169,7 @@ class PathChange:
         ends: tuple[End, End] | None = None,
     ) -> None:
         """Replace a cable's path, keeping points on edges that it crossed before. Before the first
-        equilibrium these move to the string, since no cable is taut along the line where it was
-        laid."""
+        equilibrium they move to the string: along its laid line the cable would not be taut."""
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)

@@ -20,8 +20,7 @@ MISLED, MISLED_AT_CROSSINGS = 2, 1
 and the same for crossed cables, for which geodesics are less reliable."""
 
 WayKey = tuple[str, str, Support, bool]
-"""Key of a trial at a crossing: kind, other cable if any, vertex or edge, and which of two
-orders."""
+"""Key of a trial at a crossing: kind, other cable if any, vertex or edge, one of two orders."""
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
@@ -36,7 +35,8 @@ class TriedPaths:
     left: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
     # trials at crossings; see `crms_fenicsx.paths.crossing_trials`
     ways: dict[str, set[WayKey]] = field(default_factory=dict)
-    # (n, 3) cable positions at the end of a load step (length), kept against creep on small moves
+    # (n, 3) cable positions at the end of a load step (length); not updated on small moves, so that
+    # the cable cannot creep away
     at: dict[str, Array] = field(default_factory=dict)
     L0: dict[str, float] = field(default_factory=dict)  # unstressed length at that time (length)
     # released, settled: contacts released in the last step; those that then stay closed

@@ -1,6 +1,6 @@
 """Trials of passing vertices of the mesh on the other side, kept if they lower the energy.
 
-The new path crosses the edges on the other side near the vertices, along a taut string.
+On the other side the path crosses the edges near the vertices, on a string between kept points.
 
 Geodesics do not tell where a cable held by vertices goes: it is shortest in the valley that it
 presses into a mesh line. The forces on it tell (see `held_vertices`), and the energy decides. With
