@@ -103,8 +103,8 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 
 def tiny_force(scene: Scene) -> float:
-    """Force scale of an unloaded scene (force), negligible for a membrane however stiff, and for
-    taut cables and bars; 0 with loads, which set the scale themselves."""
+    """Force (force) that is negligible for the unloaded membrane and, however stiff this is, for
+    taut cables and bars; 0 with loads, which set the force scale themselves."""
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()

@@ -1,19 +1,17 @@
 """Springs in H0 that restrain cable points while forces are unbalanced.
 
-Sideways a cable is hardly restrained short of the next vertex, and two of its points at a crossing
-near an edge lie so close together that their distance does not control the next point. Newton's
-step moves such points far beyond the range of the quadratic model, and the line search then
-shortens the step of everything else. So springs tie
+A cable has little lateral restraint short of the next vertex, and two points at a crossing near an
+edge are so close that their distance does not control the next one. Newton's step moves such points
+far beyond the quadratic model, and the line search then shortens the whole step. So springs tie
 
 * each sliding point to its place on its edge, and
 * the ends of each straight segment of a cable to each other.
 
-Their stiffness lets the unbalanced force on a point alone move it by a fraction of the edge, or by
-the segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
+With them the unbalanced force on a point alone moves it by a fraction of the edge, or by the
+segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
 
-Steps by the exact second derivatives have no springs, but a point has almost no lateral stiffness:
-vertices that move by a thousandth of a cell send it over several cells, while it must stop at the
-next vertex. So each point is stopped short of the ends of its edge (`stop_short`).
+Steps by the exact second derivatives have no springs. There vertices that move by a thousandth of a
+cell send a point over several cells, so each is stopped short of its edge's ends (`stop_short`).
 """
 
 from __future__ import annotations

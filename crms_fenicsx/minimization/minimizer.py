@@ -3,17 +3,16 @@
 The paper minimises each step's potential by a quasi-Newton method (section 2.7). Plain BLMVM needs
 hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is a
 stiffness, positive definite by construction. The solve runs in *stages*: one ends, and H0 is
-rebuilt, once finishing would take longer than with a new H0, or once its line searches have cost as
-much. The next solve of the same potential, at other loads, starts with the H0 it finds.
+rebuilt, once finishing would take longer than with a new H0, or its line searches have cost as
+much. The next solve of the same potential, at other loads, starts with the last H0.
 
 Newton's method, with H0 rebuilt in each iteration, takes over where a stage makes little progress,
-as where much of a membrane is wrinkled or slack. Under cables it leads from afar to near the
-minimum: H0 is then the energy's second derivative, and cable points far out of balance, near
-vertices and crossings, are relaxed alone before each step (see `relaxation`).
+as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum: H0 is
+the energy's second derivative, and cable points far out of balance are relaxed before each step.
 
-Near the minimum energy differences drown in rounding long before the forces balance to the
-tolerance. There a stage keeps the previous H0 and measures energy from its start x0 by the
-trapezoidal rule, which is accurate to the rounding of the forces:
+Near the minimum energy differences drown in rounding before the forces balance. There a stage keeps
+the H0 of the one before and measures energy from its start x0 by the trapezoidal rule, accurate to
+the rounding of the forces:
 
     W(x) - W(x0) = (g(x) + g(x0)) . (x - x0) / 2 + O(|x - x0|^3).
 """

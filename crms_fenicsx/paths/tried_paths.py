@@ -42,7 +42,7 @@ class TriedPaths:
     # released, settled: contacts released in the last step; those that then stay closed
     released: set[ContactKey] = field(default_factory=set)
     settled: set[ContactKey] = field(default_factory=set)
-    # rejected, straightened: ways past vertices; fold points, of cables with friction
+    # rejected, straightened: of cables with friction: ways past vertices, straightened fold points
     rejected: set[tuple[str, Corridor]] = field(default_factory=set)
     straightened: set[tuple[str, Corridor]] = field(default_factory=set)
     # current ways past a vertex of cables with friction, by cable
@@ -53,7 +53,7 @@ class TriedPaths:
     _first_look: bool = field(init=False, default=True)
 
     def begin_step(self) -> None:
-        """Clear the history of the last load step only."""
+        """Clear the data of the last load step."""
         self._first_look, self._misled = True, 0
         self.proposed = set()
         self.passes.clear()
