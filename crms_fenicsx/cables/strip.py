@@ -263,8 +263,8 @@ def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int 
 
 
 def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
-    """Cells outside seams needed to trace a route on the current shape, or only those along its
-    legs, which suffice for most routes. Collective."""
+    """Cells not behind seams that tracing a route on the current shape needs, or only those along
+    its legs, which suffice for most routes. Collective."""
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
     near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)

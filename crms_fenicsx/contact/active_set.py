@@ -113,7 +113,7 @@ class ActiveSet:
         return changes
 
     def _forget(self) -> None:
-        """Forget the contact history of cables that have moved; that of others would recur."""
+        """Forget the contact history of cables that have moved; other contacts would recur."""
         self._first_look = False
         moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
         for keys in (self._released, self._settled):

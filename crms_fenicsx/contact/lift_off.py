@@ -2,7 +2,7 @@
 
 A cable lies on the outside of the membrane and can push, but not pull it. Where its tensions at a
 contact have an outward resultant, the contact is released and the cable passes straight above;
-where it would penetrate the membrane, it touches down again. Nor can an upper cable pull a lower.
+where it would penetrate the membrane, it touches down again. No upper cable pulls a lower one up.
 
 Contacts released and restored in one solve stay closed, which prevents chattering.
 """
@@ -88,7 +88,8 @@ PULL = 1e-6
 DEPTH = 1e-6
 """Depth below the membrane, relative to the cell size, at which a cable touches down."""
 NEARLY = 0.05
-"""Height, relative to the cell size, up to which a cable may touch its bulging fold again."""
+"""Height above the membrane, relative to the cell size, up to which a cable may touch it once it
+has folded it, as folds bulge."""
 SUNK = 0.02
 """Depth below the membrane, relative to the cell size, that exceeds any discretisation error."""
 
@@ -272,8 +273,7 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
                 deep = -SUNK * size
                 if place.past < 0 or place.gap >= deep:
                     continue
-                # The span passes the line of a nearly parallel edge far from here: it must be as
-                # deep at the vertex.
+                # The span passes the line of a nearly parallel edge far away: check at the vertex.
                 vertex = CableNode("vertex", VertexPoint(place.past))
                 if under(vertex, span, shape).gap < deep:
                     found.add(c)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 UNSMOOTHED = 1e-13
-"""Error of a cable's smoothed length, relative to its unstressed one, that is corrected."""
+"""Least error of a cable's smoothed length, relative to its unstressed length, to correct."""
 
 
 class CableContribution(Contribution):

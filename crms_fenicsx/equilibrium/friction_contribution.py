@@ -19,7 +19,8 @@ from crms_fenicsx.scene import Scene
 class FrictionContribution(Contribution):
     """Terms of lateral friction, and the state of all friction.
 
-    Attributes: `stick_slip`, `elements`: terms of Coulomb's law, of the paper's elements; or None.
+    Attributes: `stick_slip`, `elements`: terms of Coulomb's law and of the paper's friction
+    elements; None without such cables.
     """
 
     def __init__(self, scene: Scene, cables: CableContribution) -> None:

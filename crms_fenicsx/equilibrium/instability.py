@@ -68,7 +68,7 @@ class FrameStability:
 
     @cached_property
     def _falling(self) -> Array:
-        """Joint modes (k, n, 3) without stiffness, the worst first, with other bar ends held."""
+        """Joint modes (k, n, 3) of no or negative stiffness, the worst first; other ends held."""
         joints = self.scene.joints
         free = ~np.array([joint.held for joint in joints], dtype=bool).reshape(-1)
         matrix = np.diag(np.repeat(-self.least, 3))

@@ -103,8 +103,8 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 
 def tiny_force(scene: Scene) -> float:
-    """Force (force) that is negligible for the unloaded membrane and, however stiff this is, for
-    taut cables and bars; 0 with loads, which set the force scale themselves."""
+    """Force scale (force) negligible for the unloaded membrane and, however stiff this is, for taut
+    cables and bars; 0 with loads, which set their own."""
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()

@@ -35,7 +35,7 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.surface.points import Support
 
 LEAST_PART = 0.01
-"""Least fraction of a change of the bounds in relaxation."""
+"""Least relaxation factor for changes of the bounds."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def remap_axial(cable: LaidCable) -> None:
     for gone, heir in heirs:
         new[:3, heir] += old[:3, gone].sum(axis=1, keepdims=True) / len(heir)
     if cable.cable.cone:
-        # eps is as large as the slip: another one would do other work, and bar path changes.
+        # eps is as large as the slip: another one would do other work, and block path changes.
         new[1:3, stays] = old[1:3, rows]
         for gone, heir in heirs:
             added = [k for k in heir if k not in stays]

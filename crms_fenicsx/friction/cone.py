@@ -53,7 +53,8 @@ class Slip:
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
         """Law of these slips with the other ones fixed, as in `SidewaysLaw`."""
-        # For small slips the force is share = work/other; the width gives the law this slope.
+        # Where this slip is small relative to the other, the force is share = work/other; the width
+        # gives the law this slope.
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
         width = 1 + 2 * other / self.eps
         y = np.minimum(self.work / self.eps / width, 1.0)

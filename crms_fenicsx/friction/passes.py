@@ -170,7 +170,7 @@ CLAMPED = 10.0
 """Largest logarithm of the tension ratio at clamps, more than any cable has."""
 
 MOST_TURNS, TURNED = 30, 1e-6
-"""Limit of iterations for the friction's direction, and relative change of slips at the end."""
+"""Limit of iterations for the friction's direction, and relative change of slips at convergence."""
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class ClusterMatrix:
         }
 
     def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
-        """Rows and columns of a pattern's blocks in the lower triangle; source block, weight."""
+        """Rows, columns, source blocks and weights of a pattern's blocks in the lower triangle."""
         whole, number = self.layout.whole, self.layout.number
         if whole.n_tied_points == 0:
             i, j, kept = _lower_half(pattern.rows, pattern.cols, number)

@@ -45,7 +45,8 @@ class Clusters:
     moves: Booleans  # (n,) whether they belong to the clusters; all others are held
     held: Booleans  # (n, 3) components with a prescribed value
     directions: Array  # (n, 3) lines of edge sliders; zero for others
-    # rides_on, weights: (n, 3) interpolation of tied points, by global numbers; else -1
+    # rides_on, weights: (n, 3) global numbers of the blocks that tied points ride on, -1 for other
+    # blocks, and weights
     rides_on: Integers
     weights: Array
     tables: Tables  # term numbers of the potential, and elements of each

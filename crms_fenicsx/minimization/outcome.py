@@ -35,7 +35,8 @@ class Outcome:
     reason: str  # reason for its end, in words
     residual: float  # residual, tolerance: norm of the gradient and its limit (force)
     tolerance: float
-    # iterations, evaluations, factorizations: quasi-Newton steps, of energy and gradient, of H0
+    # iterations, evaluations, factorizations: quasi-Newton iterations, evaluations of energy and
+    # gradient, factorisations of H0
     iterations: int
     evaluations: int
     factorizations: int

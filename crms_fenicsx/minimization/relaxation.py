@@ -27,10 +27,11 @@ PATCH_PART, PATCH_RINGS = 0.02, 3
 number of rings of blocks around it."""
 
 MOST = 0.5
-"""Fraction of blocks relaxed at once; beyond it all points are relaxed together, patches not."""
+"""Fraction of blocks relaxed at once; beyond it all points are relaxed together, no patches."""
 
 RATIO, BALANCED = 0.25, 0.3
-"""Residual of points, relative to that of vertices, above which they are relaxed; part to reach."""
+"""Residual of the points, relative to that of the vertices, above which they are relaxed, and the
+fraction of that bound to reach."""
 
 PATCHED, SETTLED = 1e-4, 1e-6
 """Residuals, relative to the force scale, above which patches are relaxed, and to reach."""

@@ -1,6 +1,6 @@
 """Stability: negative eigenvalues of the second derivatives, and convexity on the way to a state.
 
-By Sylvester's law a factorisation counts them, with cable tensions as additional unknowns.
+A factorisation with cable tensions as unknowns counts negative eigenvalues (Sylvester's law).
 
 Along the straight way between two states the slope of a convex energy rises. At the end's loads a
 stable path from the start leads down such a way, with the slope rising to zero. Where it falls in

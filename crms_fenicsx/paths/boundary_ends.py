@@ -38,7 +38,7 @@ from crms_fenicsx.surface.points import (
 )
 
 ASIDE = 0.1
-"""Lateral anchor movement in a load step, relative to the cell size, to lay the cable again."""
+"""Lateral movement of an anchor per step, in cell sizes, above which its cable is laid again."""
 
 FARTHEST = 1000
 """Limit of boundary edges that an end may pass in one load step."""

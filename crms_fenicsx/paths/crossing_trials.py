@@ -128,7 +128,7 @@ class CrossingTrials:
             yield Way(c, ("side", "", (vertex,), False), take)
 
     def _exchanges(self) -> Iterator[Way]:
-        """Shared edges beside a crossing, with both points swapped, which moves it over them."""
+        """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
         for crossing in self.net.crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
             if crossing.separated or not all(map(self._is_free, pair)):

@@ -214,8 +214,7 @@ class GeodesicSliding:
         for is_off, run, clamps in _between_clamps(cable, surface.shape):
             new = path[run.start : run.stop]
             if not is_off:
-                # Pulled taut between clamps, points of adjacent lifted parts, or anchors beyond the
-                # ends.
+                # Pulled taut between clamps, adjacent lifted points, or anchors.
                 before, after = self.change.beyond(cable, surface, path, run)
                 before = before if clamps[0] is None else clamps[0]
                 after = after if clamps[1] is None else clamps[1]
