@@ -1,4 +1,4 @@
-"""Cables that are bonded to the fabric: where, and with a tension in each part."""
+"""Cables bonded to the fabric: their bonds, and a tension for each part between these."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from crms_fenicsx.model.tolerances import SAME_PLACE
 
 
 def bonds_of(cable: LaidCable) -> Bonds:
-    """Where a cable that lies on the membrane is bonded to it, with the same strain everywhere."""
+    """Bonds of a cable lying on the membrane, at uniform strain."""
     last, x = len(cable.nodes) - 1, cable.positions
     passed = arc_lengths(x)
     inside = [
@@ -25,7 +25,7 @@ def bonds_of(cable: LaidCable) -> Bonds:
 
 
 def bonded_parts(cable: LaidCable) -> ClampedParts:
-    """The parts of a cable that has just been bonded."""
+    """Parts of a newly bonded cable."""
     assert cable.bonds is not None
     count = len(cable.bonds.at) + 1
     force = np.full(count, cable.tension)

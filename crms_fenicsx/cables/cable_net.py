@@ -1,4 +1,4 @@
-"""The cables on a membrane: their crossings, and the strip of cells that all ranks know of them."""
+"""The cables on a membrane, their crossings, and the strip of cells around them on all ranks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from crms_fenicsx.runtime.errors import InputError, NetWarning, as_text
 
 @dataclass(frozen=True)
 class CableNetState:
-    """What can change of the cables of a membrane; see the attributes of `CableNet`."""
+    """Variable state of a membrane's cables; see the attributes of `CableNet`."""
 
     cables: Mapping[LaidCable, CableState]
     strip: Strip | None
@@ -43,23 +43,23 @@ class CableNet:
     def __init__(self, membrane: Membrane) -> None:
         self.membrane = membrane
         self.cables: tuple[LaidCable, ...] = ()  # in the order of laying
-        self.strip: Strip | None = None  # cells around their paths; None before the first is laid
+        self.strip: Strip | None = None  # cells around their paths; None without cables
         self.crossings: tuple[Crossing, ...] = ()  # of cables in tension
         self.arranged: tuple[LaidCable, ...] = ()  # the cables whose crossings were arranged
-        self.laid = 0  # how many cables have been laid, those since removed included
-        self.clamps: tuple[Clamp, ...] = ()  # that hold cables to each other
+        self.laid = 0  # number of cables laid so far, including removed ones
+        self.clamps: tuple[Clamp, ...] = ()  # between pairs of cables
         self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
         self._nodes: NodeTable | None = None
 
     @property
     def nodes(self) -> NodeTable:
-        """All nodes; what has not changed since the last time is kept."""
+        """All nodes; unchanged cables are reused from the last table."""
         self._nodes = NodeTable.of(self.cables, self._nodes)
         return self._nodes
 
     @property
     def state(self) -> CableNetState:
-        """What can change of them."""
+        """Variable state of the cables."""
         cables = {cable: cable.state for cable in self.cables}
         return CableNetState(
             cables, self.strip, self.crossings, self.arranged, self.laid, self.removed_dissipation,
@@ -70,7 +70,7 @@ class CableNet:
     def state(self, state: CableNetState) -> None:
         if self.cables != tuple(state.cables):
             self.cables, self.strip = tuple(state.cables), state.strip
-        # Else the strip has grown at most: what it knows more than it did holds as well.
+        # Otherwise the strip has at most grown, and remains valid.
         for cable, was in state.cables.items():
             cable.state = was
         self.crossings, self.arranged = state.crossings, state.arranged
@@ -79,16 +79,16 @@ class CableNet:
 
     @property
     def dissipated(self) -> float:
-        """Energy that friction has dissipated in all load steps (force x length)."""
+        """Energy dissipated by friction in all load steps (force x length)."""
         return self.removed_dissipation + sum(cable.dissipated for cable in self.cables)
 
     @property
     def has_friction(self) -> bool:
-        """Whether friction holds some cable sideways."""
+        """Whether some cable has lateral friction."""
         return not all(cable.slides_freely for cable in self.cables)
 
     def cable(self, name: str) -> LaidCable:
-        """The cable with a name."""
+        """Cable of a given name."""
         return checks.named("cable", {cable.name: cable for cable in self.cables}, name)
 
     def strip_shape(self) -> StripShape:
@@ -101,7 +101,7 @@ class CableNet:
         self.strip = grown(self.membrane, self.strip or EMPTY, vertices, rings)
 
     def arrange_crossings(self) -> None:
-        """Find the crossings of the cables in tension, and insert their points into the cables."""
+        """Find the crossings of taut cables and insert their points into the cables."""
         self.arranged = self.cables
         if self.strip is None:
             self.crossings = ()
@@ -112,13 +112,13 @@ class CableNet:
             self.clamps = divide(self.cables, self.crossings, self.clamps)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
-        """Add a cable that has been laid over the cells of `strip`."""
+        """Add a cable laid over the cells of `strip`."""
         self.strip = strip if self.strip is None else self.strip.merged(strip)
         self.cables = (*self.cables, cable)
         self.laid += 1
 
     def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away, and the crossings of others with it. Collective."""
+        """Remove a cable and its crossings. Collective."""
         gone = self.cable(cable) if isinstance(cable, str) else cable
         if not isinstance(gone, LaidCable) or gone not in self.cables:
             raise InputError(
@@ -128,9 +128,9 @@ class CableNet:
         number = self.cables.index(gone)
 
         def renumbered(c: int) -> int:
-            return -1 if c == number else c - (c > number)  # -1: of a cable that is gone
+            return -1 if c == number else c - (c > number)  # -1: of the removed cable
 
-        self.crossings = tuple(  # the nodes refer to them by number until they are arranged anew
+        self.crossings = tuple(  # nodes refer to them by number until the next arrangement
             replace(k, lower=renumbered(k.lower), upper=renumbered(k.upper)) for k in self.crossings
         )
         self.removed_dissipation += gone.dissipated
@@ -208,12 +208,12 @@ class CableNet:
         self._divide_again()
 
     def _divide_again(self) -> None:
-        """Arrange the crossings for other clamps; as they are where all are in their cables."""
+        """Rearrange the crossings for changed clamps, unless all cables are slack."""
         if any(cable.taut for cable in self.cables):
             self.arrange_crossings()
 
     def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
-        """Two or more different cables."""
+        """Check and return two or more different cables."""
         own = [self.cable(one) if isinstance(one, str) else one for one in cables]
         for one in own:
             if one not in self.cables:
@@ -229,13 +229,13 @@ class CableNet:
         return own
 
     def _between(self, cables: Sequence[LaidCable]) -> list[Clamp]:
-        """The clamps that hold some of the cables to each other."""
+        """Clamps between some of the cables."""
         names = {cable.name for cable in cables}
         return [clamp for clamp in self.clamps if names >= set(clamp.cables)]
 
 
 def _nearest(call: str, clamps: Sequence[Clamp], near: object) -> list[Clamp]:
-    """Of each point in space the nearest of some clamps."""
+    """The clamps nearest to given points in space."""
     try:
         points = np.asarray(near, dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError, OverflowError):

@@ -16,25 +16,25 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, floats
 
 TOUCHING = 0.05
-"""Gap between crossing cables, relative to their straight parts there, up to which a clamp brings
-them together: cables that have not been in equilibrium lie on cells that the others will fold."""
+"""Gap between crossing cables, relative to their segments there, up to which a clamp closes it:
+before equilibrium cables lie on cells that the others will fold."""
 
 OBLIQUE = 0.1
-"""Sine of the angle from which on two cables cross: others run side by side."""
+"""Sine of the smallest angle of a crossing; below it cables run side by side."""
 
 
 @dataclass(frozen=True)
 class CablesMeeting:
-    """A place where two cables cross each other."""
+    """A place where two cables cross."""
 
-    place: Array  # (3,) between both (length)
+    place: Array  # (3,) midpoint between both (length)
     gap: float  # distance of the cables (length)
-    reach: float  # mean length of the straight parts that cross (length)
-    at: tuple[float, float]  # shares of the unstressed lengths up to there
+    reach: float  # mean length of the segments that cross (length)
+    at: tuple[float, float]  # fraction of each unstressed length up to there
 
 
 def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
-    """Where two cables cross, in the order of the first one."""
+    """Crossings of two cables, in the order of the first one."""
     (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
     across = cross(u[:, None], v[None])
     square = dot(across, across)
@@ -58,13 +58,13 @@ def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
 
 
 def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
-    """Starts of a cable's parts between contacts, and the vectors to their ends, (n, 3)."""
+    """Start points of a cable's segments between contacts, and segment vectors, (n, 3)."""
     x = cable.positions[cable.contacts()]
     return x[:-1], np.diff(x, axis=0)
 
 
 def _share(cable: LaidCable, i: int, t: float) -> float:
-    """Unstressed length up to a place on part i between contacts, as a share of the whole."""
+    """Fraction of the unstressed length up to a place on segment i."""
     sizes = norm(_straight_parts(cable)[1]) / (1 + cable.part_tensions / cable.cable.EA)
     of = cable.parts_of(cable.contacts()[:-1])
     own = of == of[i]
@@ -75,7 +75,7 @@ def _share(cable: LaidCable, i: int, t: float) -> float:
 
 
 def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
-    """A name for a new clamp of two cables."""
+    """Unused name for a new clamp of two cables."""
     taken, name = {clamp.name for clamp in clamps}, " x ".join(cables)
     numbers = (f" ({k})" if k else "" for k in [0, *range(2, len(taken) + 3)])
     return next(name + number for number in numbers if name + number not in taken)
@@ -84,8 +84,7 @@ def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
 def with_clamps(
     crossings: Sequence[Crossing], clamps: Sequence[Clamp], cables: Sequence[LaidCable]
 ) -> list[Crossing]:
-    """The crossings that are known, each clamp at that of its cables that is nearest; where there
-    is none, one at its place."""
+    """Known crossings, with each clamp at the nearest one of its cables, or at a new one."""
     number = {cable.name: c for c, cable in enumerate(cables)}
     held = {clamp.name for clamp in clamps}
     found = [
@@ -115,8 +114,8 @@ def with_clamps(
 def divide(
     cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
 ) -> tuple[Clamp, ...]:
-    """Divide the cables in tension at the nodes of their clamps; return these at their places now.
-    A clamp of a slack cable holds nothing."""
+    """Divide taut cables at the nodes of their clamps and return the clamps at their current
+    places; clamps of slack cables have no effect."""
     nodes: dict[str, dict[str, int]] = defaultdict(dict)
     for cable in cables:
         for k, node in enumerate(cable.nodes):
@@ -145,7 +144,7 @@ def divide(
 
 
 def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
-    """The clamps of cables in tension at their places now."""
+    """Clamps with the current places of those on taut cables."""
     by_name = {cable.name: cable for cable in cables}
     found = []
     for clamp in clamps:
@@ -158,7 +157,7 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
-    """Nodes of two cables in tension at the vertex on which both lie that is nearest to a clamp."""
+    """Nodes of two taut cables at the common vertex nearest to a clamp."""
     a, b = (cables[name] for name in clamp.cables)
     if not (a.taut and b.taut):
         return {}
@@ -174,8 +173,7 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
 
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
-    """The parts of a cable between clamps, given by nodes, with shares of the unstressed length and
-    grips; None without any."""
+    """Parts of a cable between clamps (nodes, unstressed fractions, grips); None without any."""
     old = cable.parts
     if not own:
         return None

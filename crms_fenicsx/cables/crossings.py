@@ -1,9 +1,8 @@
-"""Crossing cables: found from their paths, lifted parts by the cells under them.
+"""Crossings of cables, found from their paths; lifted parts by the cells under them.
 
-Two cables that cross inside a cell share one free point there; without it the folds of one would
-cut through the other. Which cells those are follows from the order of the cables' points around
-each cell, and so it changes by itself as paths and fold points move: a crossing that slides over
-an edge is found in the next cell, one that slides off is gone.
+Two cables that cross inside a cell share one free point there, or the folds of one would cut the
+other. The cells follow from the order of the cables' points around each cell: a crossing that
+slides over an edge is found in the next cell, one that slides off vanishes.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ from crms_fenicsx.surface.points import CellPoint, EdgePoint, Support
 
 
 class Meeting(NamedTuple):
-    """Two links that cross: rows of their first nodes, how far along each, the place in the
-    cell."""
+    """Two crossing links: rows of their first nodes, fractions along each, place in the cell."""
 
     first: int
     second: int
@@ -45,8 +43,8 @@ class Meeting(NamedTuple):
 
 
 class Meetings:
-    """Finds where links cross that lie in the same cell, or on an edge with points. There are no
-    crossings among the nodes."""
+    """Crossings of links in the same cell, or of a link along an edge with points on that edge. The
+    node table must contain no crossings."""
 
     def __init__(self, nodes: NodeTable, fractions: Array, strip: Strip) -> None:
         self.strip, self.nodes, self.fractions = strip, nodes, fractions
@@ -62,7 +60,7 @@ class Meetings:
         self._inside = first[~follows], simplices.rows[simplices.pointers[both[~follows]]]
 
     def on_edges(self) -> list[Meeting]:
-        """Points on an edge that a link of another cable follows."""
+        """Points on an edge along which a link of another cable runs."""
         found, nodes, points = [], self.nodes, self.points
         some = points.counts[self._follows[1]] > 0
         for link, edge in zip(*(ints(part[some]) for part in self._follows), strict=True):
@@ -78,13 +76,13 @@ class Meetings:
         return found
 
     def in_cells(self) -> list[Meeting]:
-        """Chords of one cell that cross: their ends alternate around it."""
+        """Crossing chords of one cell: their ends alternate around it."""
         first, second, row = self._pairs()
         ends = np.stack([first, first + 1, second, second + 1], axis=1)
         rims = self._rim(ends.ravel(), np.repeat(row, 4)).reshape(-1, 4)
         flat = self._flat(ends.ravel(), np.repeat(row, 4)).reshape(-1, 4, 3)
         t = _intersections(flat)
-        inside = np.any(rims < 0, axis=1)  # an end of a cable inside the cell
+        inside = np.any(rims < 0, axis=1)  # cable ends inside the cell
         meet = np.all((0.0 < t) & (t < 1.0), axis=1)
         low, high = np.sort(rims[:, :2], axis=1).T
         between = (low[:, None] < rims[:, 2:]) & (rims[:, 2:] < high[:, None])
@@ -101,7 +99,7 @@ class Meetings:
         ]
 
     def _pairs(self) -> tuple[Integers, Integers, Integers]:
-        """Links of two cables in one cell: their first nodes, and the cell's row in the strip."""
+        """Pairs of links of two cables in one cell: their first nodes, and the cell's row."""
         link, row = self._inside
         order = np.argsort(row, kind="stable")
         link, row = link[order], row[order]
@@ -113,7 +111,7 @@ class Meetings:
         return link[one], link[other], row[one]
 
     def _rim(self, nodes: Integers, rows: Integers) -> Integers:
-        """Places of nodes among the corners and points around cells; -1 for those inside."""
+        """Position of nodes among the corners and points around cells; -1 inside."""
         simplices, points = self.strip.simplices, self.points
         sides, forward = simplices.sides[rows], simplices.forward[rows]
         counts = points.counts[sides]
@@ -138,7 +136,7 @@ class Meetings:
 
 
 def _intersections(ends: Array) -> Array:
-    """Where lines 01 and 23, in barycentric weights (n, 4, 3), cross: their parameters, (n, 2)."""
+    """Parameters (n, 2) of intersections of lines 01 and 23, from weights (n, 4, 3)."""
     a, b, p, q = (ends[:, k, :2].T for k in range(4))
     u, v, w = b - a, q - p, p - a
     cross = u[0] * v[1] - u[1] * v[0]
@@ -150,15 +148,14 @@ def _intersections(ends: Array) -> Array:
 
 
 TANGLED = 8
-"""Two crossings of the same cables with fewer cells than this between them are no way for taut
-cables to lie."""
+"""Cells between two crossings of the same cables up to which these are tangled, not taut."""
 
 
 def arrange(
     before: NodeTable, cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
 ) -> tuple[tuple[Crossing, ...], NodeTable]:
-    """Find the crossings of the cables in tension, and insert their points into the cables, whose
-    nodes are given. Returns the crossings, and the nodes that the cables have then."""
+    """Find the crossings of taut cables and insert their points into the cables, whose current
+    nodes are `before`. Returns the crossings and the new nodes."""
     positions, fractions = positions_of(cables), fractions_of(cables)
     shared, places = np.flatnonzero(before.crossing >= 0), [one.place for one in known]
     for row in ints(shared):
@@ -181,7 +178,7 @@ def arrange(
         zip(known, places, strict=True),
     )  # fmt: skip
     shares = np.array([not one.separated for one in crossings], dtype=bool)[:, None]
-    # a fold point on an edge that another cable follows is the crossing's point
+    # a fold point on an edge along which another cable runs is the crossing's point
     on_edge = np.array([len(one.support) == 2 for one in crossings], dtype=bool)[:, None]
     fold = shares & on_edge & (plain.kind[links] != VERTEX)
     rows, numbers = plain.rows.copy(), np.arange(len(found))[:, None] + np.zeros_like(links)
@@ -211,7 +208,7 @@ def arrange(
         state = cables[c].state
         cables[c].set_nodes(list(nodes[own]), positions[own], fractions[own], lifted[own])
         alike = (np.array_equal(rows[a][own], before.rows[a][old]) for a in ("kind", "support"))
-        if all(alike):  # what the last solve has found of the cable's points stays
+        if all(alike):  # keep what the last solve has found of the points
             solved = state.reference_positions
             cables[c].update(reference_positions=solved, blocked=state.blocked)
     on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
@@ -222,8 +219,8 @@ def arrange(
 def _gone_on(
     found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array]]
 ) -> list[Crossing]:
-    """Crossings that go on from the nearest ones left of the same cables, which are where given, or
-    are new: both cables, support, links, place, between and whether they have parted."""
+    """Crossings, continuing the nearest known ones of the same cables at their given places, or
+    new. `found`: both cables, support, links, place, between, and whether separated."""
     left: dict[tuple[int, int], list[tuple[Crossing, Array]]] = defaultdict(list)
     for one, at in known:
         left[one.lower, one.upper].append((one, at))
@@ -234,7 +231,7 @@ def _gone_on(
             away = [float(np.linalg.norm(at - place)) for _, at in before]
             old, at = before.pop(away.index(min(away)))
             separated, clamp = old.separated, old.clamp
-            # if they cross other edges before and after it, it would draw them aside where it was
+            # with other neighbouring edges the old place would pull these aside
             place = at if old.between == between else place
         crossings.append(Crossing(lower, upper, support, links, place, between, separated, clamp))
     return crossings
@@ -243,7 +240,7 @@ def _gone_on(
 def _without_crossings(
     table: NodeTable, kept: Booleans, simplices: Simplices
 ) -> tuple[NodeTable, npt.NDArray[np.object_]]:
-    """A table of the nodes that are `kept`, none of which is a crossing any more, and these."""
+    """Table of the `kept` nodes without references to crossings, and these nodes."""
     every = np.empty(len(kept), dtype=object)
     every[:] = list(chain.from_iterable(table.nodes))
     nodes, rows = every[kept], table.rows[kept]
@@ -260,8 +257,7 @@ def _without_crossings(
 def _lower_first(
     found: Sequence[Meeting], nodes: NodeTable, cables: Sequence[LaidCable]
 ) -> tuple[Integers, Integers, Array]:
-    """First and last nodes of the links that meet, (m, 2), the lower cable's first, and how far
-    along them, (m, 2)."""
+    """First and last nodes (m, 2) of meeting links, the lower cable's first; fractions (m, 2)."""
     links = np.array([one[:2] for one in found], dtype=np.int64).reshape(-1, 2)
     along = np.array([one.along for one in found], dtype=float).reshape(-1, 2)
     cable = nodes.cable[links]
@@ -276,14 +272,14 @@ def _lower_first(
 def _between(
     nodes: npt.NDArray[np.object_], links: Integers, ends: Integers
 ) -> list[tuple[Support, ...]]:
-    """Supports of the ends of links that cross, those of the lower one first."""
+    """Supports of the ends of crossing links, the lower one's first."""
     rows = np.stack([links, ends], axis=2).ravel()
     supports = [() if node.point is None else node.point.support for node in nodes[rows]]
     return [tuple(supports[n : n + 4]) for n in range(0, len(supports), 4)]
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
-    """Numbers of upper cables that cross a lower one to and fro within a few cells."""
+    """Numbers of upper cables that cross a lower one back and forth within a few cells."""
     links: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for one in crossings:
         links[one.lower, one.upper].append(one.links)
@@ -296,7 +292,7 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
 
 
 def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:
-    """The crossings with the places of a cable's nodes, for when its nodes are replaced."""
+    """Crossings moved to a cable's nodes, before its nodes are replaced."""
     found = list(crossings)
     for k, node in enumerate(cable.nodes):
         if node.crossing is not None:

@@ -1,4 +1,4 @@
-"""The membrane's current shape as triangles, and the volume between two shapes."""
+"""Current shape of the membrane as triangles, and the volume between two shapes."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from crms_fenicsx.surface.polygons import Polygons, best_fan, fan_facets
 class FoldedShape:
     """This rank's folded cells, cut along their cables."""
 
-    # (n, 3) current and stress-free places (length): of the vertices by local degree of freedom,
-    # then of the cable points on edges of folded cells
+    # (n, 3) current and stress-free positions (length): vertices by local degree of freedom, then
+    # cable points on edges of folded cells
     points: Array
     stress_free: Array
-    pieces: Polygons  # oriented as the membrane, with local numbers of the cells
+    pieces: Polygons  # oriented as the membrane, with local cell numbers
 
     @property
     def cells(self) -> Integers:
@@ -33,16 +33,16 @@ class FoldedShape:
 class CurrentSurface:
     """This rank's part of the current surface."""
 
-    points: Array  # (n, 3) current places of vertices and cable points (length)
-    stress_free: Array  # (n, 3) their stress-free places
+    points: Array  # (n, 3) current positions of vertices and cable points (length)
+    stress_free: Array  # (n, 3) their stress-free positions
     triangles: Integers  # (m, 3) corners as rows of `points`, oriented as the membrane
-    parents: Integers  # (m,) local number of the cell that each triangle is, or is a part of
-    # (h, 2) sides of triangles that are neither edges of the mesh nor folds, as rows of `points`
+    parents: Integers  # (m,) local number of the cell of each triangle
+    # (h, 2) triangle sides that are neither mesh edges nor folds, as rows of `points`
     inner: Integers
 
 
 def folded_shape(net: CableNet) -> FoldedShape:
-    """Cut this rank's folded cells along the cables in tension. Not collective."""
+    """Cut this rank's folded cells along taut cables. Not collective."""
     membrane = net.membrane
     places, stress_free = membrane.positions(), membrane.stress_free
     if net.strip is None or not any(cable.taut for cable in net.cables):
@@ -64,7 +64,7 @@ def folded_shape(net: CableNet) -> FoldedShape:
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, row in enumerate(numbering.first[added - len(places)]):
         cable, k = net.cables[nodes.cable[row]], int(nodes.place[row])
-        share = float(np.clip(cable.fractions[k], 0.0, 1.0))  # one pulled beyond an end is there
+        share = float(np.clip(cable.fractions[k], 0.0, 1.0))  # not beyond the edge's ends
         vertices, weights = cable.nodes[k].interpolation(None if np.isnan(share) else share)
         new[i] = cable.positions[k]
         new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
@@ -75,7 +75,7 @@ def folded_shape(net: CableNet) -> FoldedShape:
 
 
 def current_surface(net: CableNet) -> CurrentSurface:
-    """Triangulate this rank's part of the membrane as it is now. Not collective."""
+    """Triangulate this rank's part of the current membrane. Not collective."""
     shape = folded_shape(net)
     n = net.membrane.mesh.mesh.topology.index_map(2).size_local
     plain = np.setdiff1d(np.arange(n), shape.cells)
@@ -95,8 +95,8 @@ def current_surface(net: CableNet) -> CurrentSurface:
 def gained_volume(net: CableNet) -> float:
     """Volume between the stress-free and the current cells under pressure (length cubed), on which
     a pressure p does the work p V. Collective."""
-    # While their rim is held, or slides in planes, it is that between the two surfaces and the
-    # planes; if it moves else, what its way sweeps out as seen from the centre counts too.
+    # With a rim that is held or slides in planes, this is the volume between the surfaces and the
+    # planes; otherwise it includes the volume swept by the rim as seen from the centre.
     membrane = net.membrane
     V, mesh = membrane.V, membrane.mesh.mesh
     shape = folded_shape(net)
@@ -110,7 +110,7 @@ def gained_volume(net: CableNet) -> float:
     pressed = np.flatnonzero(membrane.pressed[cell])
     sizes = np.diff(starts)[pressed]
     facets, weights = fan_facets(pointers(sizes), corners[runs(starts[pressed], sizes)])
-    # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
+    # The pieces of a folded cell make up the cell when stress-free: their changes add up.
     local += np.sum(weights * _volume_change(X, u, facets))
     rim = rim_of(membrane)
     local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
@@ -118,8 +118,7 @@ def gained_volume(net: CableNet) -> float:
 
 
 def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
-    """Volume between each triangle and the origin, current less stress-free, (n,), term by term so
-    that a small change is not lost in a large volume."""
+    """Change (n,) of the volumes between triangles and the origin, without cancellation."""
     a, h = X[triangles], u[triangles]
     d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
     n0 = np.cross(d[:, 0], d[:, 1])

@@ -1,7 +1,6 @@
-"""Tables of what a rank computes for the cables in tension: segments, folded cells, facets.
+"""A rank's element tables of taut cables: segments, folded cells, facets.
 
-Nodes of cables and vertices become local blocks of the unknowns here; see `numbering` for who owns
-what.
+They address cable nodes and vertices as local blocks of unknowns; see `numbering` for ownership.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from crms_fenicsx.surface.polygons import Polygons, fan_facets, fan_owners, spli
 
 
 class CutCells:
-    """This rank's folded cells, those with points on a side, and the chords through them."""
+    """This rank's folded cells (with points on a side) and the chords through them."""
 
     def __init__(self, numbering: CableNumbering) -> None:
         self.numbering = numbering
@@ -45,18 +44,18 @@ class CutCells:
         first, last, place = first[mine], last[mine], place[mine]
         order = np.argsort(place, kind="stable")
         first, last = first[order], last[order]
-        # (n + 1,) where the chords of each cell begin among all chords
+        # (n + 1,) first chord of each cell
         self.chords_of = np.searchsorted(place[order], np.arange(len(self.rows) + 1))
         starts = pointers(last - first + 2)
         members = np.empty(starts[-1], dtype=np.int64)
         members[runs(starts[:-1], last - first + 1)] = links.first[runs(first, last - first + 1)]
         members[starts[1:] - 1] = links.second[last]
-        # CSR form of the rows of the nodes on each chord: its two ends, and the crossings between
+        # CSR form of the node rows on each chord: its two ends, and crossings between
         self.chords = starts, members
 
     def pieces(self, some: Integers, vertices: Integers, nodes: Integers) -> Polygons:
-        """Polygons, oriented as the membrane, into which the chords cut some cells, with the place
-        in `some` of each one's cell; points on sides that no chord leaves are corners too."""
+        """Polygons, oriented as the membrane, into which chords cut the cells `some`, with the
+        index in `some` of each polygon's cell; all points on sides are corners."""
         cut = np.diff(self.chords_of)[some]
         chord = runs(self.chords_of[some], cut)
         starts, members = self.chords
@@ -68,7 +67,7 @@ class CutCells:
     def _rims(
         self, rows: Integers, vertices: Integers, nodes: Integers
     ) -> tuple[Integers, Integers]:
-        """Corners around cells in CSR form: vertices, and the points on the sides after each."""
+        """Corners around cells in CSR form: each vertex, then the points on the side after it."""
         points, simplices = self.numbering.points, self.numbering.strip.simplices
         sides, forward = simplices.sides[rows].ravel(), simplices.forward[rows].ravel()
         counts = points.counts[sides]
@@ -83,20 +82,19 @@ class CutCells:
 
 
 NEAR_ANCHOR = 1e-3
-"""Smoothing of a length to an anchor, relative to that of others."""
+"""Smoothing of a segment at an anchor, relative to others."""
 
 
 @dataclass(frozen=True)
 class CableTables:
-    """What this rank computes for the cables in tension."""
+    """This rank's elements of taut cables."""
 
-    segments: Indices  # (n, 2) segments of the cables' polylines
+    segments: Indices  # (n, 2) segments of the polylines
     eps: Array  # (n,) their smoothing (length)
-    cable: Indices  # (n,) the cable's place among the taut
-    links: Integers  # (n, 2) rows of the two nodes that the segments join, in the table of nodes
+    cable: Indices  # (n,) number among the taut cables
+    links: Integers  # (n, 2) rows of each segment's end nodes in the table of nodes
     folded: FoldedCells  # cells with folded sides
-    # where chords meet sides at free fold points: corner blocks (k, 4), row of `folded` (k,), row
-    # of the fold point in the table of nodes (k,)
+    # chord ends at free fold points: corner blocks (k, 4), rows of `folded` and of nodes (k,)
     kinks: Indices
     kink_cells: Integers
     kink_nodes: Integers
@@ -108,14 +106,14 @@ class CableTables:
         return FoldAngles(self.kinks, areas, True)
 
     def literal_penalty(self, mu: float) -> FoldAngles:
-        """The paper's penalty with one coefficient for all, (2.5-1)."""
+        """The paper's penalty with a single coefficient, (2.5-1)."""
         return FoldAngles(self.kinks, np.full(len(self.kinks), mu), False)
 
 
 def cable_tables(
     numbering: CableNumbering, membrane: MembraneEnergy, pressed: Booleans
 ) -> CableTables:
-    """Tables of the cables in tension; `pressed` says which local cells are under pressure."""
+    """Tables of taut cables; `pressed` flags the local cells under pressure."""
     nodes, links = numbering.nodes, numbering.links
     own = np.flatnonzero(nodes.taut[links.first] & (links.owner == numbering.rank))
     ends = np.stack([links.first[own], links.second[own]], axis=1)
@@ -133,18 +131,17 @@ def cable_tables(
 
 
 def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
-    """Facets of the folded cells among some local cells."""
+    """Facets of the folded cells among the given local cells."""
     return _FoldedCellsOf(numbering).facets(cells)
 
 
 def depth_of(numbering: CableNumbering) -> tuple[Facets, Integers]:
-    """Facets around the space between folded cells and the triangles of their corners, and the
-    local cell of each."""
+    """Facets around the space between folded cells and their corner triangles, and local cells."""
     return _FoldedCellsOf(numbering).depth()
 
 
 def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
-    """Smoothing of this rank's links; negative where their ends are given."""
+    """Smoothing of this rank's links; negative where both ends are given."""
     nodes, links, strip = numbering.nodes, numbering.links, numbering.strip
     rows = numbering.own_rows
     sizes = np.full(len(strip.cells), np.inf)  # of this rank's cells of the strip
@@ -159,14 +156,14 @@ def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
 
     slides = one((nodes.kind == CROSSING) | nodes.slides)
     slides |= (links.on[own] >= 0) & one(nodes.kind != TIED)
-    # An anchor may be moved off the held place next to it by very little: lengths are exact from
-    # there on. It may lie on that place: no direction, and none is needed.
+    # A tiny move of an anchor off the adjacent held place is resolved exactly. An anchor may also
+    # coincide with that place, where no direction is defined or needed.
     near = np.where(one(nodes.kind == ANCHOR), NEAR_ANCHOR, 1.0)
     return np.where(slides, SMOOTHING * size * near, -SAME_PLACE * size)
 
 
 class _FoldedCellsOf:
-    """This rank's cells that the cables in tension fold."""
+    """This rank's cells that taut cables fold."""
 
     def __init__(self, numbering: CableNumbering) -> None:
         self.numbering, self.cells = numbering, CutCells(numbering)
@@ -174,11 +171,11 @@ class _FoldedCellsOf:
         self.local = self.strip.local[self.cells.rows].astype(np.int32)
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
-        """Sides in segments, and the cells' material."""
+        """Folded cells: their sides as segments, and their material."""
         cells = self.local
         vectors = cell_sides(self.numbering.u.function_space.mesh, cells)
         lengths = np.linalg.norm(vectors, axis=2).ravel()
-        # The sides by number as they first occur.
+        # Sides numbered by first occurrence.
         sides = self.strip.simplices.sides[self.cells.rows].ravel()
         edges, first, inverse = np.unique(sides, return_index=True, return_inverse=True)
         order = np.argsort(first)
@@ -200,10 +197,10 @@ class _FoldedCellsOf:
         )
 
     def kinks(self) -> tuple[Indices, Integers, Integers]:
-        """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
+        """Chord ends at free fold points on sides: corner blocks, index of the cell, node row."""
         numbering = self.numbering
         starts, members = self.cells.chords
-        # From rim to rim: a crossing may come as near to the rim as it likes.
+        # From rim to rim, as a crossing may come arbitrarily close to the rim.
         ends = np.stack([members[starts[:-1]], members[starts[1:] - 1]], axis=1)
         cell = np.repeat(np.arange(len(self.cells.rows)), np.diff(self.cells.chords_of))
         node, other, cell = ends.ravel(), ends[:, ::-1].ravel(), np.repeat(cell, 2)
@@ -224,8 +221,7 @@ class _FoldedCellsOf:
         return Facets(*fan_facets(pieces.starts, pieces.corners), plain)
 
     def depth(self) -> tuple[Facets, Integers]:
-        """Facets that close around the space between a cell's facets and the triangle of its
-        corners, and their local cells."""
+        """Facets around the space between cells' facets and corner triangles, and local cells."""
         numbering, simplices, rows = self.numbering, self.strip.simplices, self.cells.rows
         every = np.arange(len(rows))
         pieces = self.cells.pieces(every, numbering.vertex_blocks, numbering.node_blocks)
@@ -237,14 +233,14 @@ class _FoldedCellsOf:
         walls, parts = fan_facets(lines, blocks.astype(np.int64))
         side = folded[fan_owners(lines)]
         corners = np.concatenate([top, below, walls])
-        signs = np.where(forward[side], -1.0, 1.0)  # from the edge back over the points
+        signs = np.where(forward[side], -1.0, 1.0)  # back along the edge, over the points
         weights = np.concatenate([shares, np.full(len(rows), -1.0), signs * parts])
         cell = np.concatenate([pieces.cell[fan_owners(pieces.starts)], every, side // 3])
         return Facets(corners, weights, below[:0]), self.local[cell]
 
 
 def damping(numbering: CableNumbering, segments: Indices) -> Damping:
-    """Damping of the points of the cables in tension, with this rank's segments (m, 2)."""
+    """Damping of the points of taut cables, with this rank's segments (m, 2)."""
     rows = numbering.points.nodes
     own = (numbering.node_owners[rows] == numbering.rank) & numbering.nodes.slides[rows]
     rows = rows[own]

@@ -1,4 +1,4 @@
-"""Points of cables that keep their line on the fabric: in pockets, or bonded to it."""
+"""Points of cables that keep their line on the fabric, in pockets or bonded."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.surface.points import EdgePoint
 
 HOLDING = 1e2
-"""Stiffness with which points are held on their edges, relative to that of the fabric: it gives way
-by a hundredth of what the fabric is strained."""
+"""Relative stiffness of the points' springs: they yield by a hundredth of the fabric's strain."""
 
 
 def holds_points(cables: Iterable[LaidCable]) -> bool:
-    """Whether some cable in tension has points that are held on their edges."""
+    """Whether some taut cable has points held on their edges."""
     return any(c.taut and c.keeps_line and any(n.slides for n in c.nodes) for c in cables)
 
 
 def held_points(
     numbering: CableNumbering, shape: StripShape, materials: Iterable[MembraneMaterial]
 ) -> HeldPoints:
-    """The points of cables in tension that are held on their edges."""
+    """Points of taut cables that are held on their edges."""
     fabric = max(m.reference_modulus + float(np.abs(m.prestress_vector).max()) for m in materials)
     rows, rest, lengths = [], [], []
     for c, cable in enumerate(numbering.cables):

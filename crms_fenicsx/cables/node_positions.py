@@ -1,4 +1,4 @@
-"""Where the cables' points are, gathered on all ranks: in space, on edges, on the membrane."""
+"""Positions of cable points in space, on edges and on the stress-free membrane, on all ranks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from crms_fenicsx.runtime.arrays import Array, Integers, pointers, runs
 
 
 class NodePositions:
-    """Finds where the nodes of all cables are, by tables of them, one cable after the other."""
+    """Gathers the node positions of all cables, in the order of the cables."""
 
     def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
         self.numbering, self.unknowns = numbering, unknowns
@@ -28,7 +28,7 @@ class NodePositions:
         self._list_links()
 
     def _list_own_nodes(self) -> None:
-        """Nodes that this rank places: their blocks, and what they lie on on the membrane."""
+        """List the nodes that this rank places, their blocks and their supports on the membrane."""
         numbering, nodes = self.numbering, self.numbering.nodes
         own = ~(self._lifted & nodes.taut) & (numbering.node_owners == numbering.rank)
         self._own = np.flatnonzero(own)
@@ -38,7 +38,7 @@ class NodePositions:
         self._sliders = np.flatnonzero(nodes.slides[self._own])
 
     def _list_lines(self) -> None:
-        """This rank's edges with the points on them, and its edge sliders."""
+        """List this rank's edges with points on them, and its edge sliders."""
         numbering, points, nodes = self.numbering, self.numbering.points, self.numbering.nodes
         owner = numbering.strip.simplices.owner
         edges = points.edges[owner[points.edges] == numbering.rank]
@@ -51,7 +51,7 @@ class NodePositions:
         )
 
     def _list_links(self) -> None:
-        """Links with crossings on them, and which two nodes each crossing is."""
+        """List the links with crossings, and the two nodes of each crossing."""
         nodes = self.numbering.nodes
         on = (nodes.size > 0) & ~self._lifted
         self._known, self._slides = on & (nodes.kind != CROSSING), nodes.slides
@@ -67,11 +67,11 @@ class NodePositions:
         self._pairs = sides[first[counts == 2][:, None] + np.arange(2)]
 
     def gather(self, x: Array) -> None:
-        """Give the cables the places of their points at the displacements x (n, 3), in which points
-        of slack cables are brought up to date. Collective."""
+        """Update the cables' node positions at the displacements x (n, 3), in which the points of
+        slack cables are updated. Collective."""
         numbering, unknowns = self.numbering, self.unknowns
         unknowns.place_idle_tied_points(x)
-        local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
+        local = np.zeros((self._starts[-1], 7))  # position, fraction, stress-free position
         position, fraction, material = local[:, :3], local[:, 3], local[:, 4:]
         places = unknowns.X + x
         position[self._own] = places[self._blocks]
@@ -79,13 +79,13 @@ class NodePositions:
         if len(self._edge_sliders):
             found = numbering.edge_sliders.fractions(unknowns, x)
             fraction[self._edge_sliders[self._own_edge_sliders]] = found[self._own_edge_sliders]
-        # whoever owns a sliding point has found its place on its edge, too
+        # the owner of a sliding point has also found its place on the edge
         before = np.concatenate([cable.fractions for cable in numbering.cables])
         sliders = self._own[self._sliders]
         s = np.where(self._free[sliders], fraction[sliders], before[sliders])
         self._weights[self._sliders, :2] = np.stack([1 - s, s], axis=1)
         material[self._own] = np.einsum("nm,nmi->ni", self._weights, unknowns.X[self._corners])
-        # A slack cable may have been draped anew since its points began to ride where they were.
+        # A slack cable may have been draped again since its points were tied at their old places.
         slack = self._sliders[~self._free[sliders]]
         corners = places[self._corners[slack]]
         position[self._own[slack]] = np.einsum("nm,nmi->ni", self._weights[slack], corners)
@@ -108,10 +108,10 @@ class NodePositions:
             )
 
     def _set_material(self, total: Array) -> None:
-        """Find the nodes' places on the stress-free membrane; NaN where a cable is off it."""
-        # A crossing slides in its cell while its cell point stays: between two contacts it goes
-        # onto the line from one to the other, where the cable has bent it to. Beside a lifted node
-        # the cable does not say where it is, but the other one may.
+        """Set the nodes' positions on the stress-free membrane; NaN where a cable is off it."""
+        # A crossing slides in its cell while its cell point stays: it is placed on the line between
+        # the adjacent contacts, to which the cable has moved it. Beside a lifted node this cable
+        # cannot place it, but the other one may.
         position, material = total[:, :3], total[:, 4:]
         material[~self._known] = np.nan
         first, last = material[self._links.first], material[self._links.last]
@@ -123,20 +123,20 @@ class NodePositions:
 
 
 class _Lines:
-    """Polylines of three or more points each, given by rows of a table of places in CSR form."""
+    """Polylines of three or more points, given as rows of a table of positions in CSR form."""
 
     def __init__(self, starts: Integers, members: npt.NDArray[np.integer]) -> None:
         sizes = np.diff(starts)
         longest = int(sizes.max(initial=3))
-        place = np.minimum(np.arange(longest), sizes[:, None] - 1)  # the last one fills the rest
+        place = np.minimum(np.arange(longest), sizes[:, None] - 1)  # padded with the last one
         self._rows = members[starts[:-1, None] + place].astype(np.int64)
         self._inner = np.arange(1, longest - 1) < sizes[:, None] - 1
         self.inner = self._rows[:, 1:-1][self._inner]  # rows of all inner points
-        # and of the ends of the polylines that these are on
+        # and the end points of their polylines
         self.first, self.last = (np.repeat(self._rows[:, k], sizes - 2) for k in (0, -1))
 
     def shares(self, places: Array) -> Array:
-        """Share of its polyline's length at which each inner point is, (n,); places are (m, 3)."""
+        """Arc-length fraction of each inner point on its polyline, (n,); places are (m, 3)."""
         run = np.cumsum(norm(np.diff(places[self._rows], axis=1)), axis=1)
         shares: Array = (run[:, :-1] / run[:, -1:])[self._inner]
         return shares

@@ -1,8 +1,8 @@
-"""The points of all cables: owners, numbers, and the directions of those on held edges.
+"""Ownership and numbering of cable points, and the directions of those on held edges.
 
-A crossed cell is evaluated by the rank that owns it, with all segments, chords and facets in it.
-Cable points belong to one rank and are ghosts on the others that need them. All ranks know the
-cables' paths and the strip of crossed cells, so they number alike without communication.
+The owner of a crossed cell evaluates all segments, chords and facets in it. A cable point belongs
+to one rank and is a ghost on others that need it. All ranks know the cables' paths and the strip of
+crossed cells, so they number consistently without communication.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
 
 
 class EdgeSliders:
-    """The edge sliders of cables in tension that this rank knows, with blocks of edges' ends."""
+    """Edge sliders of taut cables known to this rank, with the blocks of their edges' ends."""
 
     def __init__(
         self, cables: Sequence[LaidCable], members: Sequence[NodeId], blocks: Indices, ends: Indices
@@ -42,11 +42,11 @@ class EdgeSliders:
         self._cables, self.members, self.blocks, self.ends = cables, members, blocks, ends
 
     def known_fractions(self) -> Array:
-        """Places on the edges where the cables have the edge sliders, (n,)."""
+        """Fractions of the edge sliders on their edges, from the cables, (n,)."""
         return np.array([self._cables[c].fractions[k] for c, k in self.members], dtype=float)
 
     def place(self, unknowns: Unknowns, x: Array) -> None:
-        """Put the edge sliders where they were on their edges, which may have been moved with x."""
+        """Restore the edge sliders' fractions on their edges, which may have moved with x."""
         if not self.members:
             return
         places = unknowns.X[self.ends] + x[self.ends]
@@ -56,7 +56,7 @@ class EdgeSliders:
         unknowns.set_edge_sliders(self.blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
 
     def fractions(self, unknowns: Unknowns, x: Array) -> Array:
-        """Places on the edges where the displacements x have the edge sliders, (n,)."""
+        """Fractions of the edge sliders on their edges at the displacements x, (n,)."""
         start, end = (unknowns.X[own] + x[own] for own in self.ends.T)
         side, way = end - start, unknowns.X[self.blocks] + x[self.blocks] - start
         fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
@@ -65,17 +65,17 @@ class EdgeSliders:
 
 @dataclass(frozen=True)
 class Links:
-    """The n straight parts of the cables' polylines, from a node that one touches to the next."""
+    """The n straight links of the cables' polylines, from contact to contact."""
 
-    first: Integers  # (n,) rows of the two nodes in the table of nodes
+    first: Integers  # (n,) rows of both end nodes in the table of nodes
     second: Integers
-    on: Integers  # (n,) number of the cell or edge that a link lies on; -1 off the membrane
-    around: Integers  # (n,) the same; off the membrane that of what its first node lies on
-    owner: Integers  # (n,) the rank that computes it
+    on: Integers  # (n,) number of the cell or edge of a link; -1 off the membrane
+    around: Integers  # (n,) the same; off the membrane the simplex of the first node
+    owner: Integers  # (n,) rank that computes it
 
 
 class CableNumbering:
-    """Numbering of the points of all cables of a scene."""
+    """Numbering of all cable points of a scene."""
 
     def __init__(
         self,
@@ -87,16 +87,16 @@ class CableNumbering:
         self.cables, self.strip, self.u = tuple(cables), strip, u
         self.rank = u.function_space.mesh.comm.rank
         self.nodes = NodeTable.of(self.cables, nodes)
-        # (nodes,) number of what each lies on among the strip's simplices; -1 for anchors
+        # (nodes,) number of the simplex of each node in the strip; -1 for anchors
         self.on = self.nodes.on(strip.simplices)
-        # The points of a slack cable ride on the membrane, all of them.
+        # All points of a slack cable are tied to the membrane.
         self._used = np.flatnonzero(~(self.nodes.taut & self.nodes.lifted))
         self.links = self._find_links()
         self._number_points()
         self._number_vertices()
 
     def _places(self, rows: Integers) -> Integers:
-        """Simplices that say which ranks nodes belong to: an anchor's is that of the next node."""
+        """Simplices that determine the owners of nodes; an anchor takes that of the next node."""
         nodes = self.nodes
         beside = np.where(nodes.place[rows] == 0, rows + 1, rows - 1)
         places = self.on[np.where(nodes.size[rows] == 0, beside, rows)]
@@ -115,7 +115,7 @@ class CableNumbering:
         return Links(first, second, on, around, simplices.owner[around])
 
     def _number_points(self) -> None:
-        """Numbers and owners of the points that are no vertices."""
+        """Number the points that are not vertices, and find their owners."""
         nodes = self.nodes
         points = self._used[nodes.kind[self._used] != VERTEX]
         shared = np.flatnonzero(nodes.crossing[points] >= 0)
@@ -125,19 +125,18 @@ class CableNumbering:
         same = np.arange(len(points))
         same[shared] = shared[first[side]]
         new = same == np.arange(len(points))
-        # (nodes,) number of the point, which the two sides of a crossing share; -1 for vertices and
-        # lifted nodes
+        # (nodes,) point number, common to a crossing's nodes; -1 for vertices and lifted nodes
         self.number = np.full(len(nodes.kind), -1)
         self.number[points] = (np.cumsum(new) - 1)[same]
-        self.first = points[new]  # row of a node of each point
+        self.first = points[new]  # row of one node of each point
         self.owners = self.strip.simplices.owner[self._places(self.first)].astype(np.int64)
         self.node_owners = np.where(self.number >= 0, np.append(self.owners, -1)[self.number], -1)
-        at_vertex = nodes.kind == VERTEX  # whoever owns a vertex has the nodes on it
+        at_vertex = nodes.kind == VERTEX  # nodes at a vertex belong to its owner
         self.node_owners[at_vertex] = self.strip.simplices.owner[self.on[at_vertex]]
 
     @property
     def numbers(self) -> dict[NodeId, int]:
-        """Numbers of the points by cable and node."""
+        """Point numbers by cable and node."""
         rows = np.flatnonzero(self.number >= 0)
         return dict(zip(self.nodes.ids(rows), map(int, self.number[rows]), strict=True))
 
@@ -150,14 +149,14 @@ class CableNumbering:
         return bool(self.node_owners[self.row(c, k)] == self.rank)
 
     def _number_vertices(self) -> None:
-        """Degrees of freedom of the vertices of this rank's cells of the strip, and its points."""
+        """Find local degrees of freedom of the strip's vertices, and this rank's points."""
         strip, links, simplices = self.strip, self.links, self.strip.simplices
         self.own_rows = np.flatnonzero(strip.owner == self.rank)
-        # local degrees of freedom of the strip's vertices; -1 for those of other ranks
+        # local degrees of freedom of the strip's vertices; -1 on other ranks
         self.dofs = np.full(len(strip.vertices), -1)
         dofs = self.u.function_space.dofmap.list[strip.local[self.own_rows]]
         self.dofs[simplices.cells[self.own_rows]] = dofs
-        # Points that this rank needs: those on its links and on the edges of its cells.
+        # Points needed by this rank: those on its links and on the edges of its cells.
         near = simplices.touch(strip.owner == self.rank)
         on = self.on[self.first]
         needed = (on >= 0) & np.append(near, False)[on]
@@ -179,12 +178,12 @@ class CableNumbering:
         given = np.isin(self.nodes.kind[ends], (VERTEX, EDGE_SLIDER, TIED))
         supports = self.nodes.support[ends[given]]
         far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
-        # Vertices at ends of spans, on ranks without them.
+        # Vertices at ends of spans, on ranks that lack them.
         self._find_far_vertices(far[far[:, 1] >= 0])
 
     def _find_far_vertices(self, far: Integers) -> None:
-        """Owner, and number there, of the vertices that this rank lacks and on which ends of spans
-        lie or depend; `far` (n, 2) are ranks and vertices."""
+        """Find owner and number of vertices that ends of this rank's spans depend on but that it
+        lacks; `far` (n, 2) are ranks and vertices."""
         strip = self.strip
         at = strip.simplices.find(np.pad(far[:, 1:], ((0, 0), (0, 2)), constant_values=-1))
         counts, rows = strip.simplices.around(at)
@@ -193,7 +192,7 @@ class CableNumbering:
         far = np.unique(far[~own], axis=0)
         self.far_vertices: dict[int, tuple[int, int]] = {}
         self._far_X: list[Array] = []
-        if len(far) == 0:  # all ranks know the same
+        if len(far) == 0:  # the same on all ranks
             return
         vertices = self.u.function_space.dofmap.index_map
         X = vertex_places(self.u.function_space)
@@ -208,7 +207,7 @@ class CableNumbering:
                 self._far_X.append(place)
 
     def unknowns(self, frame: FrameBlocks | None = None) -> Unknowns:
-        """A layout with all cables' points, at their current positions, and with a frame's."""
+        """Layout with all cable points at their current positions, and a frame's blocks."""
         self._frame = frame
         V, far_vertices = self.u.function_space, list(self.far_vertices.values())
         if frame is None:
@@ -216,11 +215,11 @@ class CableNumbering:
         else:
             of_first = int(np.count_nonzero(self.owners == 0))
             unknowns = frame.layout(V, len(self.owned), self.ghosts, far_vertices, of_first)
-        # local blocks of points, of the strip's vertices and of nodes; -1 where this rank has none
+        # local blocks of points, of the strip's vertices and of nodes; -1 if absent on this rank
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()[: len(self.owned)]
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()[: len(self.foreign)]
-        # A rank may have no vertex at all.
+        # A rank may have no vertex.
         self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
         far = unknowns.far_vertex_blocks()[: len(far_vertices)]
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
@@ -233,21 +232,21 @@ class CableNumbering:
         return unknowns
 
     def place_points(self, places: Array) -> None:
-        """Put the cables' points into the rows of `places`, local blocks, where they are now."""
+        """Set the rows of `places` (local blocks) of cable points to their current positions."""
         rows = self._own_points
         places[self.node_blocks[rows]] = positions_of(self.cables)[rows]
 
     @cached_property
     def _own_points(self) -> Integers:
-        """Rows of the nodes whose points this rank has."""
+        """Rows of the nodes whose points are on this rank."""
         return np.flatnonzero((self.number >= 0) & (self.node_blocks >= 0))
 
     def dof(self, vertex: int) -> int:
-        """Local degree of freedom of a vertex, by id; -1 on ranks without a cell there."""
+        """Local degree of freedom of a vertex id; -1 on ranks without a cell there."""
         return int(self.dofs[self.strip.row_of[vertex]])
 
     def vertex(self, vertex: int) -> int:
-        """Local block of a vertex, by id."""
+        """Local block of a vertex id."""
         return int(self.vertex_blocks[self.strip.row_of[vertex]])
 
     def block(self, c: int, k: int) -> int:
@@ -255,14 +254,14 @@ class CableNumbering:
         return int(self.node_blocks[self.row(c, k)])
 
     def support_blocks(self, rows: Integers) -> Integers:
-        """Local blocks of the vertices on which nodes lie, (n, 3); -1 where there is none."""
+        """Local blocks of the nodes' support vertices, (n, 3), padded with -1."""
         on = self.on[rows]
         corners = self.strip.simplices.corners[on]
         return np.where((corners < 0) | (on < 0)[:, None], -1, self.vertex_blocks[corners])
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points, the sliding points of slack cables and ends that are
-        fixed to joints ride. Collective."""
+        """Hold anchors, and tie to the membrane or joints: tied points, sliding points of slack
+        cables and cable ends fixed to joints. Collective."""
         nodes, rows, joints = self.nodes, self._own_points, self._joint_blocks()
         unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
         rides = (nodes.kind == TIED) | (nodes.slides & ~nodes.taut) | (joints >= 0)
@@ -306,24 +305,23 @@ class CableNumbering:
         return found
 
     def fractions(self) -> Array:
-        """Where the nodes are on their edges now, (nodes,)."""
+        """Current fractions of the nodes on their edges, (nodes,)."""
         return fractions_of(self.cables)
 
     @cached_property
     def points(self) -> PointsOnEdges:
-        """Points of the cables in tension on each edge, in the order that they keep."""
+        """Points of taut cables on each edge, in an order that stays fixed."""
         return self.points_now()
 
     def points_now(self) -> PointsOnEdges:
-        """The same in their present order: edge sliders may have passed others."""
+        """The same in their current order: edge sliders may have passed others."""
         size = len(self.strip.simplices.owner)
         return PointsOnEdges(self.nodes, ~self.nodes.lifted, self.on, self.fractions(), size)
 
     def lines(
         self, edges: Integers, points: PointsOnEdges | None = None
     ) -> tuple[Integers, Indices]:
-        """Local blocks along edges, given by number, in CSR form: the edge's first vertex, the
-        points of the cables in tension, its last vertex."""
+        """Local blocks along edges in CSR form: start vertex, points of taut cables, end vertex."""
         points = self.points if points is None else points
         counts = points.counts[edges]
         starts = pointers(counts + 2)

@@ -1,4 +1,4 @@
-"""All nodes of all cables as arrays, and the cables' points in order along the edges."""
+"""Nodes of all cables as arrays, and the cable points in order along edges."""
 
 from __future__ import annotations
 
@@ -19,26 +19,24 @@ VERTEX, FOLD, EDGE_SLIDER, TIED, ANCHOR, CROSSING = range(6)
 NUMBERS = dict(
     zip(("vertex", "fold", "edge slider", "tied", "anchor", "crossing"), range(6), strict=True)
 )
-"""The numbers of `CableNode.kind`."""
+"""Numbers of `CableNode.kind`."""
 
 
 NODE = np.dtype(
     [
         ("kind", np.int64),
         ("crossing", np.int64),  # its number, or -1
-        # how many vertices a node lies on or between; 0 for anchors; their ids, -1 after the last
-        # one, and their weights on the unfolded mesh
+        # number of support vertices, 0 for anchors; their ids, padded with -1; unfolded weights
         ("size", np.int64),
         ("support", np.int64, 3),
         ("weights", float, 3),
     ]
 )
-"""What a table has of each node, all but where it is in space."""
+"""Record of a node, without its position in space."""
 
 
 class NodeTable:
-    """The nodes of some cables, n in all; what they are, not where they are in space. `rows` (n,)
-    are `NODE`s, whose fields are attributes."""
+    """All n nodes of some cables, without positions: `NODE` records, with fields as attributes."""
 
     def __init__(
         self,
@@ -48,11 +46,11 @@ class NodeTable:
         lifted: Booleans,
         on: tuple[Simplices, Integers] | None = None,
     ) -> None:
-        self.nodes, self.rows = nodes, rows  # nodes: those of each cable
+        self.nodes, self.rows = nodes, rows  # nodes: by cable
         counts = np.array([len(own) for own in nodes], dtype=np.int64)
-        self.starts = pointers(counts)  # rows at which the cables begin
+        self.starts = pointers(counts)  # first row of each cable
         self.cable = np.repeat(np.arange(len(nodes)), counts)  # (n,) number of the cable
-        self.place = np.arange(len(rows)) - self.starts[self.cable]  # (n,) number of the node in it
+        self.place = np.arange(len(rows)) - self.starts[self.cable]  # (n,) index of the node in it
         self.kind: Integers
         self.crossing: Integers
         self.size: Integers
@@ -61,7 +59,7 @@ class NodeTable:
         for name in NODE.names or ():
             setattr(self, name, np.ascontiguousarray(rows[name]))
         self.slides = (self.kind == FOLD) | (self.kind == EDGE_SLIDER)
-        self._on = on  # simplices of a strip, and numbers of those that the nodes lie on
+        self._on = on  # simplices of a strip, and the number of each node's
         self._set_flags(taut, lifted)
 
     def _set_flags(self, taut: Booleans, lifted: Booleans) -> None:
@@ -70,7 +68,7 @@ class NodeTable:
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable], known: NodeTable | None = None) -> NodeTable:
-        """The nodes that cables have; what a known table has of them is taken over."""
+        """Table of the cables' nodes; unchanged parts are taken from a known table."""
         nodes = [cable.nodes for cable in cables]
         taut = np.array([cable.taut for cable in cables], dtype=bool)
         lifted = np.concatenate([taut[:0], *(cable.lifted for cable in cables)])
@@ -90,18 +88,18 @@ class NodeTable:
         return cls(nodes, rows, taut, lifted)
 
     def on(self, simplices: Simplices) -> Integers:
-        """Numbers of what the nodes lie on, (n,); -1 for anchors."""
+        """Numbers of the nodes' simplices, (n,); -1 for anchors."""
         if self._on is None or self._on[0] is not simplices:
             self._on = simplices, simplices.find(self.support)
         return self._on[1]
 
     def ids(self, rows: Integers) -> list[NodeId]:
-        """Numbers of the cable and of the node for some rows."""
+        """Cable and node numbers of some rows."""
         return list(zip(map(int, self.cable[rows]), map(int, self.place[rows]), strict=True))
 
 
 def node_rows(nodes: Iterable[Sequence[CableNode]]) -> npt.NDArray[np.void]:
-    """The rows of `NodeTable`, by loops over nodes."""
+    """Rows of `NodeTable`, in a loop over nodes."""
     every = list(chain.from_iterable(nodes))
     rows, points = np.zeros(len(every), dtype=NODE), [node.point for node in every]
     supports = [() if point is None else point.support for point in points]
@@ -117,17 +115,17 @@ def node_rows(nodes: Iterable[Sequence[CableNode]]) -> npt.NDArray[np.void]:
 
 
 def positions_of(cables: Sequence[LaidCable]) -> Array:
-    """Where the nodes of cables are in space, (n, 3) (length)."""
+    """Positions of the cables' nodes, (n, 3) (length)."""
     return np.concatenate([np.zeros((0, 3)), *(cable.positions for cable in cables)])
 
 
 def fractions_of(cables: Sequence[LaidCable]) -> Array:
-    """Where the nodes of cables are on their edges, (n,)."""
+    """Fractions of the cables' nodes on their edges, (n,)."""
     return np.concatenate([np.zeros(0), *(cable.fractions for cable in cables)])
 
 
 class PointsOnEdges:
-    """Chosen points of cables in tension on each edge, as arrays."""
+    """Chosen points of taut cables on each edge, as arrays."""
 
     def __init__(
         self, table: NodeTable, chosen: Booleans, on: Integers, fractions: Array, size: int
@@ -136,20 +134,20 @@ class PointsOnEdges:
         edges, first, inverse = np.unique(on[nodes], return_index=True, return_inverse=True)
         nodes, edge = nodes[chosen[nodes]], inverse[chosen[nodes]]
         order = np.lexsort((nodes, fractions[nodes], first[edge]))
-        # rows of the points, edge after edge, each from its first vertex to its last
+        # rows of the points, edge by edge, each from its first vertex to its last
         self.nodes, edge = nodes[order], edges[edge[order]]
         begins = np.flatnonzero(np.diff(edge, prepend=-1))
         self.edges = edge[begins]  # numbers of the edges with points
-        # (size,) where the points of each simplex begin, and how many there are
+        # (size,) first point of each simplex, and number of points
         self.starts, self.counts = np.zeros(size, dtype=np.int64), np.bincount(edge, minlength=size)
         self.starts[self.edges] = begins
-        # (nodes,) place of each along its edge, from 0; -1 for all other nodes
+        # (nodes,) index along the edge, from 0; -1 for all other nodes
         self.place = np.full(len(on), -1)
         self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
 
 
 def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
-    """Numbers of a cable's nodes on edges, crossings not counted, and these edges."""
+    """Numbers of a cable's nodes on edges, without crossings, and these edges."""
     for k, node in enumerate(nodes):
         if isinstance(node.point, EdgePoint) and node.kind != "crossing":
             yield k, node.point.edge

@@ -1,8 +1,7 @@
-"""Clamps of limited grip: cables that slip through them.
+"""Clamps of limited grip, through which cables slip.
 
-A cable of m clamps is a chain of m + 1 parts (`crms_fenicsx.energies.capstan_chain`), and each
-clamp a node at which dry friction holds it with a given bound, its grip. The unstressed arc at rest
-there is that at clamping, or to which it has slipped since.
+A cable with m clamps is a chain of m + 1 parts (`crms_fenicsx.energies.capstan_chain`), with dry
+friction bounded by the grip at each clamp. The rest arc is that at clamping or after the last slip.
 """
 
 from __future__ import annotations
@@ -20,16 +19,14 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, floats, ints, pointers
 
 TOLERANCE = 1e-3
-"""Elastic slip at a clamp, relative to what its grip stretches the part beside it by."""
+"""Elastic slip at a clamp, relative to the elongation of the adjacent part under its grip."""
 
 CLAMP_SLIP = 1e-6
-"""Elastic slip at a clamp without a limit, on a cable with friction along its axis, relative to the
-cable's length."""
+"""Elastic slip at a clamp of unlimited grip, with axial friction, relative to the cable length."""
 
 
 def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
-    """Forces that clamps hold (m,), and elastic slips at which they do (m,) (length). Those that
-    hold whatever comes are as stiff as others that hold its axial stiffness."""
+    """Grips (m,) and elastic slips (m,) (length) of clamps; unlimited grips are EA."""
     assert cable.parts is not None
     EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.parts.at, 1.0])
     bounds = np.where(cable.parts.grips > 0.0, np.minimum(cable.parts.grips, EA), EA)
@@ -37,15 +34,15 @@ def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
 
 
 def held_by_clamps(cable: LaidCable) -> tuple[Array, Array]:
-    """The same of a cable with friction along its axis, in which those that hold whatever comes do
-    so at a smaller elastic slip: no span between its nodes is as long as a part."""
+    """The same for a cable with axial friction: unlimited grips get a smaller elastic slip, since
+    spans between its nodes are shorter than parts."""
     assert cable.parts is not None
     bounds, eps = bounds_and_slips(cable)
     return bounds, np.where(cable.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
 
 
 def smallest_slip(cables: Sequence[LaidCable]) -> float:
-    """The smallest elastic slip of clamps through which cables may slip (length)."""
+    """Smallest elastic slip of clamps through which cables may slip (length)."""
     own = [bounds_and_slips(cable)[1] for cable in cables if cable.taut and cable.may_slip]
     return float(np.concatenate([[np.inf], *own]).min())
 
@@ -53,7 +50,7 @@ def smallest_slip(cables: Sequence[LaidCable]) -> float:
 def slipping_tension(
     numbering: CableNumbering, tables: CableTables, cables: Sequence[LaidCable]
 ) -> CapstanTension:
-    """The term of cables that can slip through clamps."""
+    """Tension term of cables that may slip through clamps."""
     numbers = [numbering.cables.index(cable) for cable in cables]
     counts = np.array([len(cable.part_lengths) for cable in cables], dtype=np.int64)
     starts = pointers(counts).astype(np.int64)
@@ -73,12 +70,12 @@ def slipping_tension(
 
 
 def whole_lengths(cables: Sequence[LaidCable]) -> Array:
-    """Unstressed lengths with what smoothing adds (length)."""
+    """Unstressed lengths including smoothing (length)."""
     return np.array([cable.L0 + float(c.smoothing.sum()) for cable in cables if (c := cable.parts)])
 
 
 def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
-    """What holds such cables at their clamps."""
+    """Grips of such cables at their clamps."""
     rows: list[Array] = [np.zeros((4, 0))]
     for cable in cables:
         parts = cable.parts
@@ -91,7 +88,7 @@ def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
 
 
 def end_step(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
-    """End a load step: clamps hold what has slipped where it is. Returns them."""
+    """End a load step: clamps adopt the slipped positions. Returns the clamps."""
     moved: dict[tuple[str, float], float] = {}
     for cable in cables:
         parts = cable.parts

@@ -1,7 +1,7 @@
-"""The strip of cells around the cables, gathered on all ranks, with its simplices by number.
+"""The strip of cells around the cables, gathered on all ranks, with numbered simplices.
 
-Its size is that of the cables, not of the mesh: each rank selects among its own cells, and only
-those are gathered. It grows as cables slide.
+Its size scales with the cables, not the mesh: each rank selects among its own cells, and only the
+selection is gathered. It grows as cables slide.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from crms_fenicsx.surface.points import Edge
 from crms_fenicsx.surface.trace import near_section
 
 _CORNERS = np.array([[1, 0, 0], [2, 0, 0], [3, 0, 0], [1, 2, 0], [1, 3, 0], [2, 3, 0], [1, 2, 3]])
-"""Corners, counted from 1, of the vertices and edges of a cell, and of the cell itself."""
+"""Corners, counted from 1, of the vertices and edges of a cell and of the cell itself."""
 
 
 class Simplices:
@@ -37,19 +37,19 @@ class Simplices:
         corners = np.concatenate([np.zeros((len(cells), 1), dtype=np.int64), corners], axis=1)
         keys: Integers = self._keys(corners[:, _CORNERS] - 1).ravel()
         order = np.argsort(keys, kind="stable")
-        self.rows = order // len(_CORNERS)  # cells around the simplices, ascending for each
+        self.rows = order // len(_CORNERS)  # cells around each simplex, ascending
         keys = keys[order]
         first = np.flatnonzero(np.diff(keys, prepend=-1))
         self.pointers = np.append(first, len(keys))
         self.keys = keys[first]
         base = len(self.vertices) + 1
         rest, c = np.divmod(self.keys, base)
-        # (m, 3) rows of `vertices` on which a simplex lies, ascending; -1 after the last one
+        # (m, 3) rows of `vertices` that span each simplex, ascending, padded with -1
         self.corners = np.stack([*np.divmod(rest, base), c], axis=1) - 1
         owners = owner[self.rows]
-        # (m,) the rank that owns what lies on a simplex: the lowest one with a cell there
+        # (m,) owner of points on each simplex: the lowest rank with a cell there
         self.owner = np.minimum.reduceat(owners, first) if len(first) else owners
-        # (n, 3) the edge from each corner of a cell to the next, and whether it leads there
+        # (n, 3) edge from each corner of a cell to the next, and whether it points that way
         ends = np.stack([self.cells, np.roll(self.cells, -1, axis=1)], axis=2)
         self.forward: Booleans = ends[..., 0] < ends[..., 1]
         none = np.full((*ends.shape[:2], 1), -1)
@@ -57,13 +57,13 @@ class Simplices:
         self.sides = np.searchsorted(self.keys, self._keys(edges))
 
     def _keys(self, corners: Integers) -> Integers:
-        """One number for each simplex (..., 3), given as `corners`."""
+        """Unique key of each simplex (..., 3), given as `corners`."""
         base = len(self.vertices) + 1
         keys: Integers = np.dot(corners + 1, [base**2, base, 1])
         return keys
 
     def find(self, supports: Integers) -> Integers:
-        """Numbers of simplices given by vertex ids (k, 3), ascending and then -1; -1 for others."""
+        """Numbers of simplices by vertex ids (k, 3), ascending, padded with -1; -1 if absent."""
         if len(self.keys) == 0:
             return np.full(len(supports), -1)
         corners = np.minimum(np.searchsorted(self.vertices, supports), len(self.vertices) - 1)
@@ -73,25 +73,24 @@ class Simplices:
         return np.where(here & (self.keys[found] == keys), found, -1)
 
     def spanned(self, first: Integers, second: Integers) -> Integers:
-        """Numbers of the simplices that the vertices of two others (k,) make together; -1: none,
-        or one of the two is none."""
+        """Numbers (k,) of simplices spanned by the vertices of two others; -1 if there is none."""
         found: Integers = _spanned(self.corners, self.keys, len(self.vertices) + 1, first, second)
         return found
 
     def around(self, simplices: Integers) -> tuple[Integers, Integers]:
-        """How many cells there are around each of some simplices (k,), and their rows."""
+        """Number of cells around each of some simplices (k,), and their rows."""
         first, counts = self.pointers[simplices], np.diff(self.pointers)[simplices]
         return counts, self.rows[runs(first, counts)]
 
     def touch(self, cells: Booleans) -> Booleans:
-        """Whether there are some of the chosen cells (n,) around the simplices, (m,)."""
+        """Whether each simplex (m,) belongs to any of the chosen cells (n,)."""
         chosen = cells[self.rows]
         return np.logical_or.reduceat(chosen, self.pointers[:-1]) if len(chosen) else chosen
 
 
 @numba.njit(cache=True)
 def _spanned(corners, keys, base, first, second):  # type: ignore[no-untyped-def]
-    """As `Simplices.spanned`."""
+    """`Simplices.spanned` with explicit arrays."""
     found = np.full(len(first), -1)
     for n in range(len(first)):
         if first[n] < 0 or second[n] < 0:
@@ -115,8 +114,8 @@ def _spanned(corners, keys, base, first, second):  # type: ignore[no-untyped-def
 
 
 class CellsAround(dict[tuple[int, ...], list[int]]):
-    """Rows, ascending, of the cells around a vertex (a,), an edge (a, b) or a cell (a, b, c), in
-    any order, also repeated: those asked for so far. `some` (k,): rows of the cells that count."""
+    """Cache of rows, ascending, of the cells around a vertex (a,), an edge (a, b) or a cell (a, b,
+    c), vertices in any order or repeated. `some` (k,): rows of the cells considered."""
 
     def __init__(
         self, cells: Integers, corners: list[list[int]], some: Integers | None = None
@@ -141,16 +140,16 @@ class CellsAround(dict[tuple[int, ...], list[int]]):
 
 @dataclass(frozen=True)
 class Strip:
-    """Cells with the ids of their vertices, their owners and their numbers there."""
+    """Cells with vertex ids, owners and local numbers."""
 
-    # (n, 3) vertex ids (numbers in the mesh as it was given), each cell's in its own order; the
-    # cells as `ascending` orders them, so that sums over cells round alike on any number of ranks
+    # (n, 3) vertex ids (numbers in the given mesh), in each cell's own order; cells in the order of
+    # `ascending`, so that sums over cells round alike for any number of ranks
     cells: Integers
     owner: Integers  # (n,) owning rank
-    local: Integers  # (n,) the cell's local number on it
-    complete: frozenset[int] = frozenset()  # ids of the vertices all of whose cells are here
+    local: Integers  # (n,) local number on its owner
+    complete: frozenset[int] = frozenset()  # vertices with all their cells in the strip
     held_edges: frozenset[Edge] = frozenset()  # held over their whole length
-    # cells (a, b, c), a < b < c, behind a seam, where cables fold them but do not lie on them
+    # cells (a, b, c), a < b < c, behind a seam, which cables fold but do not lie on
     hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property
@@ -159,35 +158,35 @@ class Strip:
 
     @cached_property
     def _outer_around(self) -> CellsAround:
-        """`_around`, without the cells behind seams."""
+        """`_around` without cells behind seams."""
         if not self.hidden:
             return self._around
         return CellsAround(self.cells, self.corners, np.flatnonzero(self.is_outer))
 
     @cached_property
     def outer_cells(self) -> Integers:
-        """`cells`, without those behind seams, (n, 3)."""
+        """`cells` without those behind seams, (n, 3)."""
         return self.cells[self.is_outer] if self.hidden else self.cells
 
     @cached_property
     def is_outer(self) -> Booleans:
-        """Which cells are not behind seams, (n,)."""
+        """Whether each cell is not behind a seam, (n,)."""
         outer = [tuple(sorted(cell)) not in self.hidden for cell in self.corners]
         return np.array(outer, dtype=bool)
 
     @cached_property
     def simplices(self) -> Simplices:
-        """The vertices, edges and cells by number, with the cells around them."""
+        """Numbered vertices, edges and cells, with the cells around them."""
         return Simplices(self.cells, self.owner)
 
     @cached_property
     def corners(self) -> list[list[int]]:
-        """`cells` as lists of numbers, which loops read faster."""
+        """`cells` as lists, which loops read faster."""
         return lists(self.cells)
 
     @cached_property
     def owners(self) -> list[int]:
-        """`owner` as a list of numbers."""
+        """`owner` as a list."""
         return ints(self.owner)
 
     @cached_property
@@ -197,26 +196,26 @@ class Strip:
 
     @cached_property
     def givers(self) -> Integers:
-        """Where each of `vertices` is in the flat `cells`: in a cell of the lowest rank, (k,)."""
+        """Index of each of `vertices` in the flat `cells`, in a cell of the lowest rank, (k,)."""
         order = np.argsort(np.repeat(self.owner, 3), kind="stable")
         _, first = np.unique(self.cells.ravel()[order], return_index=True)
         return order[first]
 
     @cached_property
     def row_of(self) -> dict[int, int]:
-        """Place of each vertex in `vertices`."""
+        """Row of each vertex id in `vertices`."""
         return {vertex: row for row, vertex in enumerate(ints(self.vertices))}
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
-        """Rows of the cells that hold all these vertices."""
+        """Rows of the cells with all these vertices."""
         return self._around[vertices]
 
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
-        """Rows of the cells that hold all these vertices and that cables can lie on."""
+        """Rows of the cells with all these vertices on which cables can lie."""
         return self._outer_around[vertices]
 
     def merged(self, other: Strip) -> Strip:
-        """Cells of both."""
+        """Union of two strips."""
         cells = np.concatenate([self.cells, other.cells])
         rows = ascending(cells)
         repeated = (np.diff(np.sort(cells[rows], axis=1), axis=0) == 0).all(axis=1)
@@ -232,7 +231,7 @@ class Strip:
 
 
 def ascending(cells: Integers) -> Integers:
-    """Rows of the cells (n, 3) by their lowest vertex ids, then by their middle ones, and so on."""
+    """Rows that sort cells (n, 3) by their lowest, middle, then highest vertex id."""
     low, middle, high = np.sort(cells, axis=1).T
     return np.lexsort((high, middle, low))
 
@@ -243,8 +242,8 @@ EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) 
 def cells_at(
     membrane: Membrane, vertices: npt.ArrayLike, held_edges: Booleans | None = None
 ) -> Strip:
-    """The cells around some vertices (ids, the same on all ranks), with the held edges of the
-    membrane or of a state that it is not in yet. Collective."""
+    """Cells around vertices (ids, the same on all ranks), with the membrane's held edges or the
+    given ones of a state to come. Collective."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     ids = _own_cells(membrane)
     chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
@@ -253,7 +252,7 @@ def cells_at(
 
 
 def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
-    """A strip with rings of cells around some vertices (ids, the same on all ranks). Collective."""
+    """Strip extended by rings of cells around vertices (ids, the same on all ranks). Collective."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     for _ in range(rings):
         lacking = [int(v) for v in wanted if int(v) not in strip.complete]
@@ -264,8 +263,8 @@ def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int 
 
 
 def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
-    """The cells, none behind a seam, that tracing a route on the current shape needs, or those
-    along its legs, which are enough for most routes. Collective."""
+    """Cells not behind seams that tracing a route on the current shape needs, or only those along
+    its legs, which suffice for most routes. Collective."""
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
     near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
@@ -279,7 +278,7 @@ def whole(membrane: Membrane) -> Strip:
 
 
 def own_surface(membrane: Membrane) -> tuple[Array, Integers]:
-    """Current positions (k, 3), and rows of them for the corners of this rank's cells, (n, 3)."""
+    """Current positions (k, 3), and their rows for the corners of this rank's cells, (n, 3)."""
     mesh = membrane.mesh.mesh
     owned = mesh.topology.index_map(2).size_local
     nodes = np.asarray(geometry_dofmap(mesh)[:owned], dtype=np.int64)
@@ -297,7 +296,7 @@ def _own_cells(membrane: Membrane) -> Integers:
 def _gathered(
     membrane: Membrane, ids: Integers, chosen: Integers, held_edges: Booleans | None = None
 ) -> Strip:
-    """Chosen cells of all ranks."""
+    """Gather the chosen cells of all ranks."""
     held = membrane.held_edges if held_edges is None else held_edges
     edges = membrane.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
     cell, k = np.nonzero(held[edges])  # edge k lies opposite to vertex k
@@ -316,7 +315,7 @@ def _gathered(
 
 
 class StripShape:
-    """Positions (k, 3), current and stress-free (length), of a strip's vertices, on all ranks."""
+    """Current and stress-free positions (k, 3) (length) of a strip's vertices, on all ranks."""
 
     def __init__(self, strip: Strip, current: Array, stress_free: Array) -> None:
         self.strip, self.current, self.stress_free = strip, current, stress_free
@@ -336,46 +335,46 @@ class StripShape:
 
     @cached_property
     def places(self) -> dict[int, tuple[float, float, float]]:
-        """Current positions of all vertices, by id, which loops read faster."""
+        """Current positions by vertex id, which loops read faster."""
         rows = zip(ints(self.strip.vertices), *map(floats, vectors(self.current.T)), strict=True)
         return {vertex: (x, y, z) for vertex, x, y, z in rows}
 
     def at(self, vertex: int) -> Array:
-        """Current position of a vertex, by id, (3,)."""
+        """Current position (3,) of a vertex id."""
         return self.current[self.strip.row_of[vertex]]
 
     def mean(self, vertices: Sequence[int], weights: Sequence[float]) -> Array:
-        """Current position of a place given by weights of vertices (ids), (3,)."""
+        """Current position (3,) interpolated from vertex ids and weights."""
         return np.asarray(np.dot(weights, [self.at(vertex) for vertex in vertices]))
 
     @cached_property
     def normals(self) -> Array:
-        """Current normals of the cells, twice as long as their areas, (n, 3)."""
+        """Current cell normals of twice the cell area, (n, 3)."""
         return double_areas(self.current[self.strip.simplices.cells])
 
     @cached_property
     def stress_free_normals(self) -> Array:
-        """Stress-free normals of the cells, twice as long as their areas, (n, 3)."""
+        """Stress-free cell normals of twice the cell area, (n, 3)."""
         return double_areas(self.stress_free[self.strip.simplices.cells])
 
     def stress_free_size(self, support: tuple[int, ...]) -> float:
-        """Size of the stress-free cells around a vertex or an edge (length)."""
+        """Stress-free cell size around a vertex or an edge (length)."""
         around = self.stress_free_normals[self.strip.outer_rows(support)]
         return float(np.linalg.norm(around, axis=1).mean() ** 0.5)
 
     def stress_free_at(self, vertex: int) -> Array:
-        """Stress-free position of a vertex, by id, (3,)."""
+        """Stress-free position (3,) of a vertex id."""
         return self.stress_free[self.strip.row_of[vertex]]
 
     def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
         """Current unit normals (m, 3) at vertices, edges or cells, and sizes (m,): square roots of
-        twice the mean areas of the cells around (length)."""
+        twice the mean area of the cells around (length)."""
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
         return self._means(counts, np.fromiter(chain.from_iterable(around), np.int64))
 
     def around(self, simplices: Integers) -> tuple[Array, Array]:
-        """The same of simplices by number, (m,)."""
+        """The same for simplices given by number, (m,)."""
         counts, rows = self.strip.simplices.around(simplices)
         if self.strip.hidden:
             outer = self.strip.is_outer[rows]
@@ -384,7 +383,7 @@ class StripShape:
         return self._means(counts, rows)
 
     def _means(self, counts: Integers, rows: Integers) -> tuple[Array, Array]:
-        """Of lists of cells, one after the other."""
+        """Normals and sizes for consecutive lists of cells."""
         normals, first = self.normals[rows], np.cumsum(counts) - counts
         totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)

@@ -1,7 +1,7 @@
-"""What is active in one solve: cables in tension, contacts, crossings.
+"""Active set of a solve: cables in tension, contacts, crossings.
 
-All this is decided from a solved state, and the solve repeated until nothing changes. Everything
-may change back and forth only a few times in a solve, so that it ends.
+It is updated from a solved state, and the solve repeated until nothing changes. Each member may
+change back and forth only a few times in a solve, so that it terminates.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from crms_fenicsx.surface.points import Edge, EdgePoint, Support
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
-    """Numbers of the crossings at which the upper cable pulls the lower one up."""
+    """Numbers of the crossings where the upper cable pulls the lower one up."""
     nodes = lines.nodes
     at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
     upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
@@ -49,7 +49,7 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
 
 
 def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
-    """Numbers of the crossings whose cables have parted and would run through each other."""
+    """Numbers of the separated crossings whose cables would penetrate each other."""
     apart = [number for number, crossing in enumerate(crossings) if crossing.separated]
     pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]
     cables = np.array(pairs, dtype=np.int64).reshape(-1, 2)
@@ -67,43 +67,43 @@ def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
-"""A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
+"""A cable and its place on the mesh, or the upper and lower of two crossing cables."""
 
 MAX_SWITCHES = 6
-"""How often each cable may turn from slack to taut or back in one solve."""
+"""Switches between slack and taut allowed for each cable in one solve."""
 
 
 class ContactMemory(Protocol):
-    """What is known of the contacts in the last load step."""
+    """Contact history of the last load step."""
 
-    # released, settled: where contacts have been released, and where they then stay closed however
-    # the cable pulls
+    # released, settled: released contacts; those that then stay closed however the cable pulls
     released: set[ContactKey]
     settled: set[ContactKey]
 
     def has_rested(self, cable: LaidCable) -> bool:
-        """Return whether a cable is as the last load step has found it."""
+        """Return whether a cable has not moved since the last load step."""
 
 
 class ActiveSet:
-    """Decides what is active in one solve."""
+    """Updates the active set of one solve."""
 
     def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
         self.net, self._memory = net, memory
         self._switches: Counter[str] = Counter()
         self._tried: set[str] = set()
-        """Cables that have been tried in tension."""
+        """Cables already tried in tension."""
         self._first_look = True
         self._released, self._settled = (
             (set(), set()) if memory is None else (memory.released, memory.settled)
         )
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; say which. Collective."""
+        """Switch cables between slack and taut for their current lengths; return the changes in
+        words. Collective."""
         return self._switch(self.net.strip_shape(), solved=False)
 
     def update(self) -> list[str]:
-        """Switch what a solved state asks for; say what, in words. Collective."""
+        """Update the active set from a solved state and return the changes in words. Collective."""
         if self._first_look:
             self._forget()
         shape = self.net.strip_shape()
@@ -113,29 +113,28 @@ class ActiveSet:
         return changes
 
     def _forget(self) -> None:
-        """Forget where cables were let go and touched, but not those that have not moved since.
-        What has settled in the state that is there would settle again."""
+        """Forget the contact history of cables that have moved; other contacts would recur."""
         self._first_look = False
         moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
         for keys in (self._released, self._settled):
             keys -= {key for key in keys if not moved.isdisjoint(key)}
 
     def _rested(self, cable: LaidCable) -> bool:
-        """Whether a cable is as the last load step has found it."""
+        """Whether a cable has not moved since the last load step."""
         return self._memory is not None and self._memory.has_rested(cable)
 
     def restless(self) -> str:
-        """A cable that keeps turning from slack to taut and back; empty if there is none."""
+        """Name of a cable that keeps switching between slack and taut; "" if none does."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 
     def _switch(self, shape: StripShape, solved: bool) -> list[str]:
         """Tighten slack cables that have become too short for their paths, slacken others.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
-        that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
-        stays so on folded ones, which is tried once in each solve. One that is in tension, but on
-        flat cells would be slack, is let go first, so that the way there does not matter;
-        not with axial friction, where the way does.
+        that it has folded and that bulge. It counts as taut if it is nearly tight on flat cells and
+        remains tight on folded ones, which is tried once per solve. A taut cable that would be
+        slack on flat cells is released first, so that the result does not depend on the load path;
+        not with axial friction, which is path-dependent.
         """
         changes: list[str] = []
         lines = Polylines(self.net.nodes, positions_of(self.net.cables))
@@ -159,14 +158,14 @@ class ActiveSet:
                 continue
             if taut or not tight:
                 self._tried.add(cable.name)
-            # One that slackens gets its folds back from the straight way.
+            # A cable that slackens recovers its folds from the straight path.
             cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
             self._switches[cable.name] += 1
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
         return changes
 
     def _contacts(self, shape: StripShape) -> list[str]:
-        """Let cables in tension go where they pull the membrane, and touch where they are in it."""
+        """Release taut cables where they pull the membrane; close contacts that penetrate."""
         net, nodes = self.net, self.net.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
         may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
@@ -188,7 +187,7 @@ class ActiveSet:
         shape: StripShape,
         on_edges: Mapping[Edge, Sequence[NodeId]],
     ) -> list[str]:
-        """Let a cable go where it is to be released, and let it touch under its spans."""
+        """Release a cable at some nodes, and let it touch down under its spans."""
 
         def key(k: int) -> ContactKey:
             return cable.name, cable.nodes[k].support
@@ -214,7 +213,7 @@ class ActiveSet:
     def _bends(
         self, cable: LaidCable, on_edges: Mapping[Edge, Sequence[NodeId]]
     ) -> dict[Edge, list[Array]]:
-        """Points of other cables on the edges over which one is lifted off, in order, (3,)."""
+        """Points (3,) of other cables, in order, on the edges below a cable's lifted nodes."""
         cables, found = self.net.cables, {}
         for node in (cable.nodes[k] for k in np.flatnonzero(cable.lifted)):
             if isinstance(node.point, EdgePoint):
@@ -226,7 +225,7 @@ class ActiveSet:
         return found
 
     def _on_edges_under_spans(self, nodes: NodeTable, on: Integers) -> dict[Edge, Sequence[NodeId]]:
-        """Nodes of cables in tension on each edge over which one is lifted off, lifted ones too."""
+        """Nodes of taut cables, lifted ones too, on each edge below a lifted node."""
         edge = nodes.taut & (nodes.size == 2) & (nodes.kind != CROSSING)
         rows = np.flatnonzero(edge & np.isin(on, on[edge & nodes.lifted]))
         found: dict[Edge, list[NodeId]] = defaultdict(list)
@@ -235,7 +234,7 @@ class ActiveSet:
         return dict(found)
 
     def _clamped(self, nodes: NodeTable) -> Booleans:
-        """Which nodes clamps hold to others, (n,): those lift off together, or not at all."""
+        """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
             if cable.parts is not None:
@@ -243,7 +242,7 @@ class ActiveSet:
         return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:
-        """Which nodes lie on vertices that a cable on top of theirs touches too, (n,)."""
+        """Whether each node lies on a vertex that a higher cable touches too, (n,)."""
         covered = np.zeros(len(nodes.kind), dtype=bool)
         rows = np.flatnonzero((nodes.size == 1) & nodes.taut)
         layers = [(self.net.cables[c].layer, c) for c in ints(nodes.cable[rows])]
@@ -265,7 +264,7 @@ class ActiveSet:
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
-            # Not by place: a crossing may come back in another cell than that where it was left.
+            # Key without place: a crossing may return in another cell than where it was separated.
             if number in pulled and names not in self._settled:
                 crossings[number] = replace(crossing, separated=True)
                 self._released.add(names)

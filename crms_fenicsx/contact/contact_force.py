@@ -1,14 +1,13 @@
 """Equivalent contact force of a cable on the membrane (section 3.2), also per length.
 
-The paper takes it from the turning angle theta of the cable at a sliding node,
+The paper computes it from the turning angle theta of the cable at a sliding node,
 
     N = 2 T sin(theta/2) inside the membrane,   N = T tan(theta/2) at its boundary   (3.2-1, 2).
 
-A cable that is held back by friction also turns sideways, and this turn does not press. By default
-only the part of the force along the membrane's normal counts. Fold points come irregularly, some
-close together, and their forces with them; what converges is the force per length of cable. So it
-is summed up along the cable, smoothed over a few cells, and each node gets the part that belongs
-to its stretch of cable.
+A cable restrained by friction also turns sideways, which exerts no pressure. By default only the
+component along the membrane's normal counts. Fold points, and so their forces, are irregularly
+spaced; what converges is the force per length of cable. So forces are integrated along the cable,
+smoothed over a few cells, and each node gets the share of its stretch of cable.
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.surface.points import EdgePoint, Support, VertexPoint
 
 ACROSS = 0.05
-"""Sine of the least angle between a cable and an edge at which the two span a plane."""
+"""Sine of the smallest angle between cable and edge for which their cross product is the normal."""
 
 
 @dataclass(frozen=True, repr=False)
 class ContactForces:
-    """What a cable in tension does to the membrane at its nodes; zero where it does not touch it.
+    """Forces of a cable in tension on the membrane at its nodes; zero off the membrane.
 
     Attributes
     ----------
     normal, lateral : (n,)
-        Force along the outward normal of the membrane, positive if the cable presses, and sideways
-        in the surface, positive to the left seen from outside (force).
+        Force along the outward normal of the membrane, positive if the cable presses, and lateral
+        force in the surface, positive to the left seen from outside (force).
     bearing : (n,)
-        Part of the smoothed normal force that belongs to each node's stretch of cable (force).
+        Share of the smoothed normal force of each node's stretch of cable (force).
     line : (n,)
         Smoothed normal force per length of cable (force per length); NaN off the membrane.
     """
@@ -52,17 +51,17 @@ class ContactForces:
     line: Array
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         points = counted(len(self.normal), "point")
         return f"ContactForces({points}, {span(self.line)} per length)"
 
     def at(self, nodes: Sequence[int]) -> ContactForces:
-        """Those at some of the nodes."""
+        """Contact forces at some nodes."""
         return ContactForces(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
 
 def held_nodes(cable: LaidCable) -> list[int]:
-    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
+    """Nodes where friction may act: contacts with the membrane between the cable's ends."""
     return [
         k
         for k in cable.contacts()
@@ -71,7 +70,7 @@ def held_nodes(cable: LaidCable) -> list[int]:
 
 
 def supports_of(cable: LaidCable) -> Sequence[Support]:
-    """Places on the mesh of the nodes that friction may hold."""
+    """Supports on the mesh of the nodes where friction may act."""
     return [cable.nodes[k].support for k in held_nodes(cable)]
 
 
@@ -79,10 +78,9 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     """Contact forces of a cable in its current shape, with its current tension.
 
     With e the direction of the edge at a node, t1 and t2 those of the cable before and after, and t
-    their mean, ``normal = -(T2 t2 - T1 t1) . n`` with n = e x t to the outside; the tensions T1 and
-    T2 differ where friction along the cable holds it. Where cables cross, the upper one presses on
-    the lower and not on the membrane: what the lower hands on is in its own forces beside the
-    crossing.
+    their mean, ``normal = -(T2 t2 - T1 t1) . n`` with n = e x t outward; the tensions T1 and T2
+    differ with axial friction. At a crossing the upper cable presses on the lower one, not on the
+    membrane; the lower one transfers that force beside the crossing.
     """
     n = len(cable.nodes)
     normal, lateral, bearing = np.zeros((3, n))
@@ -101,10 +99,9 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 
 
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
-    """Angle by which the cable wraps what it presses on at each node, (n,). On the membrane it is
-    the turn that the normal contact force comes from, without the turn sideways, and smoothed like
-    that force; zero where the membrane would be pulled. A pocket also holds the cable sideways, and
-    there the whole turn counts."""
+    """Wrap angle of the cable at each node, (n,). On the membrane it is the turn in the normal
+    direction, smoothed like the normal force; zero where the cable would pull the membrane. A
+    pocket also guides the cable sideways: there the whole turn counts."""
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
     ways = [up, left] if cable.keeps_line else [up]
@@ -126,9 +123,8 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
 
 
 def paper_forces(cable: LaidCable) -> Array:
-    """Equivalent contact force of the paper at each node, (n,) (force). Equations (3.2-1) inside
-    the membrane and (3.2-2) next to an anchor, at its boundary; both are zero at zero angle, and
-    stay finite up to pi and just below it."""
+    """Equivalent contact force of the paper at each node, (n,) (force): (3.2-1) inside the
+    membrane, (3.2-2) next to an anchor; zero at zero angle and finite up to, or just below, pi."""
     forces = np.zeros(len(cable.nodes))
     if not cable.taut:
         return forces
@@ -136,8 +132,7 @@ def paper_forces(cable: LaidCable) -> Array:
     for k, (before, after) in turns(cable).items():
         if cable.nodes[k].kind == "crossing":
             continue
-        # |t2 - t1| = 2 sin(theta/2) and |t2 + t1| = 2 cos(theta/2): no angle, and no division by
-        # the sine.
+        # |t2 - t1| = 2 sin(theta/2) and |t2 + t1| = 2 cos(theta/2) avoid the angle and its sine.
         sine = float(np.linalg.norm(after - before)) / 2
         cosine = float(np.linalg.norm(after + before)) / 2
         i = contacts.index(k)
@@ -155,9 +150,8 @@ def forces_at(
     shape: StripShape,
     others: Mapping[int, Array] | None = None,
 ) -> tuple[Array, Array]:
-    """Forces of a cable on the membrane at some of the nodes that it touches, with the pulls (3,)
-    of others that are clamped to it there, by node. Shapes: nodes (m,). Returns normal, lateral
-    (m,): as in `ContactForces` (force)."""
+    """Normal and lateral forces (m,) of a cable on the membrane at `nodes` (m,), as in
+    `ContactForces`, with the forces (3,) by node of `others` that are clamped to it."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -173,21 +167,21 @@ def forces_at(
 
 
 def pull_of(cable: LaidCable, k: int) -> Array:
-    """Force of a cable at a node that it touches, with its tensions before and after it, (3,)."""
+    """Force of a cable at one of its contacts, with its tensions before and after it, (3,)."""
     nodes, before, after = _turns(cable)
     (rows,) = np.nonzero(nodes == k)
     return np.asarray(_pulls(cable, nodes[rows], before[rows], after[rows]).sum(axis=0))
 
 
 def _turns_on_membrane(cable: LaidCable) -> tuple[Integers, Array, Array]:
-    """Nodes that touch the membrane, but the cable's ends, and its directions around, (m, 3)."""
+    """Inner contacts with the membrane, and the cable's directions before and after, (m, 3)."""
     nodes, before, after = _turns(cable)
     on = np.array([cable.nodes[k].kind != "crossing" for k in nodes], dtype=bool)
     return nodes[on], before[on], after[on]
 
 
 def _pulls(cable: LaidCable, nodes: Integers, before: Array, after: Array) -> Array:
-    """Forces of the cable at some nodes, with its directions before and after them, (m, 3)."""
+    """Forces of the cable at nodes, with its directions before and after them, (m, 3)."""
     contacts = cable.contacts()
     first, last = np.zeros((2, len(cable.nodes), 1))
     first[contacts[1:], 0], last[contacts[:-1], 0] = cable.part_tensions, cable.part_tensions
@@ -195,7 +189,7 @@ def _pulls(cable: LaidCable, nodes: Integers, before: Array, after: Array) -> Ar
 
 
 def turns(cable: LaidCable) -> dict[int, tuple[Array, Array]]:
-    """Directions of the cable before and after each node that it touches but its ends."""
+    """Directions of the cable before and after each of its inner contacts."""
     nodes, before, after = _turns(cable)
     return {int(k): (before[i], after[i]) for i, k in enumerate(nodes)}
 
@@ -204,11 +198,11 @@ def _turns(cable: LaidCable) -> tuple[Integers, Array, Array]:
     """The nodes of `turns`, ascending, and the directions, (m, 3) and (m, 3)."""
     contacts = np.array(cable.contacts(), dtype=np.int64)
     steps = np.diff(cable.positions[contacts], axis=0)
-    # Points in one place have no direction between them: the next one has.
+    # Coincident points have no direction between them; the next step has.
     (long,) = np.nonzero(norm(steps))
     ways = steps[long] / norm(steps[long])[:, None]
     inner = np.arange(1, len(contacts) - 1)
-    first = np.searchsorted(long, inner)  # the next long step from there on
+    first = np.searchsorted(long, inner)  # next step of nonzero length
     has = (first > 0) & (first < len(long))
     return contacts[inner[has]], ways[first[has] - 1], ways[first[has]]
 
@@ -217,9 +211,9 @@ def directions(
     cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape, before: Array,
     after: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Outward normals at nodes, square to edge and cable, and directions to the cable's left. At a
-    vertex the normal halves the angle between the two sides of the membrane. Shapes: nodes (m,),
-    before, after (m, 3). Returns (m, 3) unit vectors, and (m, 3)."""
+    """Outward unit normals (m, 3) at `nodes` (m,), perpendicular to edge and cable, and directions
+    (m, 3) to the cable's left; before, after (m, 3). At a vertex the normal bisects the angle
+    between the two sides of the membrane."""
     if len(nodes) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     points = [cable.nodes[k].point for k in nodes]
@@ -246,10 +240,10 @@ def directions(
 def _left_at_vertices(
     vertices: Sequence[int], shape: StripShape, along: Array, left: Array
 ) -> Array:
-    """Directions to the left of a cable at vertices, square to it: means of both sides' surface.
-    Where the membrane on the two sides pulls equally hard, square to the cable, the sum of the two
-    pulls has no part in this direction, whichever cells are there. At the membrane's boundary the
-    direction given is returned. Shapes: vertices (m,), along, left (m, 3)."""
+    """Directions to the left of a cable at vertices, perpendicular to it, averaged over the surface
+    on both sides. If the membrane pulls equally on both sides, perpendicular to the cable, the
+    resultant has no component in this direction, whatever the cells. At the boundary `left` is
+    returned. Shapes: vertices (m,), along, left (m, 3)."""
     strip = shape.strip
     around = [strip.outer_rows((vertex,)) for vertex in vertices]
     of = np.repeat(np.arange(len(vertices)), [len(rows) for rows in around])
@@ -259,7 +253,7 @@ def _left_at_vertices(
     row_of = np.searchsorted(strip.vertices, others)
     sides = shape.current[row_of] - shape.current[np.searchsorted(strip.vertices, centres)]
     sides /= norm(sides)[..., None]
-    # Where the plane square to the cable cuts a cell.
+    # Cells cut by the plane perpendicular to the cable.
     ahead = np.asarray(dot(sides, along[of][:, None]))
     cut = np.where(ahead[:, 0] * ahead[:, 1] <= 0.0, 1.0, 0.0)[:, None]
     ways = cut * (sides[:, 0] * np.abs(ahead[:, 1:]) + sides[:, 1] * np.abs(ahead[:, :1]))
@@ -275,11 +269,11 @@ def _left_at_vertices(
 
 
 def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape) -> Array:
-    """Directions of the edges of sliding nodes: the means of their two halves, (m, 3)."""
+    """Directions of the edges of sliding nodes: means of their two halves, (m, 3)."""
     edges = [point.edge for k in nodes if isinstance(point := cable.nodes[k].point, EdgePoint)]
     ends = shape.current[np.searchsorted(shape.strip.vertices, np.array(edges))]
     x = cable.positions[nodes]
-    # The edge of an edge slider is straight, and the edge slider may lie beyond an end of it.
+    # An edge slider's edge is straight, and the slider may lie beyond its end.
     edge_sliders = np.array([cable.nodes[k].kind == "edge slider" for k in nodes])[:, None]
     halves = np.stack(
         [np.where(edge_sliders, ends[:, 1] - ends[:, 0], x - ends[:, 0]), ends[:, 1] - x]
@@ -291,17 +285,17 @@ def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: St
 
 
 def runs(cable: LaidCable) -> list[list[int]]:
-    """Nodes of each part of a cable that lies on the membrane, crossings not counted."""
+    """Nodes of each part of a cable on the membrane, without crossings."""
     parts = itertools.groupby(cable.path_nodes(), key=lambda k: bool(cable.lifted[k]))
     return [list(part) for lifted, part in parts if not lifted]
 
 
 WIDTH = 2.0
-"""Width of the box filter that is applied twice, in sizes of the cells."""
+"""Width of the box filter, applied twice, in cell sizes."""
 
 
 def stretches(arc: Array) -> Array:
-    """Ends of the stretch of cable that belongs to each node, (n, 2), from arc lengths (n,)."""
+    """Ends of the stretch of cable of each node, (n, 2), from arc lengths (n,)."""
     middles = (arc[1:] + arc[:-1]) / 2
     return np.stack(
         [np.concatenate([arc[:1], middles]), np.concatenate([middles, arc[-1:]])], axis=1
@@ -311,9 +305,9 @@ def stretches(arc: Array) -> Array:
 def smoothed(
     arc: Array, forces: Array, at: Array, width: float, ends: tuple[float, float]
 ) -> Array:
-    """Smoothed forces from the start of their stretch of cable up to some places, (m,). Two boxes
-    make a hat. What it would spread beyond an end is reflected there, so that the sum stays. Shapes
-    and units: arc, forces (n,) (length), at (m,) (length), width (length), ends (length)."""
+    """Smoothed forces accumulated from the start of the stretch up to `at` (m,). Two boxes make a
+    hat filter; its part beyond an end is reflected, which preserves the sum. Shapes and units: arc,
+    forces (n,) (length), at (m,) (length), width (length), ends (length)."""
     start, end = ends
     images = np.concatenate([arc, 2 * start - arc, 2 * end - arc])
 
@@ -329,10 +323,9 @@ def smoothed(
 def smooth_line_load(
     cable: LaidCable, run: list[int], shape: StripShape, normal: Array, bearing: Array, line: Array
 ) -> None:
-    """Fill in `bearing` and `line` for one run of nodes on the membrane."""
+    """Set `bearing` and `line` for one run of nodes on the membrane."""
     bearing[run] = normal[run]
-    # Of the turn at the cable's ends nothing is known, and what presses on an edge of the boundary,
-    # next to an anchor, is no line force.
+    # The turn at a cable's ends is unknown, and the force next to an anchor is no line force.
     rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
     arc = arc_lengths(cable.positions[run])
     own = stretches(arc)[rows]
@@ -360,6 +353,6 @@ def _may_slide(cable: LaidCable, k: int) -> bool:
 
 
 def _beside_anchor(cable: LaidCable, k: int) -> bool:
-    """Whether a node lies next to an anchor, off the membrane or where it is held."""
+    """Whether a node is next to an anchor, off the membrane or at a held place."""
     first, last = (cable.nodes[end].kind == "anchor" for end in (0, -1))
     return (first and k == 1) or (last and k == len(cable.nodes) - 2)

@@ -1,12 +1,10 @@
 """Lift-off and recontact: where a cable touches the membrane, and its gap elsewhere.
 
-A cable lies on the outside of the membrane and can push it in, but not pull it out. Where its two
-parts at a point pull outward together, it is let go there and passes straight above; where the
-straight cable would run below the membrane, it touches down again. The same holds between two
-cables that cross: the upper one cannot pull the lower one up.
+A cable lies on the outside of the membrane and can push, but not pull it. Where its tensions at a
+contact have an outward resultant, the contact is released and the cable passes straight above;
+where it would penetrate the membrane, it touches down again. No upper cable pulls a lower one up.
 
-Points that are let go and touch down again in one solve stay where they touch, so that the set of
-contacts cannot flicker.
+Contacts released and restored in one solve stay closed, which prevents chattering.
 """
 
 from __future__ import annotations
@@ -29,22 +27,21 @@ from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, Support, Ver
 
 
 class Gap(NamedTuple):
-    """The place of the membrane under a free span, at one of the cable's nodes."""
+    """Gap between a free span and the membrane, at one of the cable's nodes."""
 
-    gap: float  # height of the span above it, along the membrane's normal (length)
+    gap: float  # height of the span along the membrane's normal (length)
     fraction: float  # on the edge; NaN at a vertex
-    place: Array  # place, above: (3,) the place, and the point of the span above it
+    place: Array  # place, above: (3,) point of the membrane, and of the span
     above: Array
-    # whether the place is on the edge and the point on the span, both within their ends. A span
-    # that passes a vertex on the other side, just beyond the edge's end, counts as well: paths keep
-    # that far off vertices, so that they need not tell the two sides.
+    # whether both lie within the ends of edge and span, or the span is just beyond an edge's end:
+    # paths keep that far off vertices, so the two sides need not be distinguished.
     inside: bool
-    # the vertex at the edge's end beyond which the span passes, not far off it; -1 if it does not
+    # vertex at the edge's end that the span passes closely on the other side; -1 if none
     past: int = -1
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
-    """Size of the cells around a vertex or an edge (length)."""
+    """Cell size around a vertex or an edge (length)."""
     return float(shape.normals_and_sizes([support])[1][0])
 
 
@@ -55,7 +52,7 @@ def under(
     bends: Sequence[Array] = (),
     reach: float = PAST,
 ) -> Gap:
-    """The place of the membrane on a node's edge or vertex that a free span passes."""
+    """Gap of a free span at a node's edge or vertex."""
     assert node.point is not None
     support = node.point.support
     return _gap(support, span, shape, shape.normal(support), bends, reach)
@@ -69,7 +66,7 @@ def _gap(
     bends: Sequence[Array] = (),
     reach: float = PAST,
 ) -> Gap:
-    """As `under`, given the normal there."""
+    """As `under`, with a given normal."""
     line = [shape.at(support[0])] if len(support) == 1 else [
         shape.at(support[0]), *bends, shape.at(support[-1])
     ]  # fmt: skip
@@ -87,43 +84,43 @@ def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
 
 
 PULL = 1e-6
-"""Outward force, relative to the tension, from which on a cable is let go."""
+"""Outward force, relative to the tension, above which a contact is released."""
 DEPTH = 1e-6
-"""Depth below the membrane, relative to the cells' size, from which on a cable touches down."""
+"""Depth below the membrane, relative to the cell size, at which a cable touches down."""
 NEARLY = 0.05
-"""Height above the membrane, relative to the cells' size, up to which a cable may touch it once it
-has folded it: folds bulge."""
+"""Height above the membrane, relative to the cell size, up to which a cable may touch it once it
+has folded it, as folds bulge."""
 SUNK = 0.02
-"""Depth below the membrane, relative to the cells' size, that is no error of the mesh any more."""
+"""Depth below the membrane, relative to the cell size, that exceeds any discretisation error."""
 
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
-    """Nodes at which a cable may leave the membrane: all but its ends and its crossings."""
+    """Nodes at which a cable may lift off: all but ends and crossings."""
     for k, node in enumerate(cable.nodes[1:-1], start=1):
         if not node.touches_cable:
             yield k
 
 
 def is_foot(cable: LaidCable, k: int) -> bool:
-    """Whether a node only marks the place under an anchor, where no cable can touch."""
+    """Whether a node is only the foot of an anchor, where no cable can touch."""
     nodes = cable.nodes
     in_cell = isinstance(nodes[k].point, CellPoint)
     return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
 
 class Polylines:
-    """Cables in space: the nodes at which they touch the membrane, each other or their anchors."""
+    """Cables as polylines through their contacts with the membrane, each other and anchors."""
 
     def __init__(self, nodes: NodeTable, positions: Array) -> None:
         self.nodes, self.positions = nodes, positions
-        self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of these nodes
-        self._starts = np.searchsorted(self.contacts, nodes.starts)  # where each cable begins
+        self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of the contacts
+        self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
         self._x = positions[self.contacts]
         self._arc = lines.arc_lengths(self._x, self._starts)
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable]) -> Polylines:
-        """Those of some cables."""
+        """The polylines of some cables."""
         return cls(NodeTable.of(cables), positions_of(cables))
 
     @property
@@ -132,7 +129,7 @@ class Polylines:
         return self._arc[self._starts[1:] - 1]
 
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
-        """As `outward_pulls`, of contacts by their rows."""
+        """`outward_pulls` of contacts given by their rows."""
         nodes = self.nodes
         stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0))[self.contacts]
         ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
@@ -140,7 +137,7 @@ class Polylines:
         return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))
 
     def released(self, shape: StripShape, chosen: Booleans) -> Integers:
-        """Rows of those of the chosen nodes (n,) at which cables pull the membrane outward."""
+        """Rows of the chosen nodes (n,) at which cables pull the membrane outward."""
         nodes = self.nodes
         may = chosen & ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
         may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
@@ -151,8 +148,7 @@ class Polylines:
         return on[(self.pulls(on, *around) > PULL) | feet]
 
     def straight_parts(self, cables: Integers, links: Integers) -> Array:
-        """Ends of the straight parts of cables after some nodes, crossings not counted. Shapes:
-        cables, links (m,): numbers of both. Returns (m, 2, 3)."""
+        """Ends (m, 2, 3) of segments of `cables` (m,) after `links` (m,), crossings not counted."""
         nodes, contacts = self.nodes, self.contacts
         own = np.flatnonzero(nodes.kind != CROSSING)
         at = np.searchsorted(own, nodes.starts[cables]) + links
@@ -161,7 +157,7 @@ class Polylines:
         return np.stack([self.positions[first], self.positions[last]], axis=1)
 
     def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
-        """Lengths that the cables would have on cells that they did not fold, (n,) (length)."""
+        """Lengths (n,) of the cables on unfolded cells (length)."""
         nodes, simplices = self.nodes, shape.strip.simplices
         own = self.contacts[nodes.kind[self.contacts] != CROSSING]
         on, weights, s = nodes.on(simplices)[own], nodes.weights[own].copy(), fractions[own]
@@ -174,11 +170,10 @@ class Polylines:
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
-    """Forces of the cable around some of its nodes along the normals, relative to the tension.
-    Points close together, as those around a vertex, share one contact: what counts is the turn of
-    the cable between a distance `reach` before and after the node, but not that at a crossing,
-    where another cable presses. Shapes: nodes (n,), normals (n, 3), reaches (n,). Returns (n,)
-    forces, positive outward; -1 where the cable lies on its anchor, or on another cable."""
+    """Outward force (n,) of the cable at `nodes` (n,) along `normals` (n, 3), relative to the
+    tension; -1 where the cable lies on its anchor or on another cable. Points close together, as
+    around a vertex, share one contact: the turn is taken between the distances `reaches` (n,)
+    before and after the node, excluding that at a crossing, where another cable presses."""
     return Polylines.of([cable]).pulls(np.asarray(nodes, dtype=np.int64), normals, reaches)
 
 
@@ -195,16 +190,15 @@ def captured(
     bends: Mapping[Edge, Sequence[Array]],
     height: float = -DEPTH,
 ) -> dict[int, Gap]:
-    """Nodes at which a free span runs below the membrane, with the places where it touches.
+    """Nodes where a free span penetrates the membrane, with the contact points.
 
-    Or, with a height relative to the cells' size, where it runs less than that above it.
+    With a `height` relative to the cell size: where the span is lower than that.
 
-    Where the path leads around a vertex and the span passes it on the other side, beyond the ends
-    of all the edges that the path crosses there, no edge has the span above or below itself: then
-    it touches near the vertex. The path lies in one plane under the span, and each edge is looked
-    at along its own normal, so that this happens where the membrane is steep.
+    Where the path rounds a vertex that the span passes on the other side, beyond the ends of all
+    path edges there, the span touches near the vertex, as no edge lies below it. This happens in
+    steep regions: the path lies in one plane, while each edge is examined along its own normal.
 
-    Leaves the positions of lifted nodes on their span.
+    Moves the lifted nodes onto their span.
     """
     found = {}
     positions, fractions = cable.positions.copy(), cable.fractions.copy()
@@ -221,7 +215,7 @@ def captured(
             on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
             place = _gap(support, span, shape, normal, on_edge)
             positions[k] = place.above
-            if node.slides:  # so that the path stays below the span
+            if node.slides:  # keeps the path below the span
                 fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
             if place.gap < height * size:
                 if place.inside:
@@ -234,7 +228,7 @@ def captured(
 
 
 def _around_lifted(cable: LaidCable, shape: StripShape) -> dict[int, tuple[Array, float]]:
-    """Normals and sizes of the cells at the lifted nodes, but crossings and feet."""
+    """Normals and sizes of the cells at the lifted nodes, without crossings and feet."""
     lifted = [
         k
         for k in ints(np.flatnonzero(cable.lifted))
@@ -245,7 +239,7 @@ def _around_lifted(cable: LaidCable, shape: StripShape) -> dict[int, tuple[Array
 
 
 def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
-    """Whether a span passes a vertex beyond the ends of all the edges around it on the path."""
+    """Whether a span passes a vertex beyond the ends of all path edges around it."""
     vertex = passed[k].past
 
     def around(n: int) -> bool:
@@ -261,9 +255,9 @@ def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
 
 
 def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
-    """Numbers of cables with a span that runs deep below the membrane beside a vertex. Beyond the
-    ends of edges, so that no edge of its path can stop it, and maybe far beyond where it ends at
-    another cable, and their crossing has slid out of its cell."""
+    """Numbers of cables with a span deep below the membrane beside a vertex, beyond the ends of the
+    path's edges, so that none can stop it; perhaps far beyond, if the span ends at another cable
+    and their crossing has slid out of its cell."""
     found = set()
     for c, cable in enumerate(cables):
         if not cable.taut or not cable.lifts_off:
@@ -279,8 +273,7 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
                 deep = -SUNK * size
                 if place.past < 0 or place.gap >= deep:
                     continue
-                # Over an edge that hardly turns aside from it the span passes the edge's line far
-                # from here: at the vertex it must be as deep.
+                # The span passes the line of a nearly parallel edge far away: check at the vertex.
                 vertex = CableNode("vertex", VertexPoint(place.past))
                 if under(vertex, span, shape).gap < deep:
                     found.add(c)
@@ -288,14 +281,14 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
 
 
 def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
-    """Let the cable leave the membrane at some nodes."""
+    """Release a cable's contacts at some nodes."""
     lifted = cable.lifted.copy()
     lifted[nodes] = True
     cable.update(lifted=lifted)
 
 
 def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
-    """Let the cable touch the membrane at some nodes."""
+    """Restore a cable's contacts at some nodes."""
     lifted, positions, fractions = (
         array.copy() for array in (cable.lifted, cable.positions, cable.fractions)
     )
@@ -308,14 +301,14 @@ def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
 
 
 def drape(cable: LaidCable, shape: StripShape) -> None:
-    """Find the contacts of a cable that is pulled over the membrane as if that were rigid."""
+    """Find the contacts of a cable pulled over the membrane as a rigid surface."""
     for _ in range(len(cable.nodes) + 1):
         free = released(cable, shape)
         lift(cable, free)
         places = {} if free else captured(cable, shape, {})
         touch(cable, places)
         positions = cable.positions.copy()
-        for k in places:  # nothing moves it from there to where it says that it is
+        for k in places:  # a slack cable is not solved: put the point where its fraction says
             positions[k] = shape.mean(*cable.interpolation(k))
         cable.update(positions=positions)
         if not free and not places:

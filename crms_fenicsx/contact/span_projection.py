@@ -1,8 +1,7 @@
-"""Projections of spans: the cells under a cable off the membrane, where it may touch down.
+"""Projections of spans: the cells under a lifted cable, where it may touch down.
 
-A span is straight; the path under it is the section of the membrane with the plane through the
-span and the membrane's normal. It is found by walking from cell to cell, by the signs of the
-vertices' distances from that plane.
+The path under a straight span is the section of the membrane with the plane of the span and the
+membrane's normal, traced from cell to cell by the vertices' signed distances from that plane.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
 
 FARTHEST = 10000
-"""How many cells a span may pass."""
+"""Limit of cells under a span."""
 
 
 class _Plane:
-    """The plane of a span, seen from the end where the walk starts."""
+    """The plane of a span, with the end where tracing starts."""
 
     def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
         self.shape, self.start = shape, start
@@ -33,15 +32,15 @@ class _Plane:
         self.across = across / max(float(np.linalg.norm(across)), 1e-300)
 
     def side(self, vertex: int) -> float:
-        """Distance of a vertex from the plane, with sign."""
+        """Signed distance of a vertex from the plane."""
         return float((self.shape.at(vertex) - self.start) @ self.across)
 
     def crosses(self, a: int, b: int) -> bool:
-        """Whether an edge crosses the plane; a vertex in it counts as on its positive side."""
+        """Whether an edge crosses the plane; a vertex in it counts as on the positive side."""
         return (self.side(a) >= 0.0) != (self.side(b) >= 0.0)
 
     def point(self, a: int, b: int) -> tuple[float, float]:
-        """Where the edge from a to b crosses: part of the edge, and of the span."""
+        """Intersection with the edge from a to b: fractions along the edge and along the span."""
         p, q = self.side(a), self.side(b)
         s = p / (p - q)
         place = self.shape.at(a) + s * (self.shape.at(b) - self.shape.at(a))
@@ -51,8 +50,8 @@ class _Plane:
 def project_span(
     shape: StripShape, first: CableNode, start: Array, last: CableNode, end: Array
 ) -> list[SurfacePoint] | None:
-    """The points of the membrane's edges under a span, in order. Returns the points between the
-    two; None if the way from the one does not lead to the other."""
+    """Edge points of the membrane under a span, in order, excluding its ends; None if the section
+    from the first does not reach the last."""
     assert first.point is not None
     plane = _Plane(shape, start, end, shape.normal(first.point.support))
     goal = set() if last.point is None else set(last.point.support)
@@ -81,7 +80,7 @@ def project_span(
 def _first_edge(
     plane: _Plane, support: tuple[int, ...]
 ) -> tuple[Edge, tuple[int, int, int]] | None:
-    """The first edge that the plane crosses beyond a place, and the cell before it."""
+    """First edge that the plane crosses beyond a support, and the cell before it."""
     best: tuple[float, Edge, tuple[int, int, int]] | None = None
     for cell in _cells(plane.shape, support):
         for k in range(3):
@@ -104,7 +103,7 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, 
 
 
 def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPoint:
-    """The place of a cell under an anchor."""
+    """Cell point below an anchor."""
     a, b, c = (shape.at(v) for v in cell)
     u, v = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)[0]
     weights = np.clip([1 - u - v, u, v], 0.0, 1.0)
@@ -115,10 +114,9 @@ def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> 
 def with_span_projections(
     cable: LaidCable, shape: StripShape
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
-    """The path of a cable with the projections of its spans renewed: points, and which are lifted.
-    Returns None where nothing has changed."""
+    """Path of a cable with updated span projections: points, lifted flags; None if unchanged."""
     nodes, contacts = cable.nodes, cable.contacts()
-    renewed: dict[int, list[SurfacePoint]] = {}  # by the contact before them
+    renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):
         old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
@@ -145,14 +143,14 @@ def _is_on_path(node: CableNode) -> bool:
 
 
 def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[SurfacePoint] | None:
-    """The projection of the span between two contacts."""
+    """Projection of the span between two contacts."""
     ends = [(cable.nodes[k], cable.positions[k]) for k in (a, b)]
     if ends[0][0].point is not None:
         return project_span(shape, *ends[0], *ends[1])
     if ends[1][0].point is not None:
         back = project_span(shape, *ends[1], *ends[0])
         return None if back is None else back[::-1]
-    # Off the membrane altogether: both ways from the middle of the old projection.
+    # Neither end is on the membrane: trace both ways from the middle of the old projection.
     own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
     middle = own[len(own) // 2]
     node = cable.nodes[middle]

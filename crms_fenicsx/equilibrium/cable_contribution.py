@@ -1,4 +1,4 @@
-"""The cables' points and their tension."""
+"""Cable points and cable tension."""
 
 from __future__ import annotations
 
@@ -36,19 +36,18 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 UNSMOOTHED = 1e-13
-"""How far the length that a cable's tension comes from may be from that of its polyline, relative
-to its unstressed length."""
+"""Least error of a cable's smoothed length, relative to its unstressed length, to correct."""
 
 
 class CableContribution(Contribution):
-    """Tension of the cables as they lie now; made anew when they are laid, tighten or slacken.
+    """Tension of the cables; recreated when cables are laid, tighten or slacken.
 
-    Attributes: `numbering`: numbering of the cables' points; `unknowns`: the layout with these
-    points; `node_positions`: copies the positions of the points to the cables; `taut`: the cables
-    in tension; `tables`: this rank's elements of the cables in tension; None without any; `folds`:
-    contribution of the folded cells; `tension`, `sliding`: term of the cables in tension that slide
-    along themselves freely, and these; `capstan`, `gripped`: term of those that friction holds
-    along their axis, and these; `clutches`, `slipping`: of those that can slip through clamps.
+    Attributes: `numbering`: numbering of the cable points; `unknowns`: the layout with these
+    points; `node_positions`: copies point positions to the cables; `taut`: the cables in tension;
+    `tables`: this rank's elements of these, or None; `folds`: contribution of the folded cells;
+    `tension`, `sliding`: term of the taut cables that slide freely along their axis, and these;
+    `capstan`, `gripped`: term of those with axial friction, and these; `clutches`, `slipping`: of
+    those that may slip through clamps.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class CableContribution(Contribution):
         self.slipping = [cable for cable in self.taut if cable.may_slip and cable.axial is None]
         self.sliding = [c for c in self.taut if c.axial is None and c not in self.slipping]
         self.gripped = [cable for cable in self.taut if cable.axial is not None]
-        # where the parts of each sliding cable begin among all parts, and their number
+        # first part of each sliding cable among all parts, and the total number
         self.first_parts = pointers(
             np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
         )
@@ -84,7 +83,7 @@ class CableContribution(Contribution):
         self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
 
     def damping(self) -> Damping | None:
-        """What damps the quasi-Newton steps of the cables' points; None without tension."""
+        """Damping of quasi-Newton steps of the cable points; None without tension."""
         return None if self.tables is None else damping(self.numbering, self.tables.segments)
 
     @property
@@ -147,7 +146,7 @@ class CableContribution(Contribution):
         places = unknowns.X.copy()
         numbering.place_points(places)
         potential.x[own] = places[own] - unknowns.X[own]
-        unknowns.update_ghosts(potential.x_vector)  # far vertices, with edge sliders on them
+        unknowns.update_ghosts(potential.x_vector)  # far vertices too, which carry edge sliders
         numbering.edge_sliders.place(unknowns, potential.x)
         if self.tension is not None:
             self.tension.EA[:] = self._stiffnesses()
@@ -188,7 +187,7 @@ class CableContribution(Contribution):
             self.scene.net.clamps = placed(self.scene.cables, self.scene.clamps)
 
     def _write_slips(self, term: CapstanTension, potential: Potential) -> dict[LaidCable, Array]:
-        """Copy slips through clamps to the cables, their energy to the scene; return tensions."""
+        """Copy clamp slips to the cables, their energy to the scene; return the tensions."""
         sums, energies = potential.sums_of(term), dict(self.scene.energies)
         tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
         found = {}
@@ -232,7 +231,7 @@ class CableContribution(Contribution):
     def commit(self) -> None:
         if self.tension is not None:
             for cable, first in zip(self.sliding, self.first_parts[:-1], strict=True):
-                for start in self.tension.starts[first : first + 1]:  # none without such cables
+                for start in self.tension.starts[first : first + 1]:  # empty without such cables
                     cable.update(step_start=start)
         if any(cable.may_slip for cable in self.taut):
             from crms_fenicsx.cables.slipping_clamps import end_step
@@ -244,7 +243,7 @@ class CableContribution(Contribution):
 
 
 def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
-    """Take what smoothing adds to the lengths of a cable's parts; say whether that changed."""
+    """Correct the smoothing lengths of a cable's parts and return whether they changed."""
     if cable.parts is None:
         return False
     added = lengths - _current_lengths(cable)
@@ -253,12 +252,12 @@ def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
 
 
 def _smoothing(cable: LaidCable) -> Array:
-    """What smoothing adds to the lengths of a cable's parts between clamps (length)."""
+    """Length that smoothing adds to each part of a cable between clamps (length)."""
     return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
 
 
 def _parts_of_one_link(cable: LaidCable) -> Booleans:
-    """Which parts of a bonded cable go straight from one contact to the next."""
+    """Whether each part of a bonded cable runs straight between two consecutive contacts."""
     if cable.bonds is None:
         return np.zeros(len(cable.part_lengths), dtype=bool)
     return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2

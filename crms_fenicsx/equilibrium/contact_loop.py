@@ -1,8 +1,7 @@
-"""The equilibrium on given paths: minimise, change what is active, minimise again.
+"""Equilibrium on given paths: minimise, update the active set, and repeat.
 
-Active are the cables in tension, the contacts of each with the membrane, and those of two cables
-where they cross. All this is decided from a solved state; a lifted part of a cable also keeps its
-path under its span.
+The active set holds the cables in tension, their contacts with the membrane and their crossings. It
+is updated from solved states. The path of a lifted cable part is kept below its span.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ from crms_fenicsx.scene.state import SceneState
 logger = logging.getLogger("crms_fenicsx")
 
 MAX_PROJECTIONS = 60
-"""How often the paths of lifted parts are brought under their spans in one load step."""
+"""Limit of projections of lifted parts' paths below their spans in one load step."""
 
 PATHS = 1e-3
-"""Residual, relative to the force scale, from which on paths are looked at. Contacts are before: a
-wrong one is changed back, but a vertex once passed is not."""
+"""Residual, relative to the force scale, below which paths are examined. Contacts are updated
+earlier: a wrong contact can be undone, a passed vertex cannot."""
 
 WEAK = 0.1
-"""Residual, relative to the weakest tension, from which on contacts are: a larger one would make
-cables slack that are not."""
+"""Residual, relative to the weakest tension, below which contacts are updated: with a larger one
+taut cables would be taken for slack."""
 
 
 class ContactLoop:
@@ -44,17 +43,17 @@ class ContactLoop:
         self._projections = 0
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
-        """Find the equilibrium on the paths that there are; a state near it if `rough`."""
+        """Find the equilibrium on the current paths, or a state near it if `rough`."""
         return self.solve(h0_prestress, (lambda: True) if rough else None)
 
     def solve(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
     ) -> Outcome:
-        """Find the equilibrium on the paths that there are. Collective."""
+        """Find the equilibrium on the current paths. Collective."""
         system, active = self.system, self.active
         system.read_scene()
         system.locate_cables()
-        changes = active.tighten()  # contacts can be judged on a solved state only
+        changes = active.tighten()  # contacts need a solved state
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
@@ -82,12 +81,12 @@ class ContactLoop:
                     self.sliding.straighten()
                 system.rebuild()
                 system.read_scene()
-            if system.has_history:  # the step starts there for all its terms
+            if system.has_history:  # every term starts the step from there
                 restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
-            h0_prestress = (0.0,)  # the membrane has stresses now
+            h0_prestress = (0.0,)  # the membrane is stressed now
             total = outcome if total is None else total + outcome
             if not outcome.converged:
                 return total
@@ -107,7 +106,7 @@ class ContactLoop:
         return min((cable.tension for cable in self.scene.cables if cable.taut), default=0.0)
 
     def _changes(self) -> list[str]:
-        """Change what the solved state asks for; return the changes in words."""
+        """Apply the changes that the solved state demands and return them in words."""
         changes = self.active.update() or self._lift_clamps()
         if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
             changes = self.sliding.renew_projections()
@@ -115,7 +114,7 @@ class ContactLoop:
         return changes
 
     def _lift_clamps(self) -> list[str]:
-        """Take clamps off vertices and edges that their cables pull off the membrane."""
+        """Release clamps from vertices and edges where cables pull them off the membrane."""
         if self.sliding is None or not self.scene.clamps:
             return []
         from crms_fenicsx.paths.clamp_release import lift_clamps
@@ -124,8 +123,8 @@ class ContactLoop:
 
 
 def restore_positions(scene: Scene, state: SceneState) -> None:
-    """Bring membrane and cables to where they were, the cables on their new paths. Collective.
-    Points that the paths had are where they were; others lie on the membrane of then."""
+    """Restore the positions of membrane and cables on their new paths. Collective. Path points that
+    existed are put back; new ones are placed on the restored membrane."""
     scene.u.x.array[:] = state.u
     scene.frame.state = state.frame
     shape = scene.net.strip_shape()
@@ -142,7 +141,7 @@ def restore_positions(scene: Scene, state: SceneState) -> None:
 
 
 def _key(nodes: Sequence[CableNode], k: int) -> object:
-    """What a node is known by while a path changes."""
+    """Key that identifies a node while its path changes."""
     point = nodes[k].point
     if point is None:
         return "end", k > 0

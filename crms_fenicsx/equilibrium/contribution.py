@@ -1,4 +1,4 @@
-"""The protocol of what a physical feature contributes to the potential, and the terms of users."""
+"""Protocol for the contribution of a physical feature to the potential, and user terms."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from crms_fenicsx.scene import Scene
 
 
 class Contribution:
-    """One feature of a scene: its terms, and what goes between them and the scene. Every method
-    does nothing by default. All are called on all ranks, in the order of the terms."""
+    """One feature of a scene: its energy terms, and the data exchange between these and the scene.
+    Methods do nothing by default. All are called on all ranks, in the order of the terms."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
     @property
     def is_stale(self) -> bool:
-        """Whether its terms do not fit the scene any more, and must be made anew. Collective."""
+        """Whether its terms no longer fit the scene and must be recreated. Collective."""
         return False
 
     @property
@@ -29,27 +29,27 @@ class Contribution:
         return False
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        """Make its terms for a layout, the same ones on all ranks. Collective."""
+        """Create its terms for a layout, the same on all ranks. Collective."""
         return []
 
     def read_scene(self, potential: Potential) -> None:
-        """Copy loads, parameters and the state from the scene to the terms and the potential."""
+        """Copy loads, parameters and state from the scene to terms and potential."""
 
     def locate(self, potential: Potential) -> None:
         """Copy the positions of cable points from the potential to the scene. Collective."""
 
     def write_scene(self, potential: Potential) -> None:
-        """Copy the solved state to the scene, whose `energies` are those of the potential."""
+        """Copy the solved state to the scene, whose `energies` are the potential's."""
 
     def renew_friction(self) -> None:
-        """Take the friction forces of the scene's cables. Collective."""
+        """Update the terms' friction forces from the scene's cables. Collective."""
 
     def renew_smoothing_length(self, potential: Potential) -> bool:
-        """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
+        """Correct the cable lengths for smoothing and return whether that changed them."""
         return False
 
     def caught_nodes(self, limit: float) -> set[NodeId]:
-        """Find fold points at which an edge has a kink of more than a limit (rad). Collective."""
+        """Fold points with an edge kink above a limit (rad). Collective."""
         return set()
 
     def commit(self) -> None:
@@ -70,7 +70,7 @@ class AddedTermsContribution(Contribution):
 def force_per_area(scene: Scene, potential: Potential) -> float:
     """Mean size of the forces of added terms (force per area) at the current state. Collective."""
     potential.bring_up_to_date()
-    g, unknowns = potential.g, potential.unknowns  # free between two solves
+    g, unknowns = potential.g, potential.unknowns  # not in use between two solves
     g[:] = 0.0
     for term in scene.terms:
         term.add_gradient(potential.x, potential.sums_of(term), g)

@@ -1,6 +1,6 @@
-"""Cells that cables fold: strain energy, penalty and pressure, and plain cells as such.
+"""Cells folded by cables: strain energy, penalty and pressure; and compiled plain cells.
 
-DOLFINx's forms know all cells at once; what relaxes vertices next to a cable needs few.
+DOLFINx forms integrate over all cells; local relaxation next to a cable needs only a few.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ class PlainCells:
         self.blocks = unknowns.vertex_blocks()[dofs]
 
     def _around(self, chosen: Booleans) -> Integers:
-        """Rows of the cells with chosen vertices."""
+        """Rows of the cells with any chosen vertex."""
         rows: Integers = rows_on(*rows_of(self.blocks), chosen)
         return rows
 
     def membrane(self) -> CompiledCells:
-        """Twin of their strain energy."""
+        """Compiled counterpart of their strain energy."""
         stiffening = self._energy.stiffening
         return CompiledCells(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
 
     def _cells(self, chosen: Booleans) -> FoldedCells | None:
-        """The cells with chosen vertices, (n_local,)."""
+        """The cells with any chosen vertex, (n_local,)."""
         rows, membrane = self._around(chosen), self._energy
         if len(rows) == 0:
             return None
@@ -77,7 +77,7 @@ class PlainCells:
     def pressure(
         self, pressed: fem.Function, pressure: fem.Constant, origin: Array
     ) -> CompiledCells:
-        """Twin of the pressure on those of the cells that are under it."""
+        """Compiled counterpart of the pressure on the pressed cells among them."""
 
         def facets(chosen: Booleans) -> Facets | None:
             rows = self._around(chosen)
@@ -90,10 +90,9 @@ class PlainCells:
 
 
 class FoldContribution(Contribution):
-    """Terms of the folded cells, which have left those of the plain cells.
+    """Terms of the folded cells, which those of the plain cells exclude.
 
-    Attributes: `energy`: strain energy of the folded cells, if there are any; `wind`: wind on them;
-    None if there are none, or no wind.
+    Attributes: `energy`: strain energy of the folded cells, if any; `wind`: wind on them, or None.
     """
 
     wind: FoldedWind | None = None
@@ -112,7 +111,7 @@ class FoldContribution(Contribution):
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         self.wind = None
-        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
+        # Folds may be on some ranks only, but global sums need the same terms on every rank.
         if self.tables is None or not self.membrane.has_folds:
             return []
         self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
@@ -135,7 +134,7 @@ class FoldContribution(Contribution):
             self.wind.take(np.sum(winds, axis=0))
 
     def _make_twins(self, unknowns: Unknowns) -> None:
-        """Let plain cells be relaxed with the folded ones where their laws are compiled."""
+        """Give the terms of plain cells compiled counterparts where the materials have them."""
         energy, pressure = self.membrane.energy, self.pressure
         if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
             return
@@ -168,7 +167,7 @@ class FoldContribution(Contribution):
         return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
 
     def caught_nodes(self, limit: float) -> set[NodeId]:
-        """As `Contribution`; judged at the state last evaluated, not for the literal penalty."""
+        """As `Contribution`, at the last evaluated state; empty with the literal penalty."""
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()
         mine: set[NodeId] = set()

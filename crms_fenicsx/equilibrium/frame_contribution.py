@@ -1,4 +1,4 @@
-"""The scene's bars and joints: their layout, strain energy and loads."""
+"""Bars and joints of a scene: layout, strain energy and loads."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.scene import Scene
 
 HARDLY_SLACK = 1e-4
-"""Slack of a guy, relative to its length, with which it still counts as holding: as tight as the
-shortening of a mast under its load leaves guys that have no prestress."""
+"""Slack of a guy, relative to its length, up to which it counts as taut: a mast that shortens under
+its load slackens guys without prestress by that much."""
 
 
 class BarContribution(Contribution):
-    """Bars, with the joints as further unknowns; the first rank has them all.
+    """Bars, with their joints as further unknowns, all on the first rank.
 
-    Attributes: `blocks`: where joints and vertices are in the layout that it makes.
+    Attributes: `blocks`: joints and vertices in the layout that it creates.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -44,7 +44,7 @@ class BarContribution(Contribution):
         frame, blocks = self.scene.frame, self.blocks
         for joint, block in zip(frame.joints, blocks.joint_blocks, strict=True):
             unknowns.held[block] = joint.held
-        if unknowns.bounds is not None:  # the floor is for the membrane
+        if unknowns.bounds is not None:  # the floor acts on the membrane only
             unknowns.bounds[0][blocks.joint_blocks] = -np.inf
         at: dict[object, np.int32] = dict(zip(frame.joints, blocks.joint_blocks, strict=True))
         at |= dict(zip(self._vertices, blocks.vertex_blocks, strict=True))
@@ -64,7 +64,7 @@ class BarContribution(Contribution):
 
     @contextmanager
     def with_hardly_slack(self) -> Iterator[None]:
-        """Let guys that are about to be taut hold for a while: what they hold hardly moves."""
+        """Let hardly slack guys count as taut: what they restrain hardly moves."""
         self._bars.loose = HARDLY_SLACK
         try:
             yield
@@ -73,7 +73,7 @@ class BarContribution(Contribution):
 
     @contextmanager
     def without_compression(self) -> Iterator[None]:
-        """Let what compression takes off the stiffness sideways be there for a while."""
+        """Include the loss of lateral stiffness by compression."""
         self._bars.least = 0.0
         try:
             yield
@@ -81,7 +81,7 @@ class BarContribution(Contribution):
             del self._bars.least
 
     def blocks_of(self, ends: Sequence[BarEnd]) -> Indices:
-        """Blocks of ends of bars on the first rank; on others those of vertices are -1."""
+        """Blocks of bar ends on the first rank; on others those of vertices are -1."""
         at: dict[BarEnd, np.int32] = dict(
             zip(self.scene.joints, self.blocks.joint_blocks, strict=True)
         )
@@ -89,9 +89,8 @@ class BarContribution(Contribution):
         return np.array([at[end] for end in ends], dtype=np.int32)
 
     def damping(self, of_cables: Damping | None) -> Damping:
-        """What damps the quasi-Newton steps of bars' ends, and of cables. As with the parts of a
-        cable: sideways nothing holds the ends of slack guys and of bars without force. A chain of
-        them has no equilibrium found without it."""
+        """Damping of quasi-Newton steps of bar ends, and of cables. Slack guys and bars without
+        force have no lateral stiffness, and chains of them would not converge without damping."""
         none = np.zeros((0, 3), dtype=np.int32)
         springs = Springs(none, np.zeros(0), none[:, :2])
         springs = springs if of_cables is None else of_cables.springs
@@ -121,19 +120,19 @@ class BarContribution(Contribution):
             loads[self.blocks.joint_blocks] += self._forces()
 
     def add_pulls(self, forces: Array, factor: float) -> None:
-        """Add the bars' pulls on their ends, by where these are in space, to forces of blocks."""
+        """Add the bars' forces on their ends, in their current directions, to block forces."""
         if self.scene.comm.rank == 0:
             pulls = np.array([bar.pull(bar.start) for bar in self.scene.bars]).reshape(-1, 3)
             np.add.at(forces, self._bars.table.ends[:, 0], factor * pulls)
             np.subtract.at(forces, self._bars.table.ends[:, 1], factor * pulls)
 
     def found(self, potential: Potential) -> tuple[Array, Array]:
-        """Places (n, 2, 3) of the bars' ends and their forces (n,), as the first rank has them."""
+        """Positions (n, 2, 3) of the bar ends and bar forces (n,), valid on the first rank."""
         places = potential.unknowns.X + potential.x
         return places[self._bars.table.ends], self._bars.forces
 
     def locate(self, potential: Potential) -> None:
-        """Give joints and bars the places that the first rank has. Collective."""
+        """Copy positions from the first rank to joints and bars. Collective."""
         joints, frame = self.blocks.joint_blocks, self.scene.frame
         places = potential.unknowns.X + potential.x
         found = places[joints], places[self._bars.table.ends]

@@ -1,4 +1,4 @@
-"""Friction of the cables on the membrane, sideways and along their axis."""
+"""Lateral and axial friction of cables on the membrane."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from crms_fenicsx.scene import Scene
 
 
 class FrictionContribution(Contribution):
-    """Terms of friction sideways, and the state of all friction.
+    """Terms of lateral friction, and the state of all friction.
 
     Attributes: `stick_slip`, `elements`: terms of Coulomb's law and of the paper's friction
     elements; None without such cables.
@@ -31,7 +31,7 @@ class FrictionContribution(Contribution):
 
     @property
     def is_stale(self) -> bool:
-        """Whether friction along some cable holds it at other nodes than the potential has."""
+        """Whether axial friction of some cable acts at other nodes than in the potential."""
         return not all(is_aligned(cable) for cable in self.scene.cables)
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
@@ -64,7 +64,7 @@ class FrictionContribution(Contribution):
 
     def write_scene(self, potential: Potential) -> None:
         energies = self.scene.energies
-        if "friction" in energies:  # the state has what it stores; the rest is heat
+        if "friction" in energies:  # the state knows the stored part; the rest is heat
             shape = self.scene.net.strip_shape()
             stored = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
             self.scene.record(energies={**energies, "friction": stored})
@@ -72,7 +72,7 @@ class FrictionContribution(Contribution):
             self._write_gripped(self.cables.capstan, potential)
 
     def _write_gripped(self, capstan: CapstanTension, potential: Potential) -> None:
-        """Copy the state of the cables that friction holds along to the scene."""
+        """Copy the state of the cables with axial friction to the scene."""
         energies, sums = dict(self.scene.energies), potential.sums_of(capstan)
         tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
         for c, cable in enumerate(self.cables.gripped):

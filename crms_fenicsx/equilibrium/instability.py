@@ -1,9 +1,9 @@
-"""Whether bars, joints and ponds make an equilibrium unstable, and which of them gives way.
+"""Instabilities of an equilibrium caused by bars, joints and ponds.
 
-The energy falls on some way from such a state. A factorisation of all second derivatives tells
-whether there is one; where there is, another one without a pond, or without what compression takes
-off the bars' stiffness sideways, tells whether it is their doing. Joints that have nothing to do
-with the membrane, and frames without compression, need no factorisation.
+At an unstable state the second derivatives have negative eigenvalues, which a factorisation counts.
+If there are any, a second factorisation, without a pond or without the loss of lateral stiffness by
+compression of bars, tells whether that is the cause. Joints detached from the membrane, and frames
+without compression, need no factorisation of the whole.
 """
 
 from __future__ import annotations
@@ -25,17 +25,16 @@ from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 100.0
-"""How many roundings of a bar's axial stiffness its stiffness sideways may be wrong by."""
+"""Error of a bar's lateral stiffness, in roundings of its axial stiffness."""
 
 MOST_JOINTS, MOST_BARS = 500, 20
-"""Joints up to which the matrix is used, and bars among which the one that gives way is looked
-for."""
+"""Joints up to which their dense matrix is used, and bars searched for the unstable one."""
 
 
 class FrameStability:
-    """The bars and joints of a scene in its state, the same on all ranks.
+    """Bars and joints of a scene in its state, the same on all ranks.
 
-    Attributes: `least` (n,): stiffness of each joint (force/length) that is not told from none;
+    Attributes: `least` (n,): stiffness of each joint (force/length) indistinguishable from zero;
     `compressed`: the bars under compression. Units: tolerance (force).
     """
 
@@ -54,7 +53,7 @@ class FrameStability:
 
     @property
     def is_alone(self) -> bool:
-        """Whether no bar ends at the membrane and no cable at a joint, and joints are not many."""
+        """Whether no bar ends at the membrane, no cable at a joint, and the joints are few."""
         at_joints = any(name is not None for cable in self.scene.cables for name in cable.joints)
         return not at_joints and not self.scene.frame.vertices and self._is_small
 
@@ -64,13 +63,12 @@ class FrameStability:
 
     @property
     def is_surely_stable(self) -> bool:
-        """Whether nothing is compressed, and joints hold each other where the membrane is held."""
+        """Whether no bar is compressed, and the joints are stable with the membrane held."""
         return not self.compressed and self._is_small and not len(self._falling)
 
     @cached_property
     def _falling(self) -> Array:
-        """Ways of the joints on which the energy falls, or hardly rises, the worst first; other
-        ends of bars are held, (k, n, 3)."""
+        """Joint modes (k, n, 3) of no or negative stiffness, the worst first; other ends held."""
         joints = self.scene.joints
         free = ~np.array([joint.held for joint in joints], dtype=bool).reshape(-1)
         matrix = np.diag(np.repeat(-self.least, 3))
@@ -92,14 +90,14 @@ class FrameStability:
         return ways.reshape(len(ways), len(joints), 3)
 
     def of_joints(self) -> list[StateWarning]:
-        """What to warn of where the membrane has nothing to do with the joints."""
+        """Warnings for a frame detached from the membrane."""
         return [self._told(dict(zip(self.scene.joints, self._falling[0], strict=True)))] if len(
             self._falling
         ) else []  # fmt: skip
 
     @property
     def suspects(self) -> list[BarEnd]:
-        """Ends of bars of which one may give way: of the worst under compression, and joints."""
+        """Bar ends that may be unstable: those of the most compressed bars, and joints."""
         worst = sorted(self.compressed, key=lambda bar: bar.force / bar.length)[:MOST_BARS]
         ends = [end for bar in worst for end in (bar.start, bar.end)]
         return list(dict.fromkeys(
@@ -108,12 +106,12 @@ class FrameStability:
         ))  # fmt: skip
 
     def of_ends(self, ends: Sequence[BarEnd], compliance: Array) -> StateWarning:
-        """What to warn of, by how far ends give way to forces on them, (3 n, 3 n)."""
+        """Warning from the compliance of bar ends, (3 n, 3 n)."""
         way = np.linalg.eigh(compliance)[1][:, 0].reshape(-1, 3)
         return self._told(dict(zip(ends, way, strict=True)))
 
     def _told(self, way: dict[BarEnd, Array]) -> StateWarning:
-        """Say which bar or joint moves on a way."""
+        """Warning that names the bar or joint that moves in a mode."""
 
         def falls(bar: PlacedBar) -> float:
             moved = way.get(bar.end, np.zeros(3)) - way.get(bar.start, np.zeros(3))
@@ -144,8 +142,8 @@ class FrameStability:
 
 
 def instabilities(system: System, tolerance: float) -> list[StateWarning]:
-    """What bars, joints and ponds make unstable in a scene's state. Collective. Units: tolerance
-    (force)."""
+    """Warnings for the instabilities that bars, joints and ponds cause in a scene's state.
+    Collective. Units: tolerance (force)."""
     ponds = [] if system.ponds is None else [one for one in system.ponds.ponds if one.pond.factor]
     frame = FrameStability(system.scene, tolerance) if system.scene.bars else None
     told = []
@@ -163,7 +161,7 @@ def instabilities(system: System, tolerance: float) -> list[StateWarning]:
 def _by_tangents(
     system: System, ponds: list[Ponding], frame: FrameStability | None
 ) -> list[StateWarning]:
-    """What is unstable by the numbers of negative eigenvalues with it and without it."""
+    """Warnings for each suspect whose removal lowers the number of negative eigenvalues."""
     assert system.minimizer is not None
     potential, h0, told = system.potential, system.minimizer.h0, list[StateWarning]()
     springs = np.full(system.unknowns.n_owned, np.nan)

@@ -1,4 +1,4 @@
-"""The membrane's strain energy in plain cells, its supports, pressure and loads."""
+"""Strain energy of the membrane's plain cells; its supports, pressure and loads."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.sealed_pressure import SealedPressure
 
 NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
-"""Strains, of a membrane as large as the scene and of cables and bars, whose forces are nothing."""
+"""Strains, of a membrane of the scene's size and of cables and bars, with negligible forces."""
 
 
 class MembraneContribution(Contribution):
     """Strain energy of the plain cells; its forms are compiled once.
 
     Attributes: `energy`: the term; `stepwise`: the same if the strain is step-wise, or None;
-    `folded_energy` (1,): strain energy of folded cells in the steps before, with the step-wise
-    strain (force x length); `has_folds`: whether some rank has folded cells.
+    `folded_energy` (1,): strain energy of folded cells in the previous steps, with step-wise strain
+    (force x length); `has_folds`: whether some rank has folded cells.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -60,13 +60,13 @@ class MembraneContribution(Contribution):
         return self.scene.strain_law == "step"
 
     def unfold(self) -> None:
-        """Let all cells be plain."""
+        """Make all cells plain."""
         self.energy.plain.x.array[:] = 1.0
         self.energy.twin = None
         self.has_folds = False
 
     def fold(self, cells: Indices) -> None:
-        """Leave this rank's folded cells to terms of their own. Collective."""
+        """Exclude this rank's folded cells, which have terms of their own. Collective."""
         self.energy.plain.x.array[cells] = 0.0
         self.has_folds = self.scene.comm.allreduce(len(cells), op=MPI.SUM) > 0
 
@@ -92,7 +92,7 @@ class MembraneContribution(Contribution):
 
 
 def hold(scene: Scene, unknowns: Unknowns) -> None:
-    """Prescribe the displacements of held vertices in a layout, and put the floor below it."""
+    """Prescribe the displacements of held vertices in a layout, and the bounds of the floor."""
     unknowns.held[unknowns.vertex_blocks()] = scene.held
     if scene.floor_level is not None:
         lower = np.full_like(unknowns.X, -np.inf)
@@ -103,8 +103,8 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 
 def tiny_force(scene: Scene) -> float:
-    """Return a force that is nothing without any load; with one, forces are told from its own.
-    However stiff the membrane is, it is nothing to a cable in tension, or to a bar, either."""
+    """Force scale (force) negligible for the unloaded membrane and, however stiff this is, for taut
+    cables and bars; 0 with loads, which set their own."""
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()
@@ -115,13 +115,12 @@ def tiny_force(scene: Scene) -> float:
 
 
 class PressureContribution(Contribution):
-    """Pressure on the plain cells, and on what closes the volume where the rim slides in planes.
+    """Pressure on the plain cells, and on the closure of the volume where the rim slides in planes.
 
-    Attributes: `cells`: 1 in the plain cells under pressure, else 0; `value`: the pressure (force
-    per area); 1 where the air is sealed, and another one knows it; `term`: pressure on these cells;
-    None before there has been any; `sealed`: pressure of sealed air, of which `term` is a part;
-    None if there is none; `folded_volume` (1,): volume gained under folded cells in the steps
-    before, with the paper's pressure (length cubed).
+    Attributes: `cells`: 1 in plain cells under pressure, else 0; `value`: the pressure (force per
+    area), or 1 if the air is sealed (`sealed` then has it); `term`: pressure on these cells, None
+    until there is any; `sealed`: pressure of sealed air, which includes `term`, or None;
+    `folded_volume` (1,): the paper's volume gained under folded cells before (length cubed).
     """
 
     def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
@@ -205,7 +204,7 @@ class PressureContribution(Contribution):
 
 
 class MembraneLoadsContribution(Contribution):
-    """The loads that `Scene.put_load` and `Scene.put_wind` have put on the membrane."""
+    """The loads of `Scene.put_load` and `Scene.put_wind` on the membrane."""
 
     term: NodalForces | None = None
 

@@ -1,7 +1,6 @@
-"""The equilibrium with the paths that have the least energy: change paths while it falls.
+"""Equilibrium on the paths of least energy: change paths while the energy falls.
 
-What is tried is worked out near its equilibrium only, where energies can be compared; the last
-digits come at the end.
+Trial states near equilibrium suffice to compare energies; only the last one converges fully.
 """
 
 from __future__ import annotations
@@ -20,36 +19,36 @@ from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.scene.state import SceneState
 
 CAUGHT, STUCK = 0.05, 0.15
-"""Kinks of a folded edge (rad) from which on its cable is laid anew, and the state is refused.
+"""Kinks of a folded edge (rad) above which its cable is laid again, and the state is rejected.
 
-Two fold points on edges that meet in a vertex can close in on each other away from it: their chord
-has no direction any more, and a cable caught there can look as if it were in equilibrium. Kinks
-of sound states are below 0.01 on meshes of 9 cells a side.
+Fold points on two edges with a common vertex can approach each other away from it: their chord then
+loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound states are
+below 0.01 on meshes of 9 cells a side.
 """
 
 TENSE = 0.01
-"""Kinks (rad) from which on the fold points of a cable with friction are put back in place."""
+"""Kink (rad) above which fold points of a cable with friction are straightened."""
 
 CLEAR = 1e-7
-"""Energy, relative to the sum of all kinds, by which another way of crossing cables must be lower:
-rough states of the same way differ by less."""
+"""Fall of the energy, relative to the sum of all its kinds, that another arrangement of crossings
+must bring: rough states of the same arrangement differ by less."""
 
 MAX_PATHS = 60
-"""How many sets of paths are tried in one load step before it is given up."""
+"""Limit of path changes in one load step."""
 
 
 @dataclass(frozen=True)
 class _Try:
-    """The equilibrium on some paths, perhaps not to the last digit, and how they want to change."""
+    """Equilibrium on some paths, perhaps rough, and the path changes it demands."""
 
-    outcome: Outcome  # what came of the minimisation
-    state: SceneState  # the state before its paths were changed
-    energy: float  # potential energy in it (force x length)
-    flips: int  # how many vertices the paths have passed since
+    outcome: Outcome  # of the minimisation
+    state: SceneState  # before the path change
+    energy: float  # potential energy of that state (force x length)
+    flips: int  # vertices passed by the path change
 
 
 class PathLoop:
-    """Solves one load step of cables that slide sideways, and finds their paths."""
+    """Solves one load step of laterally sliding cables, and finds their paths."""
 
     def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
         assert contacts.sliding is not None
@@ -65,7 +64,7 @@ class PathLoop:
         total, flips = best.outcome, best.flips
         laid_again: set[int] = set()
         tries = 0
-        settled = True  # the potential is that of the best paths, and the scene its equilibrium
+        settled = True  # the potential has the best paths and the scene is in equilibrium
         while best.outcome.converged:
             moved: list[Trial] = []
             other = False
@@ -74,7 +73,7 @@ class PathLoop:
                 if settled:
                     caught, sunken = self._caught(CAUGHT), self._sunk()
                     caught = self._sliding(caught | sunken) - laid_again
-                    # Through the membrane a cable is shorter: that energy is none to fall below.
+                    # A cable through the membrane is shorter: its energy is no bound.
                     energy = math.inf if sunken & caught else self.system.objective
                     best = replace(best, state=self.scene.state, energy=energy)
                 if caught:
@@ -115,7 +114,7 @@ class PathLoop:
             elif trials.halve(moved):
                 tried.refused = refused
             self.scene.state = best.state
-            # Half of the flips; one alone cannot be halved.
+            # Take back half of the flips; a single one cannot be halved.
             flips = self._change_paths(flips // 2)
             if not flips:
                 tried.rejected |= proposed
@@ -123,7 +122,7 @@ class PathLoop:
         return self._accepted(total, rough)
 
     def _accepted(self, total: Outcome, rough: bool) -> Outcome:
-        """Work out the last digits, unless all shall be `rough`, and refuse what is not sound."""
+        """Converge fully, unless `rough`, and reject unsound states."""
         if total.converged and not rough and total.residual > total.tolerance:
             total = total + self.contacts.solve((0.0,))
         if not total.converged:
@@ -137,7 +136,7 @@ class PathLoop:
         return total
 
     def _try(self, h0_prestress: tuple[float, ...], rough: bool) -> _Try:
-        """Solve on the paths that there are; the scene then has those to try next."""
+        """Solve on the current paths; the scene is left with the next paths to try."""
         flips = 0
         state, energy = self.contacts.start, 0.0
 
@@ -151,13 +150,13 @@ class PathLoop:
         return _Try(replace(outcome, flips=flips), state, energy, flips)
 
     def _change_paths(self, most: int | None) -> int:
-        """Move the cables over vertices, `most` at most each; return over how many."""
+        """Move the cables over at most `most` vertices each; return the number passed."""
         if most == 0:
             return 0
         return max(self.sliding.slide(most), self._pass_vertices(most))
 
     def _pass_vertices(self, most: int | None) -> int:
-        """Move cables with friction over the vertices that they have run into."""
+        """Move cables with friction over the vertices that they have reached."""
         if not self.scene.net.has_friction:
             return 0
 
@@ -175,11 +174,11 @@ class PathLoop:
         return straighten_kinks(self.change, self.tried, self.system.caught_nodes(TENSE))
 
     def _scale(self) -> float:
-        """Sum of the sizes of all kinds of energy (force x length)."""
+        """Sum of the absolute energies of all kinds (force x length)."""
         return sum(map(abs, self.scene.energies.values()))
 
     def _caught(self, limit: float) -> set[int]:
-        """Numbers of the cables that kink edges by more than a limit (rad), or are tangled."""
+        """Numbers of the cables that kink edges beyond a limit (rad) or are tangled."""
         return self.system.caught_cables(limit) | tangled(self.scene.net.crossings)
 
     def _sliding(self, numbers: set[int]) -> set[int]:
@@ -188,7 +187,7 @@ class PathLoop:
         return {c for c in numbers if cables[c].slides_freely and not cables[c].keeps_line}
 
     def _sunk(self) -> set[int]:
-        """Numbers of the cables that run through the membrane beside a vertex. Collective."""
+        """Numbers of the cables that run below the membrane beside a vertex. Collective."""
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()

@@ -1,4 +1,4 @@
-"""Water on the membrane, on plain and on folded cells."""
+"""Water on plain and folded cells of the membrane."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 TOUCH = 1e-9
-"""Distance from the water's level, relative to the membrane's size, within which it is touched."""
+"""Rise of a given water level, relative to the membrane's size, for the stability check."""
 
 
 class PondContribution(Contribution):
-    """The ponds that `Scene.put_pond` has put on the membrane; made anew with the folded cells.
+    """The ponds of `Scene.put_pond`; recreated with the folded cells.
 
     Attributes: `ponds`: the terms, in the order of the scene's ponds.
     """
@@ -46,7 +46,7 @@ class PondContribution(Contribution):
         return list(self.ponds)
 
     def _facets(self, pond: Pond, unknowns: Unknowns) -> Facets:
-        """This rank's plain cells and facets of folded cells that a pond can stand on."""
+        """This rank's plain cells, and facets of folded cells, that a pond can cover."""
         membrane = self.scene.membrane
         cells, own = pond.cells(membrane), membrane.mesh.mesh.topology.index_map(2).size_local
         plain = cells[:own] & (self.membrane.energy.plain.x.array[:own] > 0.5)
@@ -82,7 +82,7 @@ class PondContribution(Contribution):
 
     @contextmanager
     def raised(self) -> Iterator[None]:
-        """Raise given levels by next to nothing: a dry roof at its level is about to be wet."""
+        """Raise given levels slightly, so that a dry roof exactly at its level counts as wet."""
         known = [term.pond for term in self.ponds]
         for term, pond in zip(self.ponds, known, strict=True):
             if pond.given == "level":
@@ -95,7 +95,7 @@ class PondContribution(Contribution):
 
     @contextmanager
     def without(self, term: Ponding) -> Iterator[None]:
-        """Let a pond weigh nothing for a while."""
+        """Remove a pond's weight temporarily."""
         pond, term.pond = term.pond, replace(term.pond, factor=0.0)
         try:
             yield

@@ -1,14 +1,14 @@
-"""Search for the equilibrium of a load step, with the friction forces of its own state.
+"""Search for the equilibrium of a load step with friction.
 
-Loops, one inside the other:
+Nested loops:
 
-    friction     its forces are those of the state found before, until they are its own,
+    friction     forces from the previous state, until they are those of the state itself,
     paths        cables slide into other cells where that lowers the energy,
-    contacts     cables turn slack or taut, lift off and touch down, part and join at crossings,
+    contacts     cables turn slack or taut, lift off and touch down, separate and join at crossings,
     minimiser    of the potential of these cables on these paths.
 
-Each outer loop looks at a state that is near its minimum, before the last digits are worked out,
-so that a change costs little and none costs nothing.
+Each outer loop examines a state near its minimum, before full convergence, so that a change costs
+little and no change costs nothing.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 MAX_PASSES = 30
-"""How often friction forces are taken from the state that they have led to."""
+"""Limit of updates of the friction forces."""
 
 PATIENCE = 12
-"""How often they may be without their change becoming less: where the state answers a small change
-of a force by a large one, as at the edge of lifting off, they go round in circles."""
+"""Updates without a smaller change before giving up: where the state responds strongly to a small
+change of force, as at the edge of lifting off, the iteration cycles."""
 
 Solve = Callable[[tuple[float, ...], bool], Outcome]
-"""Finds an equilibrium with the friction forces that there are, or a state near to it."""
+"""Solves for the equilibrium, or a state near it, with given friction forces."""
 
 
 class FrictionLoop:
-    """Solves one load step of cables with friction, or without any."""
+    """Solves one load step of cables with or without friction."""
 
     def __init__(self, contacts: ContactLoop, solve: Solve, tried: TriedPaths | None) -> None:
         self.contacts, self._solve, self.tried = contacts, solve, tried
         self.system, self.scene = contacts.system, contacts.scene
 
     def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Solve, again and again until the friction forces are those of its own state. Collective.
-        While these change much the states are worked out near their equilibrium only."""
+        """Solve until the friction forces are consistent with the state. Collective. While these
+        change much, states are only computed near their equilibrium."""
         solve, lags = self._solve, self._lags()
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
@@ -80,7 +80,7 @@ class FrictionLoop:
                 self.tried.rejected.clear()
             self.system.renew_friction()
             if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
-                # Friction along a cable moves its path too little for others.
+                # Axial friction changes a cable's path too little for a new search of paths.
                 solve = self.contacts.solve_in_cells
             rough = change > NEARLY
             outcome = outcome + solve((0.0,), rough)
@@ -90,7 +90,7 @@ class FrictionLoop:
         return replace(outcome, converged=False, reason=reason)
 
     def _lags(self) -> list[LateralIteration | AxialIteration]:
-        """The iterations of the friction forces of the cables, sideways and along."""
+        """Iterations of the lateral and axial friction forces of all cables."""
         lags: list[LateralIteration | AxialIteration] = []
         for cable in self.scene.cables:
             if cable.has_coulomb:
@@ -105,7 +105,7 @@ class FrictionLoop:
 
 
 MAX_LENGTHS = 30
-"""How often a solve is repeated for what smoothing adds to the lengths of cables."""
+"""Limit of repeated solves for the length that smoothing adds to cables."""
 
 
 class EquilibriumSearch:
@@ -116,7 +116,7 @@ class EquilibriumSearch:
         self.slide, self.tried = slide, tried
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Find the equilibrium; the scene is then in it. Collective."""
+        """Find the equilibrium and leave the scene in it. Collective."""
         self._begin_friction()
         self.system.prepare()
         if not self.scene.cables:
@@ -131,7 +131,7 @@ class EquilibriumSearch:
         return outcome
 
     def _loops(self, start: SceneState) -> tuple[ContactLoop, FrictionLoop]:
-        """Nest the loops of a load step with cables that starts in a state."""
+        """Nest the loops of a load step with cables from a start state."""
         from crms_fenicsx.contact.active_set import ActiveSet
         from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 
@@ -157,16 +157,16 @@ class EquilibriumSearch:
         return contacts, FrictionLoop(contacts, paths.solve, self.tried)
 
     def _unsmoothed(self, outcome: Outcome, contacts: ContactLoop) -> Outcome:
-        """Repeat a solve until cables are as long as their polylines, though these are smoothed.
-        Smoothing has its place in the gradient, which turns a segment that comes to an end at a
-        vertex; the length that it adds hardly depends on the state, and is taken off."""
+        """Repeat a solve until cable lengths are those of their polylines. Smoothing is meant for
+        the gradient, which rotates a segment that shrinks to zero at a vertex; the length that it
+        adds hardly depends on the state, and is subtracted."""
 
         for k in range(MAX_LENGTHS):
             if not outcome.converged or not self.system.renew_smoothing_length():
                 return outcome
             if k == 0:
                 again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried).solve((0.0,))
-            else:  # friction forces settle less sharply: each time they would lead to other lengths
+            else:  # friction forces settle too coarsely: their updates would keep changing lengths
                 again = contacts.solve_in_cells((0.0,), rough=False)
                 again = replace(again, unsettled=outcome.unsettled)
             outcome = outcome + again
@@ -177,7 +177,7 @@ class EquilibriumSearch:
         """Begin a load step for the cables with friction."""
         net = self.scene.net
         if not net.has_friction:
-            return  # friction along a cable begins with its grip from before
+            return  # axial friction starts from its last state
         from crms_fenicsx.friction.lateral import start_step
 
         shape = net.strip_shape()

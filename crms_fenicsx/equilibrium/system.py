@@ -1,4 +1,4 @@
-"""From a scene to a potential that can be minimised, and back to the scene's state."""
+"""Conversion of a scene to a potential to minimise, and of the solution to the scene's state."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.pond_contribution import PondContribution
 
 FAR = 0.01
-"""Largest movement in a minimisation, relative to the membrane's size, from which on it is looked
-whether something has snapped through: most load steps of a structure that is up move less."""
+"""Movement in a minimisation, relative to the membrane's size, above which snap-through is checked:
+most load steps of an erected structure move less."""
 
 ENDLESS = 10.0
-"""Movement under water, relative to the membrane's size, from which on no equilibrium is awaited
-any more: no fabric stretches so far."""
+"""Movement under water, relative to the membrane's size, above which no equilibrium is expected: no
+fabric stretches so far."""
 
 
 class System:
-    """The potential of a scene, made of what its features contribute.
+    """The potential of a scene, assembled from the contributions of its features.
 
-    Forms are compiled when a term is first needed. The layout of the unknowns and the cables'
-    tables are made anew when cables are laid, become taut or slacken.
+    Forms are compiled when a term is first needed. The layout of the unknowns and the cable tables
+    are recreated when cables are laid, tighten or slacken.
 
-    Attributes: `contributions`: what the features of the scene contribute, in the order of their
-    terms; `membrane`, `pressure`, `cables`, `bars`, `ponds`: some of them; the last three are None
-    without any; `unknowns`, `potential`: the layout, and the sum of the terms over it; `objective`:
-    what the last solve has minimised; with friction more than the scene's energy (force x length).
+    Attributes: `contributions`: those of the scene's features, in the order of their terms;
+    `membrane`, `pressure`, `cables`, `bars`, `ponds`: some of them, the last three None if absent;
+    `unknowns`, `potential`: the layout, and the sum of the terms over it; `objective`: minimum of
+    the last solve, with friction more than the scene's energy (force x length).
     """
 
     def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
@@ -65,8 +65,8 @@ class System:
         self.ponds: PondContribution | None = None
         self.minimizer: Minimizer | None = None
         self._solved = True
-        """Whether the last solve has converged; if not, the next one does without Newton's method,
-        as it would most often fail in the same way, and slowly."""
+        """Whether the last solve converged; if not, the next one does without Newton's method,
+        which would most often fail in the same way, and slowly."""
         self.objective = 0.0
         self.rebuild(scene.net.arranged != scene.net.cables)
         self.follow()
@@ -77,22 +77,21 @@ class System:
             self.minimizer.destroy()
             self.potential.destroy()
             self.minimizer = None
-            del self.potential, self.contributions  # their memory is there for the next ones
+            del self.potential, self.contributions  # free their memory before the next ones
             self.cables = self.ponds = None
 
     def invalidate(self) -> None:
-        """Let the next solve begin with a rebuild."""
+        """Make the next solve start with a rebuild."""
         self.built_for = -1
 
     def reset_h0(self) -> None:
-        """Let the next solve begin with a new H0."""
+        """Make the next solve start with a new H0."""
         if self.minimizer is not None:
             self.minimizer.reset_h0()
 
     def rebuild(self, arrange: bool = True) -> None:
-        """Make layout, terms and minimiser anew for the scene as it is. Collective. Unless
-        `arrange` the cables cross as they did in the solve that led to this state: it is to be
-        looked at."""
+        """Recreate layout, terms and minimiser for the current scene. Collective. Without `arrange`
+        the crossings stay as in the solve that led to this state, for inspection."""
         self.destroy()
         scene, damping = self.scene, None
         self._arranged = arrange or not scene.cables
@@ -136,7 +135,7 @@ class System:
         self.built_for, self._begun = scene.versions.model_version, False
 
     def _bar_contribution(self) -> BarContribution | None:
-        """The contribution of bars and joints; None without any."""
+        """Contribution of bars and joints, or None."""
         if not self.scene.frame:
             return None
         from crms_fenicsx.equilibrium.frame_contribution import BarContribution
@@ -148,34 +147,34 @@ class System:
         stale = [part.is_stale for part in self.contributions]
         if self.built_for != self.scene.versions.model_version or any(stale) or not self._arranged:
             self.rebuild()
-        else:  # it still counts the slips of cables from where the last load step began
+        else:  # the potential still counts slips from the start of the last step
             self.renew_friction()
 
     def read_scene(self) -> None:
-        """Take state and loads from the scene."""
+        """Copy state and loads from the scene."""
         for part in self.contributions:
             part.read_scene(self.potential)
         self.potential.place()
 
     def update(self) -> None:
-        """Bring the potential to the scene's state, to be looked at."""
+        """Bring the potential to the scene's state for inspection."""
         self._follow_scene()
         if not self._begun:  # step-wise laws have no forces before
             self._begin_step()
 
     def _follow_scene(self) -> None:
-        """Take state and loads from the scene, in a new layout if it got new parts."""
+        """Copy state and loads from the scene, in a new layout if its parts changed."""
         if self.built_for != self.scene.versions.model_version:
             self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
 
     def _begin_step(self) -> None:
-        """Let a load step begin at the state read."""
+        """Begin a load step at the state read."""
         self.potential.begin_step()
         self._begun = True
 
     def added_force_per_area(self) -> float:
-        """Mean size of the forces of ponds and of the user's terms (force per area). Collective."""
+        """Mean size of the forces of ponds and user terms (force per area). Collective."""
         if not self.scene.terms and not self.scene.ponds:
             return 0.0
         self._follow_scene()
@@ -196,12 +195,12 @@ class System:
             part.write_scene(self.potential)
 
     def renew_friction(self) -> None:
-        """Bring the friction forces of the potential to those that the cables have. Collective."""
+        """Update the potential's friction forces from the cables. Collective."""
         for part in self.contributions:
             part.renew_friction()
 
     def renew_smoothing_length(self) -> bool:
-        """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
+        """Correct the cable lengths for smoothing and return whether that changed them."""
         return any([part.renew_smoothing_length(self.potential) for part in self.contributions])
 
     def minimize(
@@ -236,7 +235,7 @@ class System:
         return float(self.scene.comm.allreduce(largest, op=MPI.MAX)) ** 0.5
 
     def caught_nodes(self, limit: float) -> set[NodeId]:
-        """Fold points at which a folded edge has a kink of more than a limit (rad). Collective."""
+        """Fold points with an edge kink above a limit (rad). Collective."""
         return set().union(*(part.caught_nodes(limit) for part in self.contributions))
 
     def caught_cables(self, limit: float) -> set[int]:
@@ -250,11 +249,11 @@ class System:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether another system has brought the scene to another state since."""
+        """Whether another system has changed the scene's state since."""
         return self._state_version != self.scene.versions.state_version
 
     def follow(self) -> None:
-        """Take down that this system and the state of its scene agree."""
+        """Record that this system agrees with the state of its scene."""
         self._state_version = self.scene.versions.state_version
 
     def commit(self) -> None:

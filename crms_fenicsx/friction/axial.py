@@ -1,16 +1,15 @@
-"""Friction along a cable: bounds, slips and dissipation of a load step, and their tables.
+"""Axial friction: bounds, slips and dissipation of a load step, and their tables.
 
-The history is the cable's place on the stress-free membrane when the last load step ended, as for
-friction sideways (`crms_fenicsx.friction.slip`), and there the unstressed arc of the cable that
-would rest at each place: the arc that sat there, less the elastic slip. A node looks up the place
-nearest to its own. So nothing is lost when the cable also slides sideways, and over vertices.
+The history, as for lateral friction (`crms_fenicsx.friction.slip`), is the cable's curve on the
+stress-free membrane at the end of the last load step, with the rest arc at each place: the
+unstressed arc that sat there minus the elastic slip. A node uses the place nearest to its own, so
+the history survives lateral sliding, also over vertices.
 
-The friction bound of a node follows from the angle of wrap and the tension there, which the
-minimisation does not know yet: it is held while the potential is minimised. Then the law ``T2/T1 =
-exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.energies.capstan_chain`), and
-gives the bounds for the next pass. Only lengths and angles change from pass to pass, little. A
-cable of which no bounds are known yet begins without friction: its lengths then are near to those
-sought, whereas one that sticks would have those that the movement of its ends tears it to.
+The friction bound of a node follows from wrap angle and tension, and is constant during a
+minimisation. Then the law ``T2/T1 = exp(mu theta)`` is solved for the resulting lengths
+(`crms_fenicsx.energies.capstan_chain`), which gives the bounds of the next pass. Only lengths and
+angles change between passes, and little. A cable without known bounds starts without friction,
+which gives lengths near the solution; a sticking one would be stretched by the motion of its ends.
 """
 
 from __future__ import annotations
@@ -36,22 +35,22 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.surface.points import Support
 
 LEAST_PART = 0.01
-"""Least part of a change of the bounds that is taken."""
+"""Least relaxation factor for changes of the bounds."""
 
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """Arc at rest where friction holds the cables: ``slope * s + offset``, s places on edges."""
+    """Rest arcs at nodes with axial friction: ``slope * s + offset``, s the edge fraction."""
 
     nodes: list[int]  # their numbers
-    slope: Array  # (n,) and
+    slope: Array  # (n,), with
     offset: Array  # (n,) (length)
-    rest: Array  # (n,) arcs at their current places (length)
-    size: Array  # (n,) size of the stress-free cells around (length)
+    rest: Array  # (n,) at the current places (length)
+    size: Array  # (n,) size of the surrounding stress-free cells (length)
 
 
 def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
-    """State of a cable that has the same strain everywhere, as one that has just been laid."""
+    """State of a cable at uniform strain, as after laying."""
     supports = _supports(cable)
     curve, rest = _curve(cable, shape, [], np.zeros(0))
     none, zero = np.zeros(0), np.zeros(len(supports))
@@ -59,7 +58,7 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
-    """Supports of the nodes that friction can hold along the cable, and numbers of clamps."""
+    """Supports of the nodes with axial friction; negative numbers for clamps."""
     last = len(cable.nodes) - 1
     supports: list[Support] = []
     clamps = clamped_nodes(cable)
@@ -78,17 +77,17 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
 
 
 def clamped_nodes(cable: LaidCable) -> list[int]:
-    """Numbers of the nodes at which clamps hold a cable."""
+    """Numbers of the clamped nodes of a cable."""
     return [] if cable.parts is None else list(cable.parts.nodes)
 
 
 def is_aligned(cable: LaidCable) -> bool:
-    """Whether the grip has the nodes that friction can hold now."""
+    """Whether the axial state refers to the current nodes with friction."""
     return cable.axial is None or not cable.taut or cable.axial.supports == _supports(cable)
 
 
 def gripped_nodes(cable: LaidCable) -> list[int]:
-    """Numbers of the nodes that the grip has, which stay while its potential is minimised."""
+    """Node numbers of the axial state, which stay fixed during a minimisation."""
     assert cable.axial is not None
     own, clamps = set(cable.axial.supports), clamped_nodes(cable)
     return sorted(
@@ -99,7 +98,7 @@ def gripped_nodes(cable: LaidCable) -> list[int]:
 
 
 def remap_axial(cable: LaidCable) -> None:
-    """Bring the bounds to the nodes that the cable has now."""
+    """Transfer the bounds to the cable's current nodes."""
     grip = cable.axial
     if grip is None or (now := _supports(cable)) == grip.supports:
         return
@@ -110,8 +109,7 @@ def remap_axial(cable: LaidCable) -> None:
     for gone, heir in heirs:
         new[:3, heir] += old[:3, gone].sum(axis=1, keepdims=True) / len(heir)
     if cable.cable.cone:
-        # Here eps is as long as the way slid: bounds with another one would do other work, and
-        # changes of the path would be refused for that.
+        # eps is as large as the slip: another one would do other work, and block path changes.
         new[1:3, stays] = old[1:3, rows]
         for gone, heir in heirs:
             added = [k for k in heir if k not in stays]
@@ -129,11 +127,11 @@ def remap_axial(cable: LaidCable) -> None:
 
 
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
-    """Arcs at rest at a cable's nodes, and how they change along their edges."""
-    # A fold point that is moved along its edge by v takes the cable's material along by v . t, with
-    # t the mean of the cable's directions before and after: divided by the stretch, this is the
-    # slope. With it the forces of the tensions T1, T2 and of friction on the fold point sum up to
-    # (T1 + T2)/2 (t2 - t1) along the edge, which vanishes on a geodesic as without friction.
+    """Rest arcs at a cable's nodes, and their slopes along the edges."""
+    # Moving a fold point along its edge by v moves the cable's material by v . t, with t the mean
+    # of the directions before and after; divided by the stretch, this is the slope. Then tensions
+    # T1, T2 and friction give the fold point the force (T1 + T2)/2 (t2 - t1) along the edge, which
+    # vanishes on a geodesic, as without friction.
     grip = cable.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
@@ -160,13 +158,13 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
 
 
 def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
-    """Unstressed arcs that rest at places on the stress-free membrane (length)."""
+    """Rest arcs at places on the stress-free membrane (length)."""
     at, _, parts = grip.curve.nearest(places)
-    if np.any(parts < 0):  # the cable was nowhere on the membrane
+    if np.any(parts < 0):  # the cable was entirely off the membrane
         return np.zeros(len(places))
     first, last = grip.curve.arc[[0, -1]]
     inside = np.clip(at, first, last)
-    # beyond its ends, the cable as it is on the whole
+    # extrapolate at the cable's mean rate
     rate = (grip.rest[-1] - grip.rest[0]) / (last - first)
     return np.interp(inside, grip.curve.arc, grip.rest) + rate * (at - inside)
 
@@ -174,7 +172,7 @@ def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
 def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
-    """Store lengths and tensions (n + 1,) of a solve's spans, and slips (n,) between them."""
+    """Store lengths and tensions (n + 1,) of the solved spans, and slips (n,) between them."""
     grip = cable.axial
     assert grip is not None
     axial = replace(
@@ -189,13 +187,13 @@ def store_solution(
 
 
 def between_contacts(cable: LaidCable, of_spans: Array) -> Array:
-    """Values of spans for the cable's parts between the nodes that it touches."""
+    """Values of spans for the cable's segments between contacts."""
     span = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
     return np.asarray(of_spans[span])
 
 
 def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
-    """End a load step: the next one begins with what rests now at the cable's place."""
+    """End a load step: the present state becomes the rest state of the next one."""
     grip = cable.axial
     if grip is None:
         return
@@ -204,7 +202,7 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
         cable.update(axial=replace(initial_state(cable, shape), dissipated=dissipated))
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.elastic, grip.elastic), 0.0)
-    if cable.cable.cone:  # what is left elastically has the same force on its own
+    if cable.cable.cone:  # the remaining elastic slip has the same force in the uncoupled law
         slides = grip.elastic < grip.eps
         force = np.abs(coulomb_forces(grip.slips, grip.bounds, np.maximum(grip.eps, EPSILON)))
         bounds, eps = np.where(slides, [force, grip.elastic], [grip.bounds, grip.eps])
@@ -217,8 +215,8 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
 def _curve(
     cable: LaidCable, shape: StripShape, nodes: list[int], arcs: Array
 ) -> tuple[MaterialCurve, Array]:
-    """A cable's curve over the stress-free membrane, and the arcs that rest at its points."""
-    # places under the cable where it is off the membrane count as well: there it may touch down
+    """A cable's curve on the stress-free membrane, and the rest arcs at its points."""
+    # include the places below lifted parts, where the cable may touch down
     last = len(cable.nodes) - 1
     on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
@@ -232,12 +230,12 @@ def _curve(
 
 
 def held_along(cable: LaidCable) -> bool:
-    """Whether a cable is in tension and friction holds it along its axis."""
+    """Whether a cable is taut and has axial friction."""
     return cable.taut and cable.axial is not None
 
 
 def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
-    """Spans and nodes of the cables that friction holds along their axis."""
+    """Spans and nodes of the taut cables with axial friction."""
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
     held = {c: gripped_nodes(numbering.cables[c]) for c in cables}
     starts = np.cumsum([0] + [len(held[c]) + 1 for c in cables])
@@ -261,7 +259,7 @@ def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
 
 
 def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
-    """The present bounds and places of rest of these cables."""
+    """Current bounds and rest arcs of these cables."""
     places = {c: reference_arcs(k, shape) for c, k in enumerate(numbering.cables) if held_along(k)}
     grips = [axial for c in places if (axial := numbering.cables[c].axial) is not None]
 
@@ -280,7 +278,7 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
 
 
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
-    """Sliding nodes that friction holds on edges of this rank: place in `held`, cable, node."""
+    """Sliding nodes with axial friction on this rank's edges: index of cable, cable, node."""
     near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
     return [

@@ -1,16 +1,16 @@
-"""Friction sideways and along a cable together: the cone.
+"""Coupled lateral and axial friction: the friction cone.
 
-A node on which the contact force N presses has the forces ``mu N u`` sideways and ``along N v``
-along the cable, with ``u^2 + v^2 <= 1``. It gives way as a spring in each direction does, in series
-with a slider for both: the springs are those of the laws on their own, force ``y (2 - y)`` at the
-elastic slip y eps, and the slider goes in the direction that dissipates most,
+A node with contact force N has the forces ``mu N u`` sideways and ``along N v`` along the cable,
+with ``u^2 + v^2 <= 1``. It consists of a spring in each direction, in series with one slider for
+both. The springs are those of the uncoupled laws, with force ``y (2 - y)`` at the elastic slip y
+eps; the slider moves in the direction of largest dissipation,
 
     mu s' : along t' = u : v
 
-with s' and t' the slips in the load step sideways and along, less the elastic ones. The energy of
-springs and slider is a convex function of both slips. Its minimisation alternates between them: in
-each law the other slip is held. A law of one slip alone has the same form, with another bound, and
-a width that grows with the other slip; both are exact where the slip is that of the state found.
+with s' and t' the slips of the load step sideways and along, minus the elastic ones. The energy of
+springs and slider is convex in both slips. It is minimised alternately in each slip with the other
+one fixed. Each law then has the uncoupled form with another bound and with a width that grows with
+the other slip; both are exact at the slip of the given state.
 """
 
 from __future__ import annotations
@@ -38,41 +38,41 @@ class Slip:
 
     @classmethod
     def of(cls, coefficient: float, slips: Array, eps: Array) -> Slip:
-        """From signed slips and the ones at which friction is mobilised, (n,) (length)."""
+        """Create from signed slips and mobilisation slips, (n,) (length)."""
         return cls(coefficient * np.abs(slips), coefficient * eps)
 
     @property
     def mobilised(self) -> Array:
-        """Force that the spring alone would have, relative to the bound."""
+        """Force of the spring alone, relative to the bound."""
         y = np.minimum(self.work / self.eps, 1.0)
         return np.asarray(y * (2 - y))
 
     def plastic(self, share: Array) -> Array:
-        """What is not elastic, with a share of the bound (length)."""
+        """Plastic slip at a share of the bound (length)."""
         return np.asarray(np.maximum(self.work - self.eps * elastic_part(share), 0.0))
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
-        """Law of these slips while the other ones are held, as in `SidewaysLaw`."""
-        # Where this slip is small beside the other one, the force is share = work/other: the width
-        # is that with which the law has this slope.
+        """Law of these slips with the other ones fixed, as in `SidewaysLaw`."""
+        # Where this slip is small relative to the other, the force is share = work/other; the width
+        # gives the law this slope.
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
         width = 1 + 2 * other / self.eps
         y = np.minimum(self.work / self.eps / width, 1.0)
-        # As the slip vanishes, so does the share, by the slope of the law.
+        # The share vanishes with the slip, at the slope of the law.
         small = y < 1e-9
         bound = np.where(small, 1.0, share / np.where(small, 1.0, y * (2 - y)))
         return bound, width, np.where(slides, elastic_part(share), 1.0)
 
 
 def elastic_part(share: Array) -> Array:
-    """Elastic slip, relative to eps, with a force relative to the bound."""
+    """Elastic slip, relative to eps, for a force relative to the bound."""
     return np.asarray(1 - np.sqrt(np.maximum(1 - share, 0.0)))
 
 
 def shares(a: Slip, b: Slip) -> tuple[Array, Array]:
-    """Forces in the two directions, relative to their bounds, (n,) and (n,)."""
+    """Forces in both directions, relative to their bounds, (n,) and (n,)."""
     u, v = a.mobilised, b.mobilised
-    # The force turns from where b alone would not slide to where a alone would not.
+    # The angle lies between those at which b alone, and a alone, would just not slide.
     low, high = np.arccos(np.minimum(v, 1.0)), np.arcsin(np.minimum(u, 1.0))
     slides = u**2 + v**2 > 1.0
     for _ in range(BISECTIONS):
@@ -84,9 +84,9 @@ def shares(a: Slip, b: Slip) -> tuple[Array, Array]:
 
 
 def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
-    """Slips along the cable at which friction is mobilised on its own, (n,) (length)."""
-    # relative to what the force of a node that just holds stretches one cell by, so that sticking
-    # is much stiffer than the cable on every mesh, however stiff the cable is
+    """Axial slips at which uncoupled friction is mobilised, (n,) (length)."""
+    # relative to the elongation of one cell of cable under the node's friction force, so that
+    # sticking is much stiffer than the cable for any mesh and cable stiffness
     friction = cable.cable.friction
     assert isinstance(friction, Friction)
     strain = cable.length / cable.L0 - 1
@@ -96,7 +96,7 @@ def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
 def slips_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape, nodes: list[int]
 ) -> Slip:
-    """Slips sideways of some of a cable's nodes; none of those on vertices."""
+    """Lateral slips of the given nodes; zero at vertices."""
     friction = cable.cable.sideways
     assert friction is not None
     found = node_slips(cable, grip.curve, shape)
@@ -109,7 +109,7 @@ def slips_sideways(
 def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
 ) -> SidewaysLaw | None:
-    """The law sideways that friction along the cable leaves at the held nodes; None: unchanged."""
+    """Lateral law reduced by axial friction at the nodes with friction; None if unchanged."""
     friction, axial = cable.cable.sideways, cable.axial
     assert friction is not None
     if not cable.cable.cone or axial is None or not len(axial.spans):
@@ -124,7 +124,7 @@ def law_sideways(
     along = Slip.of(friction.along, slips, full_slips(cable, size, wrap))
     u, v = shares(sideways, along)
     law = np.array(sideways.law(u, along.plastic(v)))
-    # A node on a vertex cannot slip sideways: it may take what is left.
+    # A node on a vertex cannot slip sideways: it may use the remaining capacity.
     fixed = np.array([not cable.nodes[k].slides for k in nodes], dtype=bool)
     law[:, fixed] = 1.0
     law[0, fixed] = np.sqrt(1 - along.mobilised[fixed] ** 2)
@@ -132,6 +132,6 @@ def law_sideways(
 
 
 def law_along(sideways: Slip, along: Slip) -> tuple[Array, Array, Array]:
-    """The law along the cable that friction sideways leaves, as in `SidewaysLaw`."""
+    """Axial law reduced by lateral friction, as in `SidewaysLaw`."""
     u, v = shares(sideways, along)
     return along.law(v, sideways.plastic(u))

@@ -1,11 +1,11 @@
-"""Friction sideways: bounds and slips of a load step, and their tables.
+"""Lateral friction: bounds and slips of a load step, and their tables.
 
-The bound F = mu N (3.2-3) depends on the state that is sought. It is held while the potential is
-minimised, then taken anew from the state found, and so on until it settles.
+The bound F = mu N (3.2-3) depends on the unknown state. It is constant during a minimisation, then
+updated from the result, until it settles.
 
-While it is held, the path may change. Nodes that stay keep their bound, and the bounds of those
-that go are shared among those that take their place, so that their sum, and with it the energy of
-the paths that are compared, does not change for any other reason.
+While bounds are constant the path may change. Persisting nodes keep their bounds; those of
+vanishing nodes are shared among their successors, so that the sum, and with it the energies of the
+compared paths, do not change for another reason.
 """
 
 from __future__ import annotations
@@ -42,21 +42,19 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
 NOISE = 1e-6
-"""Sideways force, relative to the tension, that is none."""
+"""Negligible lateral force, relative to the tension."""
 LEAST_STRAIN = 1e-4
-"""Strain of a cable that sets the force by which it is first taken to stick."""
+"""Least strain for the force by which a cable first sticks."""
 
 LEAST_RISE = 1e-3
-"""Rise of the tension, relative to it, with which bounds grow: less is that of an idle cable, from
-the smoothing of lengths."""
+"""Rise of the tension, relative to it, for bounds to grow: an idle cable's smoothing gives less."""
 
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
-    """Prepare a cable for a load step, if it has friction."""
-    # A cable that has not been in tension yet is taken to stick first, as no bound is known. So
-    # that one that is tightened does as well, bounds grow in advance with the tension that it has
-    # where it lies: with those of the last step's tension it could slide until it is slack, a state
-    # that no friction holds and that keeps itself.
+    """Prepare a cable with friction for a load step."""
+    # A cable not yet in tension sticks at first, as no bound is known. So that a tightened one
+    # sticks too, its bounds grow in advance with its tension in place: with the last step's bounds
+    # it could slide until it is slack, a self-sustaining state without friction.
     if cable.cable.sideways is None:
         return
     if cable.lateral is None:
@@ -81,8 +79,8 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
 
 
 def _tension_in_place(cable: LaidCable) -> float:
-    """Tension (force) of a cable where the last step has left it, with its ends where they are."""
-    # by its length of then: a crossing that it has got since is not in equilibrium yet
+    """Tension (force) of a cable in its last place, with its ends at their current positions."""
+    # from its old length, as new crossings are not in equilibrium yet
     length, places = cable.length, cable.positions[cable.contacts()]
     if cable.ends_before is not None:
         beside = places[[1, -2]]
@@ -92,7 +90,7 @@ def _tension_in_place(cable: LaidCable) -> float:
 
 
 def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Directions in which nodes slide: where the cable pulls them, or as in the last step."""
+    """Sliding directions of nodes: that of the cable's pull, or that of the last step."""
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
@@ -103,7 +101,7 @@ def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Ar
 
 
 def remap(cable: LaidCable) -> None:
-    """Bring the bounds to the nodes that the cable has now."""
+    """Transfer the bounds to the cable's current nodes."""
     grip = cable.lateral
     if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
@@ -112,7 +110,7 @@ def remap(cable: LaidCable) -> None:
     bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
     for gone, new in heirs:
         freed = grip.bounds[gone].copy()
-        # At its ends a cable may press on an edge of the boundary, much more than on all others.
+        # Near its ends a cable may press on a boundary edge, much more than on all others.
         if len(new) > 1 and gone.start == new[0] == 0:
             bounds[0], freed[0] = freed[0], 0.0
         if len(new) > 1 and gone.stop == len(grip.supports) and new[-1] == len(now) - 1:
@@ -134,7 +132,7 @@ def remap(cable: LaidCable) -> None:
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
-    """Energy that a cable's friction stores, and that it dissipates in the step so far."""
+    """Energies that a cable's friction stores, and has dissipated in this step."""
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
@@ -147,10 +145,10 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
-    """Friction force (n,) at each held node, positive against a cable that goes left (force)."""
+    """Friction force (n,) at nodes with friction, positive on a cable sliding left (force)."""
     friction, grip = cable.cable.sideways, cable.lateral
     assert friction is not None and grip is not None
-    # a node on a vertex cannot slip: it gets what it takes to hold it, up to its bound
+    # a node on a vertex cannot slip: friction balances the pull, up to the bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
     slips = node_slips(cable, grip.curve, shape)
@@ -163,7 +161,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
 
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
-    """End a load step: the next one's slip counts from the cable's place."""
+    """End a load step: slips then count from the cable's current place."""
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None:
         return
@@ -182,14 +180,14 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
         curve=curve,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
-        cone=None,  # what is left elastically has the same force on its own
+        cone=None,  # the remaining elastic slip has the same force in the uncoupled law
         dissipated=grip.dissipated + dissipated,
     )
     cable.update(lateral=ended)
 
 
 def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
-    """Nodes with stick and slip."""
+    """Nodes with stick-slip friction."""
     nodes: list[int] = []
     laws: list[Array] = [np.zeros((4, 0))]
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
@@ -217,7 +215,7 @@ def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionEleme
             force = work * directions(cable, [k], shape, *(way[None] for way in direction[k]))[1][0]
             blocks.append((numbering.vertex(vertex), numbering.block(c, k)))
             forces.append(force)
-            # The work of a node that the path has got in this step begins with its slip.
+            # The work of a node added in this step starts with its slip.
             offsets.append(work * slip - float(force @ (cable.positions[k] - shape.at(vertex))))
     return FrictionElements(
         np.array(blocks, dtype=np.int32).reshape(-1, 2),
@@ -229,7 +227,7 @@ def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionEleme
 def _slips(
     numbering: CableNumbering, shape: StripShape, law: str
 ) -> Iterator[tuple[int, LaidCable, Friction, LateralFrictionState, NodeSlips]]:
-    """Slips of the nodes of the cables that friction of a law holds."""
+    """Slips of the nodes of taut cables with a given friction law."""
     for c, cable in enumerate(numbering.cables):
         friction, grip = cable.cable.sideways, cable.lateral
         if cable.taut and friction is not None and grip is not None and friction.law == law:

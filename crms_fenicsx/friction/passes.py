@@ -1,8 +1,8 @@
-"""Passes that settle the friction forces, sideways and along the cables.
+"""Fixed-point iteration for the lateral and axial friction forces.
 
-The forces are brought to those of the state that they lead to, and this can go back and forth among
-few states, where nodes begin to slide or to touch. The part is found by Aitken's rule for vectors
-(B. M. Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1, 1969).
+Each pass updates the forces from the state that they produce. This can cycle among few states,
+where nodes start to slide or to touch; so changes are relaxed by Aitken's rule for vectors (B. M.
+Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1, 1969).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 
 
 class AitkenRelaxation:
-    """Part of a change that is taken."""
+    """Aitken relaxation factor."""
 
     def __init__(self, least: float) -> None:
         self.least = least
@@ -47,7 +47,7 @@ class AitkenRelaxation:
         self._last: tuple[Hashable, Array] | None = None
 
     def factor(self, what: Hashable, change: Array) -> float:
-        """The part of a change (n,) to take; the one before counts if it was of the same."""
+        """Fraction of a change (n,) to apply; the previous change counts if `what` is the same."""
         if self._last is not None and self._last[0] == what:
             bend = change - self._last[1]
             size = float(bend @ bend)
@@ -59,29 +59,28 @@ class AitkenRelaxation:
 
 
 SLIDES = 0.05
-"""Slip in a load step, relative to the cells' size, from which on a node slides: with less, noise
-would set off an avalanche where the static coefficient is larger; with much more it comes late."""
+"""Slip in a load step, relative to the cell size, above which a node slides: with less, noise would
+trigger an avalanche where the static coefficient is larger; with much more sliding starts late."""
 
 SETTLED, NEARLY = 1e-3, 0.02
 """Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
 
 LEAST_SHARE = 0.1
-"""Least part of a change in how the bounds are divided that is taken."""
+"""Least relaxation factor for the distribution of the bounds."""
 
 STEEPEST = 0.9
-"""Largest part of a change of their sum that is taken to come back from the state."""
+"""Upper limit of the slope of the fixed-point map of their sum."""
 
 AGAINST = 30.0
-"""As `STEEPEST`, where the state answers a larger sum by a smaller one."""
+"""Limit of a negative slope, where the state responds to a larger sum with a smaller one."""
 
 
 class LateralIteration:
-    """Brings the bounds of one cable in a load step to those of the state that they lead to."""
+    """Iterates one cable's lateral bounds to those of the resulting state."""
 
-    # The bounds are proportional to the tension, and a stiff cable that slides soon loses it:
-    # taking their sum over would converge slowly, so it is found by the secant method. How it is
-    # divided among the nodes can go back and forth between two states, so of a change of that a
-    # part is taken.
+    # The bounds are proportional to the tension, which a stiff cable soon loses by sliding: plain
+    # iteration of their sum converges slowly, so it is found by the secant method. Their
+    # distribution among the nodes can alternate between two states, so its change is relaxed.
     settled = SETTLED
 
     def __init__(self, cable: LaidCable) -> None:
@@ -94,12 +93,12 @@ class LateralIteration:
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state; return their change, relative to their sum."""
+        """Update the bounds from the current state; return their change, relative to their sum."""
         cable, grip = self.cable, self.cable.lateral
         assert grip is not None
         if not cable.taut:
             return 0.0
-        # Only what slides while the bounds change little slides because it must.
+        # Only sliding at nearly constant bounds is real.
         nearly = self.change < NEARLY
         found, moving = _bounds(cable, grip, shape, settled=nearly)
         self.change = _change(grip.bounds, found)
@@ -114,7 +113,7 @@ class LateralIteration:
             slips = node_slips(cable, grip.curve, shape)
             changes = slip_forces(friction, coupled, slips) - slip_forces(friction, grip, slips)
             self.change = max(self.change, float(np.abs(changes).sum()) / used)
-        if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
+        if self.change <= SETTLED:  # keep the bounds that belong to the state
             return self.change
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
             self._forget()
@@ -127,7 +126,7 @@ class LateralIteration:
         return self.change
 
     def _fixed_point(self, used: float, found: float) -> float:
-        """Secant estimate, in logarithms, of the sum that leads to itself."""
+        """Secant estimate, in logarithms, of the fixed point of the sum."""
         here, slope = (float(np.log(used)), float(np.log(found))), 0.0
         if self._sums is not None and here[0] != self._sums[0]:
             slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
@@ -147,7 +146,7 @@ def _change(used: Array, found: Array) -> float:
 def _bounds(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape, settled: bool
 ) -> tuple[Array, Array]:
-    """Friction bounds in the current state (force), and the directions in which nodes slide."""
+    """Friction bounds in the current state (force), and sliding directions of the nodes."""
     friction = cable.cable.sideways
     assert friction is not None
     slips = node_slips(cable, grip.curve, shape)
@@ -163,31 +162,30 @@ def _bounds(
 
 
 AXIALLY_SETTLED = 1e-4
-"""Change of the tensions, relative to the sum of the bounds, below which these have settled. What
-is sharper than sideways costs one short pass here."""
+"""Change of the tensions, relative to the sum of the bounds, below which these have settled. Being
+sharper than for lateral friction costs one short pass."""
 
 
 CLAMPED = 10.0
-"""Logarithm of the ratio of tensions that clamps hold at most, more than any cable has."""
+"""Largest logarithm of the tension ratio at clamps, more than any cable has."""
 
 MOST_TURNS, TURNED = 30, 1e-6
-"""How often the direction of the friction force is taken from the slips that it leads to, and
-their change, relative to the largest one, below which it has been found."""
+"""Limit of iterations for the friction's direction, and relative change of slips at convergence."""
 
 
 @dataclass(frozen=True)
 class _Law:
-    """Coulomb's law along a cable, solved."""
+    """Solved Coulomb law along a cable."""
 
-    most: Array  # (n,) most logarithm of the ratio of tensions at nodes
+    most: Array  # (n,) largest logarithm of the tension ratio at nodes
     eps: Array  # (n,) slips at which it is reached (length)
-    elastic: Array  # (n,) most elastic slips (length)
+    elastic: Array  # (n,) largest elastic slips (length)
     slips: Array  # (n,) (length)
     unstressed: Array  # (n + 1,) unstressed lengths of the spans (length)
 
 
 class AxialIteration:
-    """Brings the bounds of one cable in a load step to those of the state that they lead to."""
+    """Iterates one cable's axial bounds to those of the resulting state."""
 
     settled = AXIALLY_SETTLED
 
@@ -215,9 +213,9 @@ class AxialIteration:
         total, used = float(bounds[~clamped].sum()), float(grip.bounds[~clamped].sum())
         if used == 0.0 == total:
             return 0.0
-        # What counts is the tension: as nodes move along their edges, neighbours share differently.
+        # The tension counts: as nodes move along edges, neighbours share it differently.
         changes = np.where(clamped, 0.0, bounds - grip.bounds)
-        if cable.cable.cone:  # where other slips are the law has another width
+        if cable.cable.cone:  # the width depends on the other slips
             before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
             changes = coulomb_forces(law.slips, bounds, eps)
             changes -= coulomb_forces(grip.slips, grip.bounds, before)
@@ -226,12 +224,12 @@ class AxialIteration:
             total = float(most[~clamped].sum())
         error = np.abs(np.cumsum(changes)).max()
         change = float(error) / max(total, 1e-3 * used)
-        if change > self.settled:  # the state found stays the one that belongs to its bounds
+        if change > self.settled:  # else keep the bounds that belong to the state
             tensions = between_contacts(cable, EA * strains)
             elastic = law.elastic
             if used > 0.0:
                 part = self._pace.factor(grip.supports, changes)
-                # Where nothing holds the cable, now or before, eps has no meaning.
+                # Without friction, now or before, eps has no meaning.
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
@@ -242,7 +240,7 @@ class AxialIteration:
         return change
 
     def _held_ratios(self, clamped: Booleans) -> Array:
-        """Logarithms of the ratios of tensions that clamps hold, by those on their two sides now:
+        """Logarithms of the tension ratios that clamps hold, at the current tensions on both sides:
         with P = T + T^2/(2 EA) the grip is P2 - P1."""
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
@@ -284,10 +282,10 @@ class AxialIteration:
 
 
 def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:
-    """Friction bounds (n,), relative to EA, with which the potential has the law's tensions."""
-    # With the tensions T1, T2 and P = T + T^2/(2 EA), the work of the tension per unstressed arc,
-    # it is (P2 - P1)/f'(y); the difference T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2) of a node that
-    # slides is written so that it stays accurate for small angles.
+    """Friction bounds (n,), relative to EA, for which the potential has the law's tensions."""
+    # With tensions T1, T2 and P = T + T^2/(2 EA), the work of the tension per unstressed arc, the
+    # bound is (P2 - P1)/f'(y); T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2) of a sliding node is written
+    # such that it is accurate for small angles.
     share = np.minimum(np.abs(y), 1.0)
     z = wrap * share * (2.0 - share)
     return wrap * (mean * _sinhc(z / 2) + mean**2 * _sinhc(z))

@@ -1,10 +1,9 @@
-"""Slip of a cable on the membrane at the nodes that friction holds.
+"""Slip of a cable on the membrane at the nodes with friction.
 
-The history of friction is a curve on the stress-free membrane: the places on which the cable lay
-when the last load step ended. It is attached to no edge, so that nothing is lost when the cable
-slides into other cells. The slip of a fold point is the signed distance of its material place from
-that curve, to the left of the cable positive, plus the elastic slip that was left there: within a
-small slip eps friction is elastic, which keeps an idle cable from creeping.
+The history is a curve on the stress-free membrane: the cable's line at the end of the last load
+step. It is independent of edges, so it survives sliding into other cells. The slip of a fold point
+is the signed distance of its material place from that curve, positive to the left of the cable,
+plus the remaining elastic slip: within a small slip eps friction is elastic, to prevent creep.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """New nodes that stay, their old numbers, and stretches of old nodes with their heirs."""
+    """New nodes that persist, their old numbers, and ranges of old nodes with their heirs."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]
-    if sorted(rows) != rows:  # no such path comes from this one
+    if sorted(rows) != rows:  # not a successor of the old path
         stays, rows = [], []
     starts, ends = [-1, *stays], [*stays, len(now)]
     was_starts, was_ends = [-1, *rows], [*rows, len(old)]
@@ -45,15 +44,15 @@ def succession(
 
 @dataclass(frozen=True)
 class NodeSlips:
-    """Slips of sliding nodes, linear in their places s on their edges: ``slope * s + offset``."""
+    """Slips of sliding nodes, linear in their edge fractions s: ``slope * s + offset``."""
 
     nodes: list[int]  # (n,) their numbers
     supports: list[Support]  # their edges
-    slope: Array  # (n,) and
+    slope: Array  # (n,), with
     offset: Array  # (n,) (length)
-    slip: Array  # (n,) at their current places (length)
-    size: Array  # (n,) size of the stress-free cells around (length)
-    moving: Array  # (n,) direction in which the curve slid there in the last load step
+    slip: Array  # (n,) at the current places (length)
+    size: Array  # (n,) size of the surrounding stress-free cells (length)
+    moving: Array  # (n,) sliding direction of the curve there in the last load step
 
 
 def material_curve(
@@ -62,7 +61,7 @@ def material_curve(
     elastic: dict[int, float] | None = None,
     moving: dict[int, float] | None = None,
 ) -> MaterialCurve:
-    """Where a cable lies now, with elastic slips (length) and directions of sliding by nodes."""
+    """The cable's current curve, with elastic slips (length) and sliding directions by node."""
     elastic, moving = elastic or {}, moving or {}
     parts = runs(cable)
     nodes = [k for run in parts for k in run]
@@ -77,13 +76,13 @@ def material_curve(
 
 
 def material_place(cable: LaidCable, k: int, shape: StripShape) -> Array:
-    """Place of a node on the stress-free membrane, (3,)."""
+    """Position of a node on the stress-free membrane, (3,)."""
     ids, weights = cable.interpolation(k)
     return np.asarray(np.dot(weights, [shape.stress_free_at(i) for i in ids]))
 
 
 def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> NodeSlips:
-    """Slips of a cable's sliding nodes that touch the membrane; zero where it was not on it."""
+    """Slips of a cable's sliding contacts; zero where it was not on the membrane before."""
     nodes, supports = [], []
     for k in cable.contacts():
         point = cable.nodes[k].point
@@ -100,7 +99,7 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     for part in np.unique(parts[parts >= 0]):
         own = curve.arc[curve.part == part]
         first[parts == part], last[parts == part] = own[0], own[-1]
-    # Elsewhere the cable has touched down in this step, and does not know of any slip yet.
+    # Elsewhere the cable has touched down in this step and has no slip yet.
     known = (at >= first - size) & (at <= last + size)
     at, parts = at[known], parts[known]
     left = cross(normals[known], curve.tangents(at, parts, size[known]))
@@ -115,6 +114,6 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
 
 
 def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:
-    """Friction forces with stick and slip of sliding nodes, (n,) (force)."""
+    """Stick-slip friction forces of sliding nodes, (n,) (force)."""
     bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
     return coulomb_forces(slips.slip, bounds, eps)

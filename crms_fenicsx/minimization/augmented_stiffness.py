@@ -1,12 +1,12 @@
-"""H0 with the tensions of cables as unknowns, which MUMPS factorises at once.
+"""H0 factorised by MUMPS with the cable tensions as extra unknowns.
 
-With a column of G for each dyad and C = diag of their stiffnesses
+With the dyads' gradients as columns of G and their stiffnesses C,
 
     [ K            G C^1/2 ] [ y ]   [ b ]
-    [ C^1/2 G^T    -1      ] [ t ] = [ 0 ]     means     (K + G C G^T) y = b,
+    [ C^1/2 G^T    -1      ] [ t ] = [ 0 ]     means     (K + G C G^T) y = b.
 
-and has one negative eigenvalue for each dyad just if H0 = K + G C G^T is positive definite
-(Haynsworth). It is as sparse as K, and nothing is solved for each cable.
+The matrix is as sparse as K and needs no solve per cable. It has one negative eigenvalue per dyad
+if and only if H0 = K + G C G^T is positive definite (Haynsworth).
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from petsc4py import PETSc
 from crms_fenicsx.runtime.arrays import Array, Booleans
 
 CONTROLS = {7: 0, 8: 0, 12: 1, 13: 1, 14: 100}
-"""MUMPS's: approximate minimum degree; no scaling; a usual ordering; the root not in parallel, or
-negative pivots would not all be counted; per cent of memory more than it estimates."""
+"""MUMPS integer controls: approximate minimum degree, no scaling, standard ordering, sequential
+root (a parallel one would not count all negative pivots), 100 % extra workspace."""
 THRESHOLD = 1
-"""Which of MUMPS's real controls is the threshold of pivots."""
+"""Index of MUMPS's real control for the pivoting threshold."""
 ENDED, NEGATIVE_PIVOTS = 1, 12
-"""Which of what MUMPS tells is below zero after an error, and how many pivots are."""
+"""Indices in MUMPS's INFOG: error code (negative after an error), number of negative pivots."""
 
 
 class AugmentedStiffness:
-    """The matrix of displacements and tensions, and its factorisation. Collective.
+    """Factorised matrix of displacements and tensions. Collective.
 
-    Where H0 is definite there is a factorisation in any order, without `pivoting`.
+    `pivoting` may be off where H0 is definite: the factorisation then exists in any order.
 
     Attributes: `factor`: PETSc's factorisation; `negative`: number of negative eigenvalues of H0.
     """
@@ -47,8 +47,8 @@ class AugmentedStiffness:
             self._matrix = None
 
     def factorize(self, columns: Array) -> bool:
-        """Factorise with the rows of G C^1/2 that this rank has, (n, n_dyads). Collective. Returns
-        whether H0 is positive definite."""
+        """Factorise with this rank's rows of G C^1/2, (n, n_dyads). Collective. Returns whether H0
+        is positive definite."""
         comm = self._stiffness.comm.tompi4py()
         changed = columns.shape != self._pattern.shape or bool((columns != 0)[~self._pattern].any())
         pointers, indices, values = self._stiffness.getValuesCSR()
@@ -66,15 +66,14 @@ class AugmentedStiffness:
         return told(ENDED) >= 0 and self.negative == 0
 
     def _create(self, pointers: Array, indices: Array, columns: Array) -> None:
-        """Make matrix and factorisation with the pattern of a stiffness and of columns. Of the
-        latter each block of three components counts, whichever of them vanish just now."""
+        """Create matrix and factorisation for the pattern of a stiffness and of dyad columns; a
+        column's block of three components stays whole even if some are zero now."""
         n, n_dyads = columns.shape
         comm, n_global = self._stiffness.comm.tompi4py(), self._stiffness.getSize()[0]
         used = (columns != 0).reshape(n // 3, 3, n_dyads).any(axis=1)
         self._pattern = np.repeat(used, 3, axis=0)
         rows, dyads = np.nonzero(self._pattern)
-        # The rows of tensions follow on the last rank. Of a symmetric matrix MUMPS takes what is
-        # right of the diagonal.
+        # The tensions' rows follow on the last rank. MUMPS reads only the upper triangle.
         tensions = np.arange(n_dyads * (comm.rank == comm.size - 1))
         widths, more = np.diff(pointers), np.bincount(rows, minlength=n)
         ends = np.cumsum(widths + more)

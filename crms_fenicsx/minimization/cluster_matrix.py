@@ -1,14 +1,14 @@
-"""Stiffness of clusters of blocks, each factorised for itself.
+"""Stiffness of clusters of blocks, factorised cluster by cluster.
 
-Of each row of a cluster's matrix what lies between its first entry and the diagonal is kept, its
-envelope, which elimination fills. It is narrow, as a `ClusterLayout` has blocks that are close to
-each other in its order. Dyads c c^T would fill it, so their columns border the stiffness:
+Each row is stored as an envelope, from its first entry to the diagonal, which elimination fills.
+It is narrow because `ClusterLayout` numbers neighbouring blocks consecutively. Dyads c c^T would
+fill it, so their columns border the stiffness:
 
     [K    c]
     [c^T -1]
 
-Eliminating the border leaves K + c c^T, which is definite if and only if as many pivots of the
-whole are negative as there are columns, by Sylvester's law of inertia.
+Eliminating the border leaves K + c c^T, which is definite if and only if the bordered matrix has as
+many negative pivots as columns (Sylvester's law of inertia).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers
 
 NO_COLUMNS = ColumnPattern(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32))
-"""Of clusters without dyads."""
+"""Pattern of clusters without dyads."""
 
 
 class ClusterMatrix:
-    """Stiffness of clusters, which terms add to as to a PETSc matrix.
+    """Stiffness of clusters, to which terms add as to a PETSc matrix.
 
-    Entry (i, j) of its lower half is ``values[at[i] + j]``, for ``first[i] <= j <= i``. Cluster c
-    has the rows from ``rows[c]`` on: three of each of its blocks, and one of each of its columns.
+    Entry (i, j) of the lower triangle is ``values[at[i] + j]``, for ``first[i] <= j <= i``. The
+    rows of cluster c start at ``rows[c]``: three for each block, then one for each column.
     """
 
     def __init__(
@@ -65,8 +65,7 @@ class ClusterMatrix:
         }
 
     def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
-        """Rows and columns of blocks in the lower half that a pattern adds to, what it adds there
-        and what part of that."""
+        """Rows, columns, source blocks and weights of a pattern's blocks in the lower triangle."""
         whole, number = self.layout.whole, self.layout.number
         if whole.n_tied_points == 0:
             i, j, kept = _lower_half(pattern.rows, pattern.cols, number)
@@ -76,7 +75,7 @@ class ClusterMatrix:
         return i, j, sources[kept], weights[kept]
 
     def _find_columns(self, of: ColumnPattern) -> tuple[Integers, Integers, Integers, Array]:
-        """Columns and blocks of the entries where blocks move, as `_find`."""
+        """Column and block of the dyads' entries at moving blocks, with sources and weights."""
         carriers, shares = self.layout.whole.carriers()
         number, weights = self.layout.number[carriers[of.blocks]], shares[of.blocks]
         sources, k = np.nonzero((number >= 0) & (weights != 0.0))
@@ -87,25 +86,24 @@ class ClusterMatrix:
         self.values[:] = 0.0
 
     def take(self, pattern: BlockPattern) -> None:
-        """Add a pattern's values; blocks of what is held are left out."""
+        """Add a pattern's values, except those of held blocks."""
         scatter_blocks(pattern.values, *self._places[pattern], self.values)
 
     def take_columns(self, pattern: ColumnPattern) -> None:
-        """Add the columns of dyads."""
+        """Add the dyads' columns."""
         values = self._weights[:, None] * pattern.values[self._sources]
         np.add.at(self.values, self._columns, values)
 
     def close(self, exact: bool = False) -> None:
-        """Shift the diagonal a little, and decouple what is not free to move. A cluster's shift is
-        from its own stiffness, whichever others are here; it is less for second derivatives."""
+        """Shift the diagonal slightly and decouple constrained components. Each cluster's shift
+        depends on its own stiffness only; it is smaller for second derivatives (`exact`)."""
         layout, part = self.layout, EXACT_SHIFT if exact else SHIFT
         blocks, projectors = layout.projectors
         _close(self.values, self.first, self.at, self.rows, layout.starts, part, blocks, projectors)
 
     def solve(self, wanted: Booleans, b: Array, y: Array) -> Booleans:
-        """Solve ``K y = b`` in some clusters, and leave factors there. Shapes: wanted
-        (n_clusters,), b, y (n, 3), y in one piece. Returns in which of these K is definite; the
-        others keep y."""
+        """Solve ``K y = b`` in the `wanted` clusters (n_clusters,), b and y (n, 3), factorising in
+        place; y must be contiguous. Returns the clusters where K is definite; others keep y."""
         layout = self.layout
         definite: Booleans = _solve(
             self.values, self.first, self.at, self.rows, layout.starts, wanted, b.ravel(), y.ravel()
@@ -115,8 +113,7 @@ class ClusterMatrix:
 
 @numba.njit(cache=True)
 def _lower_half(rows, cols, number):  # type: ignore[no-untyped-def]
-    """Numbers of pairs (n,), where that of the row is not lower and none is negative, and which
-    pairs these are."""
+    """Pairs of numbers (n,) in the lower triangle without negative ones, and their indices."""
     found, kept, m = np.empty((2, len(rows)), np.int64), np.empty(len(rows), np.int32), 0
     for k in range(len(rows)):
         i, j = number[rows[k]], number[cols[k]]
@@ -128,7 +125,7 @@ def _lower_half(rows, cols, number):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _places(i, j, row, nearest, at):  # type: ignore[no-untyped-def]
-    """Where in the values blocks (n,) begin, and how far apart their rows are."""
+    """Offset of each block (n,) in the values, and the stride between its rows."""
     starts, strides = np.empty((2, len(i)), np.int64)
     for k in range(len(i)):
         starts[k] = at[row[i[k]]] + row[j[k]]
@@ -138,7 +135,7 @@ def _places(i, j, row, nearest, at):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _close(values, first, at, rows, starts, part, blocks, projectors):  # type: ignore[no-untyped-def]
-    """As `ClusterMatrix.close`, some blocks having projectors."""
+    """`ClusterMatrix.close` with explicit arrays; `blocks` are those with projectors."""
     bound = 0
     for c in range(len(starts) - 1):
         start, end, columns = rows[c], rows[c + 1], rows[c] + 3 * (starts[c + 1] - starts[c])
@@ -182,13 +179,13 @@ def _project(values, first, at, row, end, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath={"reassoc", "contract"})
 def _solve(values, first, at, rows, starts, wanted, b, y):  # type: ignore[no-untyped-def]
-    """As `ClusterMatrix.solve`: factors L D L^T, and solutions."""
+    """`ClusterMatrix.solve` with explicit arrays: L D L^T factors, then the solutions."""
     definite = np.zeros(len(wanted), dtype=np.bool_)
     for c in range(len(wanted)):
         if not wanted[c]:
             continue
         start, end, before = rows[c], rows[c + 1], rows[c] - 3 * starts[c]
-        to_come = end - before - 3 * starts[c + 1]  # pivots that are negative
+        to_come = end - before - 3 * starts[c + 1]  # negative pivots still due
         for row in range(start, end):
             own = at[row]
             pivot = values[own + row]

@@ -1,8 +1,8 @@
-"""Clusters of blocks gathered on one rank each.
+"""Gathering of each cluster of blocks on one rank.
 
-Elements are where their cells are. A cluster whose elements are of several ranks is solved by the
-one that owns most of its blocks; the others tell it their elements and the state of the blocks
-there. So all clusters are solved alike, however the mesh is divided.
+Elements live on the ranks of their cells. A cluster with elements on several ranks is solved by the
+rank that owns most of its blocks; the others send it their elements and block states. So clusters
+are solved alike for any partition of the mesh.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 LARGEST = 400
-"""Blocks of a cluster beyond which it is left to the minimiser of all unknowns."""
+"""Blocks beyond which a cluster is left to the global minimiser."""
 
 SPRINGS = -1
-"""What stands for the number of the term whose elements damp the steps."""
+"""Term number of the damping springs."""
 
 Tables = Sequence[tuple[int, ElementTable]]
 Message = TypeVar("Message")
@@ -34,27 +34,26 @@ Message = TypeVar("Message")
 
 @dataclass(frozen=True)
 class Clusters:
-    """Clusters with their elements, and the state of the n blocks that these address."""
+    """Clusters: their elements and the state of the n blocks that these address."""
 
     numbers: Integers  # (n,) global numbers of the blocks
-    owned: Booleans  # (n,) whether they are the rank's own that tells of them
-    # X, x, g: (n, 3) positions at zero displacement, displacements and forces of the whole
-    # potential
+    owned: Booleans  # (n,) whether the sending rank owns them
+    # X, x, g: (n, 3) positions at zero displacement, displacements, forces of the whole potential
     X: Array
     x: Array
     g: Array
-    moves: Booleans  # (n,) whether they are of the clusters; all others are held
+    moves: Booleans  # (n,) whether they belong to the clusters; all others are held
     held: Booleans  # (n, 3) components with a prescribed value
     directions: Array  # (n, 3) lines of edge sliders; zero for others
-    # rides_on, weights: (n, 3) global numbers of what tied points ride on, -1 for others, and its
-    # weights
+    # rides_on, weights: (n, 3) global numbers of the blocks that tied points ride on, -1 for other
+    # blocks, and weights
     rides_on: Integers
     weights: Array
-    tables: Tables  # numbers of terms of the potential, and elements of each
+    tables: Tables  # term numbers of the potential, and elements of each
 
     @classmethod
     def of(cls, potential: Potential, moving: Indices, tables: Tables) -> Clusters:
-        """This rank's elements of clusters with some blocks of its layout."""
+        """This rank's part of the clusters with the blocks `moving`."""
         unknowns, n = potential.unknowns, potential.unknowns.n_local
         used = np.zeros(n, dtype=bool)
         used[moving] = True
@@ -81,11 +80,11 @@ class Clusters:
 
     @classmethod
     def joined(cls, parts: Sequence[Clusters]) -> Clusters:
-        """The elements that several ranks have of the same clusters."""
+        """Merge the parts of the same clusters sent by several ranks."""
         if len(parts) == 1:
             return parts[0]
         numbers = np.concatenate([part.numbers for part in parts])
-        # Of what several know the owner's is the last, and stays.
+        # Of duplicates the owner's comes last and is kept.
         order = np.argsort(np.concatenate([part.owned for part in parts]), kind="stable")
         _, last, place = np.unique(numbers[order[::-1]], return_index=True, return_inverse=True)
         kept = order[::-1][last]
@@ -112,14 +111,13 @@ class Clusters:
         return blocks
 
     def elements_of(self, term: int) -> Sequence[ElementTable]:
-        """Elements of a term, in as few tables as it needs."""
+        """Elements of a term, in as few tables as possible."""
         tables = [table for k, table in self.tables if k == term]
         return type(tables[0]).joined(tables) if tables else ()
 
 
 def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
-    """Gather the clusters that this rank is to solve. Collective. Shapes: moves (n_local,), shared
-    (n_local,)."""
+    """Gather the clusters that this rank solves; moves, shared (n_local,). Collective."""
     unknowns, comm = potential.unknowns, potential.comm
     blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
     if comm.size == 1 and len(blocks) <= LARGEST:
@@ -140,7 +138,7 @@ def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
 
 
 def _elements(potential: Potential, moves: Booleans) -> Tables:
-    """This rank's elements that depend on some blocks, or on what rides on them."""
+    """This rank's elements that depend on some blocks or on points tied to them."""
     unknowns, chosen = potential.unknowns, moves.copy()
     chosen[unknowns.tied_points] |= chosen[unknowns.interpolation].any(axis=1)
     tables = [(k, term.elements_on(chosen)) for k, term in enumerate(potential.terms)]
@@ -150,8 +148,7 @@ def _elements(potential: Potential, moves: Booleans) -> Tables:
 
 
 def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
-    """Rank that is to solve each cluster, or -1 if it is too large. Collective. Shapes: shared
-    (n_local,)."""
+    """Rank that solves each cluster, -1 if it is too large; shared (n_local,). Collective."""
     unknowns = layout.whole
     assert isinstance(unknowns, Unknowns)
     comm = unknowns.comm
@@ -183,8 +180,8 @@ def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
 def give_back(
     potential: Potential, clusters: Clusters, blocks: Indices, flags: Booleans
 ) -> Booleans:
-    """Hand displacements to the owners of blocks, which put them into the potential. Collective.
-    Shapes: blocks, flags (m,). Returns the flags of this rank's blocks, (n_local,)."""
+    """Send displacements and flags of `blocks` (m,) to their owners, which update the potential,
+    and return the flags of this rank's blocks, (n_local,). Collective."""
     starts = potential.unknowns.starts
     numbers, x = clusters.numbers[blocks], clusters.x[blocks]
     owner = np.searchsorted(starts, numbers, side="right") - 1
@@ -200,7 +197,7 @@ def give_back(
 
 
 def exchange(comm: MPI.Intracomm, messages: Mapping[int, Message]) -> list[Message]:
-    """Send messages to ranks; return those received, in the ranks' order. Collective."""
+    """Send messages to ranks and return those received, in rank order. Collective."""
     own = messages.get(comm.rank)
     if comm.size == 1:
         return [] if own is None else [own]

@@ -1,20 +1,17 @@
-"""Springs that hold the points of cables back in H0 while forces are unbalanced.
+"""Springs in H0 that restrain cable points while forces are unbalanced.
 
-Little holds a cable in place sideways but the next vertex, and where it crosses another one near an
-edge two of its points lie so close together that their distance says little of their next one.
-Newton's step sends such points far beyond where the energy is like its quadratic model, and the
-line search then holds back everything else as well. So springs hold
+A cable has little lateral restraint short of the next vertex, and two points at a crossing near an
+edge are so close that their distance does not control the next one. Newton's step moves such points
+far beyond the quadratic model, and the line search then shortens the whole step. So springs tie
 
 * each sliding point to its place on its edge, and
-* the two ends of each straight part of a cable to each other,
+* the ends of each straight segment of a cable to each other.
 
-as stiff as the unbalanced force on a point needs to move it, alone, by a part of the edge or by the
-length of the part. With the forces the springs vanish: a regularised Newton method, with
-Levenberg's damping in proportion to the residual.
+With them the unbalanced force on a point alone moves it by a fraction of the edge, or by the
+segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
 
-Steps by the exact second derivatives have no springs. Sideways a point has next to no stiffness of
-its own: vertices that move by a thousandth of a cell send it over several, where it would stop at
-the next vertex. So each point is stopped short of the ends of its edge (`stop_short`).
+Steps by the exact second derivatives have no springs. There vertices that move by a thousandth of a
+cell send a point over several cells, so each is stopped short of its edge's ends (`stop_short`).
 """
 
 from __future__ import annotations
@@ -28,27 +25,26 @@ from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1
-"""Part of its edge by which the unbalanced force on a sliding point alone moves it. Between 0.02
-and 0.2 it matters little."""
+"""Fraction of its edge by which the unbalanced force alone moves a sliding point; 0.02 to 0.2
+perform alike."""
 
 REACH = 0.9
-"""Part of the way to the end of its edge that a sliding point goes in a step of Newton's method."""
+"""Fraction of the way to the edge's end that a sliding point may go in a Newton step."""
 
 
 @dataclass(frozen=True)
 class Springs(ElementTable):
     """This rank's springs."""
 
-    # sliders (n, 3), fractions (n,): sliding points: blocks of the point and of its edge's two
-    # ends, and the place on the edge
+    # sliders (n, 3), fractions (n,): sliding points and ends of their edges, edge fractions
     sliders: Indices
     fractions: Array
-    segments: Indices  # (m, 2) straight parts of cables, blocks
+    segments: Indices  # (m, 2) blocks at the ends of straight cable segments
     addresses = ("sliders", "segments")
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the sliding points."""
+        """Blocks of the sliding points and their edges."""
         return rows_of(self.sliders)
 
 
@@ -64,7 +60,7 @@ class Damping:
         self._shares = weights[:, :, None] * weights[:, None, :]
 
     def elements_on(self, chosen: Booleans) -> Springs:
-        """Springs of the chosen blocks, (n_local,)."""
+        """Springs that touch the chosen blocks, (n_local,)."""
         s = self.springs
         own, parts = chosen[s.sliders[:, 0]], chosen[s.segments].any(axis=1)
         return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
@@ -87,12 +83,11 @@ class Damping:
         self._along.add(A)
 
     def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
-        """Move sliding points in `x` back that go too near to, or beyond, an end of their edge on
-        the way from `x0`. Shapes: x0, x (n_local, 3). Returns the blocks of those points, all this
-        rank's own, (m,), and by how much they were moved, (m, 3) (length)."""
+        """Move sliding points in `x` back that on the way from `x0` come too near an edge's end;
+        x0, x (n_local, 3). Returns moved blocks (m,), all owned, and changes (m, 3) (length)."""
         before, _ = self._places(unknowns.X + x0)
         after, side = self._places(unknowns.X + x)
-        # A point that is beyond an end already goes no farther.
+        # A point already beyond an end goes no farther.
         to_start, to_end = (np.minimum((1.0 - REACH) * s, s) for s in (before, 1.0 - before))
         back = np.clip(after, to_start, 1.0 - to_end) - after
         moved = back != 0.0
@@ -109,5 +104,5 @@ class Damping:
 
 
 def _ratio(a: Array, b: Array) -> Array:
-    """Quotients; none where two points coincide, which says nothing of where they may go."""
+    """a / b; 0 where two points coincide, since their direction is then undefined."""
     return np.divide(a, b, out=np.zeros_like(a), where=b > 0)

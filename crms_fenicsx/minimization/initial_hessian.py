@@ -1,18 +1,16 @@
-"""The initial Hessian H0 of the quasi-Newton solver: sparse stiffness and a dyad for each cable.
+"""Initial Hessian H0 of the quasi-Newton solver: sparse stiffness plus one dyad per cable.
 
-The elongation of a whole cable couples all its points: its stiffness EA/L0 times the dyad of the
-length's gradient would be a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness
-K of all terms, factorised, a column of G for each cable in tension and C = diag(EA/L0). It is
-solved by the formula of Sherman, Morrison and Woodbury,
+A cable's elongation couples all its points: EA/L0 times the dyad of the length's gradient would be
+a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness K of all terms, a column
+of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodbury:
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
 
-On several processes these columns take longer than all else: there H0 is factorised with the
-tensions as unknowns (`augmented_stiffness.py`), and on one process where K alone is not definite.
+On several processes the solves for Z dominate, so H0 is factorised with the tensions as unknowns
+(`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
 
-With very many unknowns, or if PETSc's options say so, a preconditioner B takes the place of K^-1 in
-that formula, and the formula's result preconditions conjugate gradients on K + G C G^T: a cycle of
-algebraic multigrid, under cables with their points eliminated first (`membrane_multigrid.py`).
+With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
+preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
 """
 
 from __future__ import annotations
@@ -41,24 +39,23 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}
-"""Without this CHOLMOD prints that a matrix is indefinite; errors are raised anyway."""
+"""Stops CHOLMOD from printing that a matrix is indefinite; errors are raised anyway."""
 INDEFINITE = 76, 81
-"""PETSc's error codes where another library's factorisation finds K indefinite."""
+"""PETSc's error codes when an external factorisation finds K indefinite."""
 WORKSPACE = 100
-"""How much more memory MUMPS takes than it estimates, in per cent."""
+"""Extra memory for MUMPS beyond its estimate (per cent)."""
 DIRECT = 1_000_000
-"""Unknowns up to which K is factorised without cables. Next to multigrid a load step then takes 0.4
-to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6.
-"""
+"""Unknowns up to which K is factorised without cables. Relative to multigrid a load step takes 0.4
+to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6."""
 DIRECT_WITH_CABLES = 10_000_000
-"""The same with cables, an extrapolation: with 1e5 unknowns and 28 cables multigrid takes 65 times
-as long for a solve and 2.5 times for a new H0 (docs/benchmarks/parallel.md)."""
+"""The same with cables (extrapolated): with 1e5 unknowns and 28 cables multigrid takes 65 times as
+long per solve and 2.5 times per new H0 (docs/benchmarks/parallel.md)."""
 ACCURACY = 1e-2
-"""Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
+"""Relative residual of conjugate gradients on H0; a looser one costs BLMVM more iterations."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
-    """Owned components that are pressed against an obstacle, (n, 3)."""
+    """Owned components in contact with an obstacle, (n, 3)."""
     n = potential.unknowns.n_owned
     lower, upper = potential.unknowns.bounds  # type: ignore[misc]
     x, g = potential.x[:n], potential.g[:n]
@@ -67,7 +64,7 @@ def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
 
 
 def direct_solver(comm: MPI.Comm) -> str:
-    """What factorises K unless options say otherwise: the fastest that this PETSc has."""
+    """Default package for factorising K: the fastest that this PETSc has."""
     has = PETSc.Sys.hasExternalPackage
     if comm.size == 1 and (has("cholmod") or has("suitesparse")):
         return "cholmod"
@@ -75,10 +72,9 @@ def direct_solver(comm: MPI.Comm) -> str:
 
 
 class InitialHessian:
-    """H0 of a potential, positive definite; components held or across edge sliders are decoupled.
+    """Positive definite H0 of a potential, decoupled from held and across-slider components.
 
-    Attributes: `matrix`: k; `shift` (n_owned,): what was last added to the diagonals of K's owned
-    blocks (force/length).
+    Attributes: `matrix`: K; `shift` (n_owned,): last shift of K's diagonal blocks (force/length).
     """
 
     def __init__(self, potential: Potential, prefix: str) -> None:
@@ -106,8 +102,8 @@ class InitialHessian:
             set_defaults(prefix, MULTIGRID)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
-            # Its estimate is too small for some distributions of a mesh, and it fails then. What
-            # is in the options database still comes first.
+            # MUMPS's own estimate is too small for some partitions, and it fails then. The options
+            # database still takes precedence.
             self.pc.setFactorSetUpSolverType()
             self.pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
         self._augmented: AugmentedStiffness | None = None
@@ -131,9 +127,8 @@ class InitialHessian:
         self._stiffness.destroy()
 
     def rebuild(self, exact: bool = False) -> bool:
-        """Assemble at the potential's current state. Its sums must be up to date, and `g` the
-        unbalanced forces there. Returns whether it is definite as far as the factorisation tells;
-        if not it is of no use."""
+        """Assemble at the potential's current state, whose sums and `g` (unbalanced forces) must be
+        up to date. Returns whether H0 is definite, as far as is known; otherwise it is unusable."""
         held = self.assemble(exact and self._exact)
         if self._membrane is not None:
             self._membrane.assemble(held)
@@ -151,7 +146,7 @@ class InitialHessian:
         return self._augmented.factorize(columns * np.sqrt(self._dyads))
 
     def _set_up(self) -> bool:
-        """Factorise K, or set up multigrid; say whether K is definite."""
+        """Factorise K, or set up multigrid, and return whether K is definite."""
         if self._exact and self.pc.getFactorSolverType() == "cholmod":
             set_defaults(self.pc.getOptionsPrefix(), QUIET)
         try:
@@ -168,8 +163,7 @@ class InitialHessian:
         return True
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
-        """Assemble K at the potential's current state, as for `rebuild`, and not more. Returns
-        owned components that are held in it, (n, 3)."""
+        """Only assemble K at the potential's state, and return owned held components, (n, 3)."""
         A, unknowns = self.matrix, self.potential.unknowns
         held = unknowns.held[: unknowns.n_owned].copy()
         if unknowns.bounds is not None:
@@ -191,7 +185,7 @@ class InitialHessian:
         return held
 
     def _add_dyads(self, columns: Array) -> None:
-        """This rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
+        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
         self._columns, self._shares = columns, np.empty(len(self._dyads))
         if not len(self._dyads):
             return
@@ -201,9 +195,8 @@ class InitialHessian:
         self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
 
     def _apply_to_all(self, columns: Array) -> Array:
-        """K's preconditioner on many columns: at once if factorised, which is much faster.
-        Multigrid takes them one by one: several at once end in a segmentation fault on several
-        processes with PETSc 3.25."""
+        """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
+        multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
         solved = np.empty_like(columns)
         if not self._exact:
             b, y = self.matrix.createVecs()
@@ -226,7 +219,7 @@ class InitialHessian:
         return solved
 
     def _sums_over_ranks(self, rows: Array, vector: PETSc.Vec) -> Array:
-        """``rows^T vector``, by one reduction; valid until the next call."""
+        """``rows^T vector`` by one reduction; valid until the next call."""
         np.dot(rows.T, vector.array_r, out=self._shares)
         self.potential.comm.Allreduce(MPI.IN_PLACE, self._shares)
         return self._shares
@@ -251,7 +244,7 @@ class InitialHessian:
         self._outer.solve(b, y)
 
     def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve ``H0 y = b`` with K's preconditioner for K: exactly if that factorises it."""
+        """Apply H0^-1 with K's preconditioner in place of K^-1; exact if K is factorised."""
         self.pc.apply(b, y)
         if not self._exact:
             self._take_out(y.array)
@@ -259,9 +252,8 @@ class InitialHessian:
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 
     def _take_out(self, y: Array) -> None:
-        """Take out of multigrid's result the components that are held or lie across edge sliders.
-        Its coarse levels know nothing of them. For right-hand sides without them it stays symmetric
-        by that."""
+        """Remove held and across-slider components from multigrid's result, whose coarse levels
+        ignore these constraints. It stays symmetric for right-hand sides without them."""
         unknowns = self.potential.unknowns
         values = y.reshape(-1, 3)
         values[self._held] = 0.0
@@ -292,7 +284,7 @@ class InitialHessian:
 
 
 class Preconditioner:
-    """What PETSc calls as a preconditioner; it would also call a `destroy`."""
+    """PETSc Python preconditioner (PETSc would also call a `destroy`)."""
 
     def __init__(self, solve: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
         self.solve = solve
@@ -302,7 +294,7 @@ class Preconditioner:
 
 
 class _Multiply:
-    """What PETSc calls as an operator."""
+    """PETSc Python matrix."""
 
     def __init__(self, multiply: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
         self.multiply = multiply

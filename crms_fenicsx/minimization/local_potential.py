@@ -1,9 +1,8 @@
 """The potential of some blocks with all others held, minimised by Newton's method.
 
-Its terms are the parts of the whole's terms that depend on these blocks; what else acts on them
-keeps its force. Blocks fall into clusters that no element joins. Each has an energy of its own, and
-makes Newton steps of its own length, all at the same time. Clusters on the same cable know of each
-other by the stiffness of the cable's pieces, see `CableTension.split`.
+Its terms are the elements that depend on these blocks; all other forces on them are constant.
+Blocks fall into clusters that share no element. Each has its own energy and step length; all step
+together. Clusters on one cable interact by the stiffness of its pieces, see `CableTension.split`.
 """
 
 from __future__ import annotations
@@ -22,28 +21,25 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans
 
 DESCENT, SHORTEST = 1e-4, 1e-6
-"""Least part of the descent promised that a step must keep, and the shortest one tried."""
+"""Fraction of the predicted descent that a step must achieve (Armijo), and the shortest step."""
 
 SHORT, TWICE = 0.3, 2
-"""Steps by the exact second derivatives that are shorter than this part of Newton's, and after how
-many of these H0 takes their place for as many."""
+"""Length, relative to Newton's, below which a step by the exact second derivatives is short, and
+the number of short steps after which H0 replaces them for as many steps."""
 
 STEADY = 1e-11
-"""Change of the energy, relative to the sizes of its parts, in which rounding drowns the rest; the
-trapezoidal rule takes its place."""
+"""Energy change, relative to its parts, below which the trapezoidal rule avoids rounding."""
 
 
 class LocalPotential:
     """Part of a potential that depends on some blocks, as a function of them alone.
 
-    Making one is collective. Where a cable runs through clusters of several ranks these must know
-    how many; nothing else of it is sent.
+    Creating one is collective: ranks with clusters on a common cable exchange only their number.
 
-    Attributes: `layout`: the clusters, as blocks of `clusters`; `blocks` (n,): those that move, in
+    Attributes: `layout`: the clusters, as blocks of `clusters`; `blocks` (n,): the moving blocks in
     the clusters' order; `x` (n_blocks, 3): displacements of the blocks of `clusters` (length),
-    changed in place; `g` (n, 3): forces on the blocks, in the clusters' order, at the last
-    evaluation (force); `energies` (n_clusters,): energy of each cluster there (force x length);
-    `steps`: steps of Newton's method that were made.
+    changed in place; `g` (n, 3): forces on the moving blocks, last evaluated (force); `energies`
+    (n_clusters,): cluster energies (force x length); `steps`: Newton steps made.
     """
 
     def __init__(self, whole: Potential, clusters: Clusters) -> None:
@@ -58,7 +54,7 @@ class LocalPotential:
             self.terms.append(term.split(self.layout.groups, whole.comm))
         self._clusters = [self.layout.clusters_of(*own) for own in elements]
         for term in self.terms:
-            term.attach(self.layout)  # type: ignore[arg-type]  # as much of one as they need
+            term.attach(self.layout)  # type: ignore[arg-type]  # as much as terms need
         self._sums = [np.zeros(term.n_sums) for term in self.terms]
         springs: Sequence[Any] = clusters.elements_of(SPRINGS)
         self._damping = [Damping(table) for table in springs]
@@ -71,7 +67,7 @@ class LocalPotential:
         given = clusters.g[self.blocks]
         self.layout.project(given)
         self._evaluate()
-        # What acts on the blocks beside these terms, and stays as it is.
+        # Forces from everything but these terms are constant.
         self._others = given - self.g
         self.g[:] = given
         self._sizes = self._by_cluster(np.abs)
@@ -81,7 +77,7 @@ class LocalPotential:
         self._matrix = ClusterMatrix(self.layout, patterns, *columns)
 
     def _by_cluster(self, function: Callable[[Array], Array]) -> Array:
-        """Sum of a function of the elements' energies over each cluster."""
+        """Sum over each cluster of a function of the element energies."""
         total = np.zeros(self.layout.n_clusters)
         for term, sums, cluster in zip(self.terms, self._sums, self._clusters, strict=True):
             own = cluster >= 0
@@ -90,7 +86,7 @@ class LocalPotential:
         return total
 
     def _evaluate(self) -> None:
-        """Compute the clusters' energies, and the forces on the blocks, at the current state."""
+        """Compute cluster energies and block forces at the current state."""
         self.layout.whole.place_tied_points(self.x)
         self._forces[:] = 0.0
         for term, sums in zip(self.terms, self._sums, strict=True):
@@ -102,13 +98,13 @@ class LocalPotential:
         np.add(self._by_cluster(np.asarray), self._sum(work), out=self.energies)
 
     def _take_forces(self) -> None:
-        """Take what has been added up on all blocks."""
+        """Set `g` from the forces accumulated on all blocks."""
         self.layout.whole.hand_over(self._forces)
         np.take(self._forces, self.blocks, axis=0, out=self.g)
         self.layout.project(self.g)
 
     def _sum(self, values: Array) -> Array:
-        """Sums of values of blocks (n,) over the clusters."""
+        """Sums of block values (n,) over each cluster."""
         total = np.bincount(self.layout.cluster, values, self.layout.n_clusters)
         return total.astype(np.float64)
 
@@ -117,8 +113,8 @@ class LocalPotential:
         return np.sqrt(self._sum(np.sum(self.g**2, axis=1)))
 
     def relax(self, tolerance: float, most: int) -> Booleans:
-        """Minimise the energy of each cluster. Units: tolerance (force). Returns whether the
-        blocks' clusters have not come there, (n,)."""
+        """Minimise the energy of each cluster to `tolerance` (force) in at most `most` steps.
+        Returns whether each block's cluster has not converged, (n,)."""
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(self._n_all, 1) ** 0.5, 1e-3 * self.residuals())
         able = np.ones(n, dtype=bool)
@@ -135,9 +131,8 @@ class LocalPotential:
         return np.asarray((self.residuals() > least)[self.layout.cluster])
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
-        """Make a step of Newton's method in each cluster, as far as its energy falls. Shapes: todo,
-        exact (n_clusters,). Returns lengths of the steps, 1 at most; 0 where the energy does not
-        fall."""
+        """Make a Newton step with line search in each cluster; todo, exact (n_clusters,). Returns
+        the step lengths, 1 at most; 0 where the energy does not fall."""
         cluster, start, g0 = self.layout.cluster, self.x[self.blocks], self.g.copy()
         energies0 = self.energies.copy()
         d = self._directions(todo, exact)
@@ -164,7 +159,7 @@ class LocalPotential:
             pending &= lengths > 0.0
 
     def _directions(self, todo: Booleans, exact: Booleans) -> Array:
-        """Newton's steps from the current state, downhill, (n, 3)."""
+        """Newton directions of descent at the current state, (n, 3)."""
         d, left = np.zeros_like(self.g), todo.copy()
         for kind in (True, False):
             wanted = left & exact if kind else left
@@ -174,14 +169,14 @@ class LocalPotential:
         return d
 
     def _assemble(self, wanted: Booleans, exact: bool) -> None:
-        """Assemble second derivatives, or H0, of some clusters at the current state."""
+        """Assemble second derivatives, or H0, of the wanted clusters at the current state."""
         A = self._matrix
         A.clear()
         for term, cluster in zip(self.terms, self._clusters, strict=True):
             if term.active is not None:
                 np.take(np.append(wanted, False), cluster, out=term.active)
         if not exact:
-            self._forces[:] = 0.0  # what is held needs no damping
+            self._forces[:] = 0.0  # held blocks need no damping
             self._forces[self.blocks] = self.g
             for damping in self._damping:
                 damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]

@@ -1,21 +1,19 @@
-"""Multigrid under cables: their points eliminated exactly, then the membrane as if without them.
+"""Multigrid under cables: cable points are eliminated exactly, the membrane by multigrid.
 
-Cables' points are tied to soft fabric by stiff springs, to which multigrid is blind: on the whole
-stiffness K conjugate gradients take more than a thousand iterations. With the points p before the
-vertices v,
+Stiff springs tie cable points to soft fabric, which multigrid does not resolve: with the whole K
+conjugate gradients take over a thousand iterations. With points p before vertices v,
 
     K = [ Kpp  Kpv ]      S = Kvv - Kvp Kpp^-1 Kpv,
         [ Kvp  Kvv ]
 
-Kpp is a set of chains, which is cheap to factorise. What is left of a folded cell or of a penalty
-in the Schur complement S is nearly the plain cell: the point lies near the line between the
-vertices. So multigrid on M, the stiffness of the membrane with all cells plain and without cables,
-takes the place of S^-1:
+Kpp consists of chains, which are cheap to factorise. In the Schur complement S a folded cell or a
+penalty amounts nearly to the plain cell, as the point lies near the line between the vertices. So
+multigrid on M, the stiffness of the membrane with plain cells and without cables, replaces S^-1:
 
     B = [ 1  -Kpp^-1 Kpv ] [ Kpp^-1      ] [ 1             ]
         [          1     ] [         M^-1 ] [ -Kvp Kpp^-1  1 ].
 
-B is symmetric and positive definite whatever stands for Kpp^-1 and M^-1, if these are.
+B is symmetric positive definite for any such approximations of Kpp^-1 and M^-1.
 """
 
 from __future__ import annotations
@@ -32,8 +30,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
-    """Give the components across the edge sliders, which have no stiffness, this one.
-    Collective."""
+    """Add this stiffness across the edge sliders, which have none there. Collective."""
     own = unknowns.edge_sliders < unknowns.n_owned
     d = unknowns.directions[own]
     across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
@@ -43,10 +40,10 @@ def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) 
 
 
 def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Second derivatives at the potential's current state, evaluated there. Collective. Rows and
-    columns of held components, of those across edge sliders and of points that no term touches are
-    those of the identity. Returns all of them, and all but the dyads of what couples very many
-    points, as a cable's length; the same object where there are none. They are to be destroyed."""
+    """Second derivatives at the potential's current state, which must be evaluated. Collective.
+    Rows and columns of held components, of those across edge sliders and of points that no term
+    touches are the identity's. Returns the whole matrix and the one without the dyads that couple
+    very many points (as a cable's length); the same object without dyads. Destroy both."""
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
     stiffness = StiffnessMatrix(unknowns, potential.patterns())
@@ -74,25 +71,25 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
 
 
 SHIFT = 1e-9
-"""Added to a stiffness's diagonal, relative to the sum of its block's trace and the geometric mean
-of all. The largest trace alone, that of a cable's segment much shorter than a cell, would slow down
-the soft sideways motion of whole cables."""
+"""Shift of a stiffness's diagonal, relative to the sum of its block's trace and the geometric mean
+of all traces. The largest trace, of a cable segment much shorter than a cell, would slow down the
+soft sideways motion of whole cables."""
 
 EXACT_SHIFT = 1e-12
-"""The same for second derivatives, which are of use only if definite without it: so much more than
-their rounding. On a stiff membrane a cable is held sideways by less than `SHIFT` of the stiffness
-of the edges that it folds, and Newton's method would take a hundredth of its steps."""
+"""The same for second derivatives, just above their rounding: they must be definite without it. A
+cable on a stiff membrane has less lateral stiffness than `SHIFT` of the edges that it folds, and
+Newton's method would take a hundredth of its steps."""
 
 MULTIGRID = {
     "mg_levels_pc_type": "bjacobi",
     "mg_levels_sub_pc_type": "icc",
     "mg_levels_sub_pc_factor_shift_type": "positive_definite",
 }
-"""Smoother of the multigrid: cables are long chains of stiff links, to which Jacobi's is blind."""
+"""Smoother of the multigrid: Jacobi's does not resolve cables, long chains of stiff links."""
 
 
 def set_defaults(prefix: str, values: dict[str, str]) -> None:
-    """Put options into PETSc's database unless they are there."""
+    """Set options in PETSc's database unless present."""
     options = PETSc.Options(prefix)
     for name, value in values.items():
         if not options.hasName(name):
@@ -100,8 +97,7 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
 
 
 def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
-    """Traces of the owned diagonal blocks without components that are held, (n, 3); (n,). They do
-    not depend on how the scene is turned in space."""
+    """Traces (n,) of owned diagonal blocks without `held` components (n, 3); rotation invariant."""
     diagonal = matrix.getDiagonal()
     traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
     diagonal.destroy()
@@ -109,8 +105,8 @@ def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
 
 
 def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
-    """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean.
-    Returns what was added to each block, (n,)."""
+    """Shift a matrix's diagonal by a small part of the owned blocks' traces (n,) plus their
+    geometric mean, and return the shift of each block, (n,)."""
     some = np.log(traces[traces > 0.0])
     total = np.array([some.sum(), len(some)])
     matrix.getComm().tompi4py().Allreduce(MPI.IN_PLACE, total)
@@ -124,8 +120,8 @@ def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Arr
 
 
 def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
-    """Attach what costs little energy, of which multigrid makes its coarse levels. The matrix is of
-    all blocks, or of the vertices, which come first."""
+    """Attach the rigid body modes as near null space for the coarse levels; the matrix has all
+    blocks, or the vertices, which come first."""
     unknowns, comm = potential.unknowns, potential.comm
     motions = [matrix.createVecLeft() for _ in range(6)]
     n = motions[0].getLocalSize() // 3
@@ -145,9 +141,9 @@ def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
 
 
 class MembraneMultigrid:
-    """The stiffness of the membrane without cables, in a preconditioner of type `fieldsplit`.
+    """Stiffness of the membrane without cables, for a preconditioner of type `fieldsplit`.
 
-    Attributes: `matrix`: M, of the vertices, numbered as by DOLFINx.
+    Attributes: `matrix`: M, of the vertices, in DOLFINx's numbering.
     """
 
     def __init__(self, potential: Potential, pc: PETSc.PC) -> None:
@@ -163,7 +159,7 @@ class MembraneMultigrid:
         self._stiffness.destroy()
 
     def _split(self, pc: PETSc.PC, prefix: str) -> None:
-        """Set the preconditioner's fields, and how each is solved by default."""
+        """Set the preconditioner's fields and their default solvers."""
         unknowns = self.potential.unknowns
         first, n = 3 * unknowns.start, 3 * unknowns.n_vertices
         fields = []
@@ -180,11 +176,11 @@ class MembraneMultigrid:
         pc.setFieldSplitType(PETSc.PC.CompositeType.SCHUR)
         pc.setFieldSplitSchurFactType(PETSc.PC.FieldSplitSchurFactType.FULL)
         pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, self.matrix)
-        # All ranks factorise all chains: their solves take half of the time of MUMPS's on two.
+        # Each rank factorises all chains: on two ranks their solves take half of MUMPS's time.
         points = {"ksp_type": "preonly", "pc_type": "redundant"}
         points["redundant_pc_type"] = "cholesky"
         points["redundant_pc_factor_mat_solver_type"] = "cholmod"
-        # PETSc would take residuals with S, which is not what the levels are made of.
+        # PETSc would compute residuals with S, but the levels are built from M.
         vertices = {"ksp_type": "preonly", "pc_type": "gamg", "pc_use_amat": "false"}
         set_defaults(f"{prefix}fieldsplit_points_", points)
         set_defaults(f"{prefix}fieldsplit_vertices_", vertices | MULTIGRID)

@@ -1,20 +1,18 @@
 """Minimisation of the potential by TAO's BLMVM with a positive definite initial Hessian.
 
-The paper minimises each step's potential by a quasi-Newton method (section 2.7). On its own BLMVM
-needs hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is
-a stiffness that is positive definite by construction, factorised and rebuilt when that pays: the
-solve runs in *stages*. After a few iterations a stage ends, and H0 is rebuilt, if it would take
-longer to the end than with a new H0; or when its line searches have cost as much as that. The next
-solve of the same potential, at other loads, begins with the H0 that is there.
+The paper minimises each step's potential by a quasi-Newton method (section 2.7). Plain BLMVM needs
+hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is a
+stiffness, positive definite by construction. The solve runs in *stages*: one ends, and H0 is
+rebuilt, once finishing would take longer than with a new H0, or its line searches have cost as
+much. The next solve of the same potential, at other loads, starts with the last H0.
 
-Once a stage has come to little, as where much of a membrane is wrinkled or slack, Newton's method
-takes over, with H0 rebuilt in each iteration. Under cables it makes the way from afar to near the
-minimum: there H0 is the energy's second derivative, and what is far out of balance, points of
-cables near vertices and crossings, is relaxed alone before each step (see `relaxation`).
+Newton's method, with H0 rebuilt in each iteration, takes over where a stage makes little progress,
+as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum: H0 is
+the energy's second derivative, and cable points far out of balance are relaxed before each step.
 
-Near the minimum the energy's differences drown in rounding, long before the forces balance to the
-tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
-the trapezoidal rule, which is accurate to the rounding of the forces:
+Near the minimum energy differences drown in rounding before the forces balance. There a stage keeps
+the H0 of the one before and measures energy from its start x0 by the trapezoidal rule, accurate to
+the rounding of the forces:
 
     W(x) - W(x0) = (g(x) + g(x0)) . (x - x0) / 2 + O(|x - x0|^3).
 """
@@ -41,52 +39,49 @@ if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
 STAGE_LENGTHS = (3, 6, 10, 20)
-"""Iterations after which H0 is rebuilt if that pays; the last value repeats."""
+"""Iterations after which rebuilding H0 is considered; the last value repeats."""
 
 UNSETTLED = 10.0
-"""Part of the taut stiffness that wrinkled cells have in the third H0 there and later ones, over
-the squared residual by force scale: many turn taut, and by their tangent steps are far too long."""
+"""Factor of (residual / force scale)^2 in the stiffness, relative to the taut one, of wrinkled
+cells from the third H0 on: many turn taut, and tangent steps are far too long for that."""
 
 REBUILD = 8
-"""Iterations, or evaluations in line searches, that cost as much as a new H0."""
+"""Iterations, or line search evaluations, that cost as much as a new H0."""
 
 FRESH = 0.15
-"""Reduction of the residual by each iteration with a new H0."""
+"""Reduction of the residual per iteration with a new H0."""
 
 CLOSE, NEAR = 1e-6, 100
-"""Residual from which on energy counts from the stage's start: relative to the force scale, or
-where rounding or `atol` sets the tolerance to that. From farther the rule's error would matter."""
+"""Residual below which energy is measured from the stage's start: relative to the force scale, or
+to a tolerance set by rounding or `atol`. Farther away the rule's error would matter."""
 
 EXACT = 1e-2
-"""Residual, relative to the force scale, from which on H0 under cables is the energy's second
-derivative, where that is definite."""
+"""Relative residual below which H0 under cables is the energy's second derivative, if definite."""
 
 LONGEST = 15
-"""Evaluations of a line search: more have hardly ever led to anything but its failure."""
+"""Evaluations of a line search; longer ones almost always fail."""
 
 ROUNDED = 1e-6
-"""Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
+"""Residual, relative to the force scale, up to which one of pure rounding is accepted."""
 
 COARSE, LOOKS = (1e-5,), (1e-2, 1e-3, 1e-4)
-"""Residuals, relative to the force scale, at which `solve` asks whether to go on, and those where
-points of cables are relaxed: the few that are far out of balance elsewhere are not there."""
+"""Residuals, relative to the force scale, at which `solve` asks whether to go on; the second where
+cable points are relaxed, since these no longer dominate the residual."""
 
 TINY = 1e-300
-"""What takes the place of zero in logarithms and quotients."""
+"""Replaces zero in logarithms and quotients."""
 
 Interrupt = Callable[[float, float, bool], bool]
-"""Says whether to stop, given the residual and the force scale (force), and whether it is asked for
-the last time."""
+"""Whether to stop, given residual and force scale (force), and whether it is the last call."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
-"""Minimisers that need energy and gradient only, with bounds and without."""
+"""Minimisers that need only energy and gradient, with bounds and without."""
 
 
 class Minimizer:
-    """TAO's BLMVM on a potential, in stages with a fresh H0 each. Every choice can be changed in
-    PETSc's options database under the prefix, for example ``-crms_tao_type``,
-    ``-crms_tao_monitor``, ``-crms_h0_pc_type``, ``-crms_h0_pc_factor_mat_solver_type``. Units: atol
-    (force)."""
+    """TAO's BLMVM on a potential, in stages with a fresh H0 each. PETSc options with the prefix
+    override every choice, for example ``-crms_tao_type``, ``-crms_tao_monitor``,
+    ``-crms_h0_pc_type``, ``-crms_h0_pc_factor_mat_solver_type``. Units: atol (force)."""
 
     def __init__(
         self,
@@ -99,8 +94,8 @@ class Minimizer:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
         self.newton, self.reach = True, math.inf
-        """Whether Newton's method may take over where quasi-Newton stages come to little, and how
-        far vertices may be from where they are stress-free (length)."""
+        """Whether Newton's method may take over from slow stages, and how far vertices may be from
+        their stress-free positions (length)."""
         comm = potential.comm
         self.h0 = InitialHessian(potential, prefix + "h0_")
         self._x, self._g, self._x0, self._g0, self._step = (
@@ -158,7 +153,7 @@ class Minimizer:
 
     def _objective_gradient(self, tao: PETSc.TAO, X: PETSc.Vec, G: PETSc.Vec) -> float:
         """TAO's callback: energy, or its change since the stage's start, and gradient."""
-        if self._at_start:  # TAO asks first for the stage's start, which is known already
+        if self._at_start:  # TAO first asks for the stage's start, which is known
             self._at_start = False
             self._g0.copy(G)
             return 0.0 if self._close else self._energy0
@@ -170,17 +165,17 @@ class Minimizer:
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
     def _monitor(self, tao: PETSc.TAO) -> None:
-        """Called by TAO after each iteration: ask whether to go on; end the stage if that pays."""
+        """TAO's callback after each iteration: ask whether to go on; end the stage if that pays."""
         residual = tao.getSolutionStatus()[2]
         try:
             self._ask(residual, self._x)
-        except BaseException as error:  # PETSc would hide it behind an error of its own
+        except BaseException as error:  # PETSc would replace it by an error of its own
             self._error, self._interrupted = error, True
         if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
-        """Ask on the way to the minimum whether to go on, in the state X or in the one placed."""
+        """Ask the caller whether to go on, at the state X or the current one."""
         left = tuple(look for look in self._looks if residual > look * self._scale)
         if self._interrupt is not None and len(left) < len(self._looks) and not self._interrupted:
             self._looks = left
@@ -189,7 +184,7 @@ class Minimizer:
             self._interrupted = self._interrupt(residual, self._scale, not left)
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
-        """Whether energy is to be measured in another way, or H0 to be rebuilt."""
+        """Whether to change the measure of energy or to rebuild H0."""
         if iterations == 0:
             return False
         searches = self.potential.evaluations - self._evaluations0 - iterations
@@ -198,7 +193,7 @@ class Minimizer:
         return self._aged or (not self._close and residual <= self._near)
 
     def _is_slow(self, iterations: int, residual: float) -> bool:
-        """Whether what is left takes longer than to rebuild H0 and go on with that."""
+        """Whether finishing takes longer than rebuilding H0 and going on with that."""
         if residual <= self._tolerance:
             return False
         left = math.log(residual) - math.log(max(self._tolerance, TINY))
@@ -206,7 +201,7 @@ class Minimizer:
         return left > rate * (REBUILD - left / math.log(FRESH))
 
     def _run(self, residual: float) -> int:
-        """Let TAO go on from a residual to the end of a stage; return why it has ended."""
+        """Run TAO from this residual to the end of a stage and return its reason."""
         self._close = residual <= self._near
         self._at_start = self._bounds is None
         self._evaluations0 = self.potential.evaluations
@@ -215,7 +210,7 @@ class Minimizer:
             self.tao.solve()
             ended = int(self.tao.getConvergedReason())
         except PETSc.Error as error:
-            # Raised where a trial step has a slope of the wrong sign: the search is over.
+            # Raised where a trial step has a slope of the wrong sign: the line search has failed.
             if error.ierr != endings.OUT_OF_RANGE or error.__cause__ is not None:
                 raise
             self._x0.copy(self._x)
@@ -225,12 +220,12 @@ class Minimizer:
         return ended
 
     def reset_h0(self) -> None:
-        """Begin the next solve with a new H0, as another process would."""
+        """Start the next solve with a new H0, as another process would."""
         self._aged = True
 
     def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
-        """Rebuild H0 at the current state, and hand it to TAO the first time. `renewals` have been
-        in this solve before; `failures` of line searches just now."""
+        """Rebuild H0 at the current state, and set it in TAO the first time. `renewals`: rebuilds
+        so far in this solve; `failures`: consecutive failed line searches."""
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
@@ -253,7 +248,7 @@ class Minimizer:
         return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
 
     def _begin(self, interrupt: Interrupt | None) -> None:
-        """Begin a solve in the potential's current state."""
+        """Begin a solve at the potential's current state."""
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         self._looks = COARSE if self._relaxation is None else LOOKS
         self._newton_method.begin()
@@ -269,7 +264,7 @@ class Minimizer:
                 vector.array[:] = bound[:n].ravel()
 
     def residual(self) -> float:
-        """Norm of the gradient last computed (forces against an obstacle left out)."""
+        """Norm of the last gradient without contact forces of an obstacle."""
         potential = self.potential
         n = potential.unknowns.n_owned
         g = potential.g[:n].copy()
@@ -277,13 +272,13 @@ class Minimizer:
             g[at_bounds(potential)] = 0.0
         return float(potential.comm.allreduce(float(np.sum(g * g)), op=MPI.SUM) ** 0.5)
 
-    @np.errstate(over="ignore", invalid="ignore")  # the residual tells
+    @np.errstate(over="ignore", invalid="ignore")  # the residual is checked
     def solve(
         self,
         h0_prestress: tuple[float, ...] = (0.0,),
         interrupt: Interrupt | None = None,
     ) -> Outcome:
-        """Minimise from the potential's current state; the state is then the minimiser. Units:
+        """Minimise from the potential's current state, which becomes the minimiser. Units:
         h0_prestress (force per length)."""
         potential = self.potential
         self._begin(interrupt)
@@ -291,7 +286,7 @@ class Minimizer:
         start, stages, best = potential.evaluations, 0.0, np.inf
         local = 0 if self._relaxation is None else self._relaxation.steps
         reason = "too many stages"
-        # What lies on a floor is held in H0.
+        # H0 holds the components in contact with a floor.
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
         while stages < self.max_stages:
@@ -308,7 +303,7 @@ class Minimizer:
                 break
             best = min(best, residual)
             self._choose_method(stages, residual)
-            # An iteration of Newton's method takes an evaluation or two, a stage 5 to 30.
+            # A Newton iteration takes one or two evaluations, a stage 5 to 30.
             stages += 1 / 8 if self._newton_method.active else 1
             self._residual0, self._tolerance = residual, tolerance
             if self._uses_h0 and self._aged:
@@ -346,7 +341,7 @@ class Minimizer:
         )
 
     def _evaluate(self) -> tuple[float, float, float]:
-        """Evaluate the potential; return the gradient's norm, its tolerance and its rounding."""
+        """Evaluate the potential; return the gradient's norm, its tolerance and rounding."""
         potential = self.potential
         self._energy0, self._scale = potential.evaluate_terms()
         potential.free_gradient(self._g0)
@@ -357,7 +352,7 @@ class Minimizer:
         return self.residual(), tolerance, rounding
 
     def _end(self, residual: float, tolerance: float) -> str:
-        """Say why a solve ends in the state evaluated; "" if it goes on."""
+        """Reason why a solve ends at the evaluated state; "" if it goes on."""
         if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
             return REASONS[-4]
         if self._interrupted:
@@ -369,7 +364,7 @@ class Minimizer:
         return "converged" if residual <= tolerance else ""
 
     def _choose_method(self, stages: float, residual: float) -> None:
-        """Let Newton's method take over from slow stages, or these from it."""
+        """Switch from slow stages to Newton's method, or back."""
         newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
         if newton.is_quick(residual, self._scale):

@@ -1,14 +1,13 @@
-"""Newton's method, which takes over under cables, and where quasi-Newton stages come to little.
+"""Newton's method, used under cables and where quasi-Newton stages make little progress.
 
-Under cables it steps by the exact second derivatives where these are definite. What has learnt from
-a few gradients knows nothing of the handful of cable points that hold nearly all the force, each
-nonlinear over a tiny distance of its own. These are relaxed alone, also at the end of a step that
-has raised the energy, before that is shortened.
+Under cables it uses the exact second derivatives where definite. Nearly all force sits at a handful
+of cable points, each nonlinear over its own tiny distance, which updates from a few gradients
+cannot represent. These are relaxed alone, also where a step has raised the energy.
 
-Where much of a membrane is wrinkled or slack, what the quasi-Newton updates have learnt is wrong as
-soon as some more cells have wrinkled. Then H0 without updates is rebuilt in each iteration:
-Newton's method on an energy whose slope has kinks, with a part of the taut stiffness on top that
-grows where the energy falls less than promised, and shrinks else.
+Where much of a membrane is wrinkled or slack, quasi-Newton updates are outdated as soon as more
+cells wrinkle. Then H0 without updates is rebuilt in each iteration: Newton's method on an energy
+with kinks in its slope, plus a part of the taut stiffness that grows where the energy falls less
+than predicted and shrinks otherwise.
 """
 
 from __future__ import annotations
@@ -27,37 +26,36 @@ if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
 STUBBORN, PATIENCE = 0.1, 8
-"""Reduction of the residual by a stage above which Newton's method takes over, after how many
-stages: cables that pass vertices take a few, and no Newton step makes that faster."""
+"""Reduction of the residual by a stage above which Newton's method takes over, and the stages
+before that: cables that pass vertices take a few, which no Newton step speeds up."""
 
 RESTRAINT = 1e-2
-"""Part of the taut stiffness that wrinkled cells have at first in Newton's method, relative to the
-root of the residual over the force scale."""
+"""Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual/force scale)."""
 
 NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
-"""Residual, relative to the force scale, down to which steps are made by the second derivatives
-where cable points can be relaxed; and part that may be left of it after how many of them."""
+"""Residual, relative to the force scale, down to which steps use the second derivatives where cable
+points can be relaxed; and the required reduction within how many such steps."""
 
 NEWTON_STAGES = 20
-"""Iterations of Newton's method in which the residual must fall by more than that."""
+"""Newton iterations within which the residual must fall by the factor `STUBBORN`."""
 
 STEADY, RISE = 1e-10, 1e-11
-"""Fall of the energy, relative to it, below which the trapezoidal rule takes its place in Newton's
-method, and rise up to which: that much is rounding."""
+"""Relative fall of the energy below which Newton's method uses the trapezoidal rule, and relative
+rise up to which it does: both are rounding."""
 
 DESCENT, SHORTEST = 1e-4, 1e-3
-"""Least part of the descent promised that a Newton step must keep, and the shortest one tried."""
+"""Fraction of the predicted descent that a step must achieve (Armijo), and the shortest step."""
 
 Stopped = tuple[Indices, Array]
-"""Blocks of points that were stopped on their way (m,), and by how much, (m, 3) (length)."""
+"""Blocks of stopped points (m,), and the correction of each, (m, 3) (length)."""
 
 
 class NewtonMethod:
-    """Steps of Newton's method on a potential, with H0 as its Hessian.
+    """Newton steps on a potential, with H0 as its Hessian.
 
     Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
-    second derivatives in this solve; `restraint`: part of the taut stiffness that wrinkled cells
-    have on top of their tangent.
+    second derivatives in this solve; `restraint`: stiffness added to wrinkled cells,
+    relative to that of taut ones.
     """
 
     def __init__(
@@ -67,16 +65,15 @@ class NewtonMethod:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a solve, without this method at first."""
+        """Begin a solve, inactive."""
         self.active, self.restraint = False, RESTRAINT
         self.trusts_exact = self.relaxation is not None
         self._quick, self._failed = False, 0
         self._count, self._mark = 0, 0.0
 
     def is_quick(self, residual: float, scale: float) -> bool:
-        """Decide whether the next step is one by the second derivatives, with points relaxed. So it
-        is on the way from afar to near the minimum, unless it fails or makes no progress. Units:
-        residual (force)."""
+        """Whether the next step uses the second derivatives, with points relaxed: on the way to
+        near the minimum, unless that fails or makes no progress. Units: residual (force)."""
         if self.trusts_exact and self._quick:
             self._count += 1
             if self._count == QUICK_STEPS:
@@ -95,13 +92,12 @@ class NewtonMethod:
         return self._quick
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
-        """Begin where a stage has `reduced` the residual to little less than it was. Units:
-        residual, reduced (force)."""
+        """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
         self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
         self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
 
     def check_progress(self, residual: float) -> None:
-        """Give up where the residual has not fallen in `NEWTON_STAGES` iterations."""
+        """Give up if the residual has not fallen enough in `NEWTON_STAGES` iterations."""
         self._count += 1
         if self._count == NEWTON_STAGES:
             self.active = residual <= STUBBORN * self._mark
@@ -110,9 +106,8 @@ class NewtonMethod:
     def step(
         self, x0: PETSc.Vec, g0: PETSc.Vec, energy0: float, x: PETSc.Vec, g: PETSc.Vec, d: PETSc.Vec
     ) -> bool:
-        """Step by H0 alone, as far as the energy falls, cable points no farther than near the ends
-        of their edges. Returns whether the energy has fallen; the potential is then in the new
-        state."""
+        """Step by H0 alone with line search, stopping cable points short of the ends of their
+        edges. Returns whether the energy has fallen; the potential is then at the new state."""
         part, kept, fallen = 2.0, 0.0, False
         self.h0.solve(g0, d)
         slope = -g0.dot(d)
@@ -129,7 +124,7 @@ class NewtonMethod:
             if not fallen and self.relaxation is not None and self.relaxation.relax_points(0.0):
                 change = self.potential.energy() - energy0
                 fallen = change <= DESCENT * work < 0.0
-            kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
+            kept = change / (part * (1 - part / 2) * slope)  # relative to H0's prediction
         if not fallen:
             factor = 10.0
             if not energy - energy0 <= RISE * abs(energy):
@@ -156,7 +151,7 @@ class NewtonMethod:
             )
 
     def _work(self, g: PETSc.Vec, stopped: Stopped | None) -> float:
-        """Work of forces on the way that points were moved back by (force x length)."""
+        """Work of the forces g on the corrections of stopped points (force x length)."""
         if stopped is None:
             return 0.0
         points, change = stopped

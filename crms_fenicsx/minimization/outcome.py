@@ -1,4 +1,4 @@
-"""What came of a minimisation."""
+"""Outcome of a minimisation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from crms_fenicsx.runtime.checks import counted
 
 SEARCH_FAILED, OUT_OF_RANGE = -6, 63
-"""TAO's reason, and PETSc's error code, for a line search that has led nowhere."""
+"""TAO's reason and PETSc's error code for a failed line search."""
 
 REASONS = {
     -2: "too many iterations",
@@ -19,7 +19,7 @@ REASONS = {
 }
 
 ENDLESS = "the membrane moves without end"
-"""Why a minimisation is given up that has gone too far."""
+"""Reason for giving up when vertices have moved too far."""
 
 DROWNED = (
     ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
@@ -29,36 +29,34 @@ DROWNED = (
 
 @dataclass(frozen=True, repr=False)
 class Outcome:
-    """What a minimisation came to."""
+    """Result of a minimisation."""
 
     converged: bool  # whether the gradient's norm fell below `tolerance`
-    reason: str  # in words, why it ended
-    residual: float  # residual, tolerance: norm of the gradient and what was asked for (force)
+    reason: str  # reason for its end, in words
+    residual: float  # residual, tolerance: norm of the gradient and its limit (force)
     tolerance: float
     # iterations, evaluations, factorizations: quasi-Newton iterations, evaluations of energy and
     # gradient, factorisations of H0
     iterations: int
     evaluations: int
     factorizations: int
-    local_steps: int = 0  # Newton steps of clusters of cable points and vertices alone
-    # minimisations: more than one where cables turned slack or taut, lifted off or slid
+    local_steps: int = 0  # Newton steps of local clusters of cable points and vertices
+    # minimisations: several where cables turned slack or taut, lifted off or slid
     solves: int = 1
-    # mesh vertices over which cables slid sideways between minimisations, those of rejected paths
-    # included; not those over which paths were pulled straight before the first
+    # mesh vertices that cables passed sideways between minimisations, including those on rejected
+    # paths, excluding the straightening of paths before the first
     flips: int = 0
-    # how often friction forces were taken from the state that they led to; 0 without friction
+    # updates of the friction forces; 0 without friction
     passes: int = 0
-    # what the friction forces still change by, relative to their sum, where they went round in
-    # circles and were left at that
+    # last relative change of the friction forces, if they cycled and were left unconverged
     unsettled: float = 0.0
-    # the scene's own force, to which the tolerance is relative unless rounding is larger
+    # force scale of the scene, to which the tolerance is relative unless rounding is larger
     scale: float = 0.0
-    # whether the energy was found not to be convex on the way of a minimisation: something may have
-    # snapped through
+    # whether the energy was not convex on the way of a minimisation: possible snap-through
     bent: bool = False
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         return (
             f"Outcome({self.reason}, residual {self.residual:.2g} for {self.tolerance:.2g}, "
             f"{counted(self.iterations, 'iteration')}, {counted(self.evaluations, 'evaluation')}, "
@@ -66,7 +64,7 @@ class Outcome:
         )
 
     def __add__(self, other: Outcome) -> Outcome:
-        """The outcome of `other`, after the work of both."""
+        """Outcome `other` with the work of both."""
         return Outcome(
             other.converged,
             other.reason,

@@ -1,7 +1,6 @@
-"""The total potential energy: a sum of terms, its gradient and a positive definite stiffness.
+"""The total potential energy: a sum of terms, with gradient and positive definite stiffness.
 
-Equations (2.6-1) and (3.4-1). Terms do not know each other; a term that a scene does not have is
-not in the list.
+Equations (2.6-1) and (3.4-1). Terms are independent of each other.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ class Potential:
         integrals = [term.integral for term in self.terms if term.integral is not None]
         self._pass = FusedAssembly.of(integrals) if integrals else None
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
-        # The last entry counts the ranks that have been told to stop.
+        # The last entry counts the ranks told to stop.
         self._local_sums = np.zeros(int(ends[-1]) + 1)
         self._sums = np.zeros(int(ends[-1]) + 1)
         self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
         self._asked = self.x_vector.duplicate()
         self._is_asked = self._is_summed = False
-        """Whether the state is that of the minimiser's last evaluation, and the sums are its."""
+        """Whether the state is that of the minimiser's last evaluation; whether sums are valid."""
         unknowns.add_to_vertices(self._u, self.x)
 
     def destroy(self) -> None:
@@ -60,8 +59,8 @@ class Potential:
             vector.destroy()
 
     def place(self, X: PETSc.Vec | None = None) -> None:
-        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included. Where X
-        is what the minimiser evaluated last, all that is known of it stays."""
+        """Make X (or the content of `x`) the current state, including ghosts and DOLFINx's
+        function. If X was the minimiser's last evaluation, all computed values stay valid."""
         if X is None or not (self._is_asked and X.equal(self._asked)):
             self._place(X)
 
@@ -75,8 +74,8 @@ class Potential:
         self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self, vertices: bool = True) -> None:
-        """Global sums of all terms at the current state: the one reduction of an evaluation.
-        Integrals over the membrane stay if no `vertices` have moved since the last one."""
+        """Compute global sums of all terms at the current state, in the only reduction of an
+        evaluation. Without `vertices` moved since the last one, membrane integrals are kept."""
         if self._pass is not None and vertices:
             self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
@@ -88,29 +87,29 @@ class Potential:
         self._is_summed = True
 
     def bring_up_to_date(self) -> None:
-        """`sum_up`, if the sums are not those of the state that was placed."""
+        """Call `sum_up` unless the sums belong to the current state."""
         if not self._is_summed:
             self.sum_up()
 
     def energies(self) -> dict[str, float]:
-        """Energy of each term at the sums last computed (force x length)."""
+        """Energy of each term from the last sums (force x length)."""
         values: dict[str, float] = {}
         for term, part in zip(self.terms, self._slices, strict=True):
             values[term.name] = values.get(term.name, 0.0) + term.energy(self._sums[part])
         return values
 
     def energy(self) -> float:
-        """Energy at the sums last computed (force x length)."""
+        """Energy from the last sums (force x length)."""
         parts = zip(self.terms, self._slices, strict=True)
         return sum(term.energy(self._sums[part]) for term, part in parts)
 
     def sums_of(self, term: EnergyTerm) -> Array:
-        """Global sums of one term, last computed."""
+        """Global sums of one term, as last computed."""
         return self._sums[self._slices[self.terms.index(term)]]
 
     def evaluate(self, vertices: bool = True) -> float:
-        """Energy at the current state; leaves the gradient, held components included, in `g`.
-        `vertices` as in `sum_up`."""
+        """Return the energy at the current state and set `g` to the gradient, including held
+        components; `vertices` as in `sum_up`."""
         self.evaluations += 1
         self.sum_up(vertices)
         self.g[:] = 0.0
@@ -123,7 +122,7 @@ class Potential:
         return energy
 
     def objective_gradient(self, tao: PETSc.TAO | None, X: PETSc.Vec, G: PETSc.Vec) -> float:
-        """TAO's callback: energy at X, and its gradient with held components set to zero."""
+        """TAO's callback: energy at X, and in G its gradient with held components zero."""
         self._place(X)
         X.copy(self._asked)
         self._is_asked = True
@@ -132,20 +131,19 @@ class Potential:
         return energy
 
     def free_gradient(self, G: PETSc.Vec) -> None:
-        """Set held components of the gradient last computed to zero, and copy it to G."""
+        """Zero the held components of the last gradient and copy it to G."""
         owned = self.unknowns.n_owned
         np.copyto(self.g[:owned], 0.0, where=self.unknowns.held[:owned])
         self.g_vector.copy(G)
 
     def patterns(self, cables: bool = True) -> list[BlockPattern]:
-        """Where the stiffness has blocks, or that without cables."""
+        """Block patterns of the stiffness, with or without cables."""
         springs = [] if self.damping is None or not cables else self.damping.patterns
         terms = [term for term in self.terms if cables or not term.of_cables]
         return [*springs, *(pattern for term in terms for pattern in term.patterns)]
 
     def add_stiffness(self, A: BlockSink, exact: bool = False) -> None:
-        """Add stiffness and damping at the current state, the sums and the gradient there. If
-        `exact` it is the second derivatives of the terms, without damping."""
+        """Add stiffness and damping at the evaluated state; if `exact`, second derivatives only."""
         if self.damping is not None and not exact:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
@@ -154,20 +152,20 @@ class Potential:
             add(self.x, self._sums[part], A)
 
     def add_stiffness_without_cables(self, A: BlockSink) -> None:
-        """Add the stiffness that there would be without cables to a matrix of the vertices."""
+        """Add the stiffness of the scene without cables to a matrix of the vertices."""
         for term, part in zip(self.terms, self._slices, strict=True):
             term.add_stiffness_without_cables(self.x, self._sums[part], A)
 
     def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:
-        """Stiffness dyads of all terms at the sums last computed: term, number, value."""
+        """Positive stiffness dyads of all terms from the last sums: term, number, value."""
         for term, part in zip(self.terms, self._slices, strict=True):
             for k, value in enumerate(term.dyads(self._sums[part])):
                 if value > 0.0:
                     yield term, k, float(value)
 
     def dyad_columns(self, held: Booleans) -> tuple[Array, Array]:
-        """Values (m,) of all dyads, and this rank's rows of their columns, (3 n_owned, m), without
-        components (n_owned, 3) that are `held`. Collective."""
+        """Values (m,) of all dyads and this rank's rows of their columns, (3 n_owned, m), zero at
+        `held` components (n_owned, 3). Collective."""
         dyads, n = list(self.dyads()), self.unknowns.n_owned
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
@@ -177,39 +175,38 @@ class Potential:
         return np.array([value for _, _, value in dyads]), columns
 
     def dyad_column(self, term: EnergyTerm, k: int) -> None:
-        """Leave the column of a term's dyad at the current state in `g`."""
+        """Set `g` to the column of a term's dyad at the current state."""
         self.g[:] = 0.0
         term.add_dyad_column(k, self.x, self.g)
         self.unknowns.gather_forces(self.g_vector, self.g)
         self.unknowns.project(self.g)
 
     def rounding(self) -> float:
-        """Norm of the forces that rounding leaves at the state last evaluated (force). Collective.
-        Where large forces cancel each other, a cable's before and behind a point or a tight
-        membrane's around it, what remains of them is not known better than this."""
+        """Norm of the rounding error of the forces at the last evaluated state (force). Collective.
+        Where large forces cancel (of a cable at a point, of a tight membrane around it) the
+        residual is known no better than this."""
         squares = 0.0
         for term, part in zip(self.terms, self._slices, strict=True):
             squares += term.rounding(self.x, self._sums[part])
         return float(self.comm.allreduce(squares, op=MPI.SUM) ** 0.5)
 
     def begin_step(self) -> None:
-        """Let a load step begin at the current state for the terms with history."""
+        """Begin a load step at the current state, for terms with history."""
         for term in self.terms:
             term.begin_step(self.x)
 
     def commit(self) -> None:
-        """Let the current state end a load step for the terms with history."""
+        """End a load step at the current state, for terms with history."""
         if any(term.has_history for term in self.terms):
             self.sum_up()
         for term, part in zip(self.terms, self._slices, strict=True):
             term.commit(self.x, self._sums[part])
 
     def evaluate_terms(self) -> tuple[float, float]:
-        """As `evaluate`, term by term; what is known of the current state is not computed again.
-        Returns energy: energy at the current state (force x length); scale: largest norm of one
-        term's free nodal forces: the scene's own force. Those across edge sliders count, as there
-        may be no other that does not vanish. Where only one term has any, which vanish in
-        equilibrium, those of the supports."""
+        """Evaluate term by term, reusing valid sums. Returns the energy (force x length) and the
+        force scale: the largest norm of one term's free nodal forces. Components across edge
+        sliders count, as all others may vanish. If only one term has forces, which vanish in
+        equilibrium, the support reactions count too."""
         self.evaluations += not self._is_summed
         self.bring_up_to_date()
         n = self.unknowns.n_owned

@@ -1,12 +1,11 @@
-"""Local relaxation: what is far out of balance is minimised alone, all else held.
+"""Local relaxation: blocks far out of balance are minimised alone, with all others held.
 
 After a few iterations nearly all unbalanced force of a net sits at a handful of cable points:
-crossings next to an edge with their two fold points, and fold points close to a vertex. Each is
-nonlinear over its own tiny distance, and the line search of a step of all unknowns holds back
-everything for it. So these points are brought into balance before each step (`relax_points`): a
-nonlinear elimination. And where a cable has taken another path or a contact has changed, nearly all
-of the force is around that place. Points and vertices there are relaxed together before the solve
-begins (`relax_patch`), which is often all that is left to do.
+crossings near an edge with their two fold points, and fold points close to a vertex. Each is
+nonlinear over its own tiny distance, and would limit the step length of all unknowns. So they are
+balanced before each step (`relax_points`): a nonlinear elimination. After a change of path or
+contact nearly all force is around that place; there points and vertices are relaxed together before
+the solve (`relax_patch`), which often suffices.
 """
 
 from __future__ import annotations
@@ -24,40 +23,38 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 
 POINT_PART, POINT_RINGS = 0.1, 2
 PATCH_PART, PATCH_RINGS = 0.02, 3
-"""Force, relative to the largest, from which on a point, or a block of a patch, is relaxed, and how
-many rings of blocks around it."""
+"""Force, relative to the largest, above which a point, or a block of a patch, is relaxed, and the
+number of rings of blocks around it."""
 
 MOST = 0.5
-"""Part of all blocks that may be relaxed at once: points beyond that are relaxed all together,
-patches not at all."""
+"""Fraction of blocks relaxed at once; beyond it all points are relaxed together, no patches."""
 
 RATIO, BALANCED = 0.25, 0.3
-"""Force on the points, relative to that on the vertices, from which on they are relaxed, and part
-of that which may be left."""
+"""Residual of the points, relative to that of the vertices, above which they are relaxed, and the
+fraction of that bound to reach."""
 
 PATCHED, SETTLED = 1e-4, 1e-6
-"""Residual, relative to the force scale, from which on patches are relaxed, and to which."""
+"""Residuals, relative to the force scale, above which patches are relaxed, and to reach."""
 
 ROUNDS, STEPS = 2, 12
-"""How often blocks are chosen anew, and Newton steps of each choice."""
+"""Selections of blocks, and Newton steps for each."""
 
 RISE = 1e-12
-"""Rise of the energy, relative to the sum of its terms' sizes, that is rounding."""
+"""Rise of the energy, relative to the sum of its terms' sizes, attributed to rounding."""
 
 
 class LocalRelaxation:
     """Relaxes blocks of a potential that are out of balance.
 
-    Blocks fall into clusters, each of which one rank relaxes, with the elements of all, see
-    `cluster_gather`; they touch each other through the lengths of cables alone. All flags of blocks
-    are (n_local,), those of ghosts being their owners'.
+    Each cluster of blocks is relaxed by one rank, with the elements of all, see `clusters.gather`;
+    clusters interact only through cable lengths. Flags are (n_local,), consistent on ghosts.
 
-    Attributes: `steps`: Newton steps that were made, on all ranks.
+    Attributes: `steps`: Newton steps made, on all ranks.
     """
 
     afar = 0.2
-    """Residual, relative to the force scale, down to which nothing is relaxed. On a roof that is
-    still flat cables would slide to worse paths."""
+    """Residual, relative to the force scale, above which nothing is relaxed: on a still flat roof
+    cables would slide to worse paths."""
 
     def __init__(self, potential: Potential) -> None:
         self.potential, self.steps = potential, 0
@@ -70,7 +67,7 @@ class LocalRelaxation:
         self._points = free.copy()
         self._points[unknowns.vertex_blocks()] = self._points[unknowns.far_vertex_blocks()] = False
         self._n_points = self._count(self._points)
-        # Forms over all cells may have no twin for the few around some vertices.
+        # Forms over all cells may have no counterpart for the cells around some vertices.
         alone = all(term.integral is None or term.twin is not None for term in potential.terms)
         self._all, self._stuck = free if alone else self._points, np.zeros_like(free)
         self._n_all = self._count(self._all)
@@ -81,7 +78,7 @@ class LocalRelaxation:
 
     @classmethod
     def of(cls, potential: Potential) -> LocalRelaxation | None:
-        """Make one where a potential has cable points that can be relaxed alone."""
+        """Create one if a potential has cable points that can be relaxed alone."""
         return cls(potential) if cls._possible(potential) else None
 
     @staticmethod
@@ -100,20 +97,18 @@ class LocalRelaxation:
     def before_step(
         self, residual: float, tolerance: float, scale: float, *, stressed: bool, first: bool
     ) -> bool:
-        """Relax what is far out of balance, before a step of all unknowns. Collective. Units:
-        residual (force), tolerance (force). Returns whether the state has changed; the potential is
-        then evaluated in the new one."""
+        """Relax blocks far out of balance before a global step. Collective. Units: residual,
+        tolerance (force). Returns whether the state, then evaluated, has changed."""
         if first:
             return stressed and self.relax_patch(scale)
         of_vertices = self.vertex_residual()
-        # One point alone may be what the scale comes from. On a flat sheet that is no reason.
+        # One point alone may set the scale; on a flat sheet that is no reason to relax.
         settled = (of_vertices if stressed else residual) < self.afar * scale
         return settled and residual > SETTLED * scale and self.relax_points(tolerance)
 
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective. Units:
-        tolerance (force). Returns whether any point moved; the potential is then evaluated in the
-        new state."""
+        tolerance (force). Returns whether the state, then evaluated, has changed."""
         chosen, aim = np.zeros_like(self._points), 0.0
         self._stuck[:] = False
         for turn in range(ROUNDS):
@@ -131,8 +126,8 @@ class LocalRelaxation:
         return True
 
     def relax_patch(self, scale: float) -> bool:
-        """Relax points and vertices around what is out of balance. Collective. Returns whether
-        anything moved; the potential is then evaluated in the new state."""
+        """Relax points and vertices around the blocks out of balance. Collective. Returns whether
+        the state, then evaluated, has changed."""
         chosen = np.zeros_like(self._all)
         self._stuck[:] = False
         for turn in range(ROUNDS):
@@ -148,8 +143,8 @@ class LocalRelaxation:
         return True
 
     def _relax(self, chosen: Booleans, tolerance: float, vertices: bool) -> bool:
-        """Relax the chosen blocks, among which there are `vertices` or not; say whether the energy
-        has not risen. Collective."""
+        """Relax the chosen blocks (`vertices`: whether these include any) and return whether the
+        energy has not risen. Collective."""
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)
@@ -168,7 +163,7 @@ class LocalRelaxation:
         return False
 
     def vertex_residual(self) -> float:
-        """Norm of the free forces on all but the points that can be relaxed. Collective."""
+        """Norm of the free forces on all blocks but the relaxable points. Collective."""
         return self._residuals(self._points)[1]
 
     def _sizes(self) -> Array:
@@ -178,7 +173,7 @@ class LocalRelaxation:
         return np.asarray(np.linalg.norm(g, axis=1))
 
     def _residuals(self, of: Booleans) -> tuple[float, float]:
-        """Norms of the forces on some owned blocks, and on all others."""
+        """Norms of the forces on the given owned blocks and on all others."""
         sizes = self._sizes()
         of = of[: len(sizes)]
         squares = np.array([np.sum((sizes * some) ** 2) for some in (of, ~of)])
@@ -200,13 +195,13 @@ class LocalRelaxation:
         return found
 
     def _count(self, of: Booleans) -> int:
-        """How many blocks on all ranks have a flag. Collective."""
+        """Number of flagged blocks on all ranks. Collective."""
         unknowns = self.potential.unknowns
         return int(unknowns.comm.allreduce(np.count_nonzero(of[: unknowns.n_owned])))
 
 
 def _adjacency(pairs: Array, size: int) -> sp.csr_matrix:
-    """Which of `size` blocks are linked by pairs (n, 2)."""
+    """Adjacency of `size` blocks linked by pairs (n, 2)."""
     ones = np.ones(2 * len(pairs), dtype=np.int32)
     a, b = pairs.T
     return sp.csr_matrix((ones, (np.append(a, b), np.append(b, a))), shape=(size, size))

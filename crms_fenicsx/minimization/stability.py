@@ -1,12 +1,11 @@
-"""Stability: negative eigenvalues of the second derivatives; convexity of the way to a state.
+"""Stability: negative eigenvalues of the second derivatives, and convexity on the way to a state.
 
-A factorisation tells how many it has (Sylvester), with the tensions of cables as unknowns, see
-`augmented_stiffness.py`.
+A factorisation with cable tensions as unknowns counts negative eigenvalues (Sylvester's law).
 
-Along the straight way from one state to the other the energy's slope rises where it is convex. At
-the end's loads a stable path from the start leads down such a way, and the slope goes up to zero.
-Where the slope falls in between, the energy has negative second derivatives there: something may
-have snapped through. Only the slopes' ratios count, so that units and sizes do not.
+Along the straight way between two states the slope of a convex energy rises. At the end's loads a
+stable path from the start leads down such a way, with the slope rising to zero. Where it falls in
+between, the second derivative is negative: something may have snapped through. Only ratios of
+slopes count, which makes the test independent of units and sizes.
 """
 
 from __future__ import annotations
@@ -22,16 +21,15 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 FALL = 0.01
-"""Fall of the slope, relative to the largest one, from which on the energy is not convex."""
+"""Fall of the slope, relative to the largest one, above which the energy is not convex."""
 
 PLACES = (0.0, 1 / 3, 2 / 3, 1.0)
-"""Where the slope is found, as parts of the way; the last one is the state itself."""
+"""Fractions of the way at which the slope is evaluated; the last one is the state itself."""
 
 
 def is_convex_from(potential: Potential, start: Array) -> bool:
-    """Whether the energy is convex on the way from a start to the potential's state. Collective. It
-    takes four evaluations; the state is afterwards as before, and evaluated. Shapes and units:
-    start (n_local, 3) (length)."""
+    """Whether the energy is convex on the way from `start` (n_local, 3) (length) to the potential's
+    state, which is restored and evaluated. Collective. Costs four evaluations."""
     n, end = potential.unknowns.n_owned, potential.x.copy()
     way = end - start
     free = np.where(potential.unknowns.held[:n], 0.0, way[:n])
@@ -47,10 +45,9 @@ def is_convex_from(potential: Potential, start: Array) -> bool:
 
 
 class ExactTangent:
-    """The second derivatives of a potential at its state, factorised. Collective.
+    """Factorised second derivatives of a potential at its state. Collective.
 
-    Attributes: `negative`: number of ways in which the energy falls. Shapes and units: springs
-    (n_owned,) (force/length).
+    Attributes: `negative`: count of negative eigenvalues. Units: springs (n_owned,) (force/length).
     """
 
     def __init__(
@@ -79,8 +76,7 @@ class ExactTangent:
         self._y.destroy()
 
     def compliance(self, blocks: Indices) -> Array:
-        """Displacements of blocks by unit forces on them, (3 k, 3 k) (length/force). Collective.
-        Shapes: blocks (k,)."""
+        """Displacements (3 k, 3 k) (length/force) of `blocks` (k,) by unit forces. Collective."""
         potential, unknowns = self.potential, self.potential.unknowns
         n, first = unknowns.n_owned, potential.comm.rank == 0
         found: Array = np.zeros((3 * len(blocks), 3 * len(blocks)))

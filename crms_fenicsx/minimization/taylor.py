@@ -1,7 +1,7 @@
-"""Taylor tests: does a gradient belong to its energy, a stiffness to its gradient?
+"""Taylor tests of gradients and stiffnesses.
 
-The remainder of an energy's expansion to first order shrinks with the square of the step if the
-gradient is right, else with the step itself; with the stiffness in it, with the cube.
+The remainder of the energy's first-order expansion is quadratic in the step if the gradient is
+right, else linear; with the right stiffness in the second-order expansion it is cubic.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.runtime.errors import InputError
 
 STEPS = tuple(0.01 * 0.25 ** np.arange(6))
-"""Steps, as parts of the direction given: so small that an error of 1e-3 in a gradient is seen."""
+"""Step lengths relative to the direction: small enough to reveal an error of 1e-3 in a gradient."""
 CUBIC_STEPS = tuple(0.1 * 0.5 ** np.arange(5))
-"""Steps where the remainder is of third order, and soon drowns in rounding."""
+"""Step lengths for third-order remainders, which soon drown in rounding."""
 SHAKEN = 0.1
-"""Size of the displacements at which terms are tested, relative to the cells."""
+"""Amplitude of the displacements at which terms are tested, relative to the cell size."""
 SLACK = 0.2
-"""How far a fitted order may be below the one that is due."""
+"""Allowed deficit of a fitted order."""
 ROUNDED = 1e3 * EPSILON
-"""Remainders up to this, relative to the energies and works that they are left of, are rounding."""
+"""Remainder attributed to rounding, relative to the energies and works subtracted."""
 SYMMETRIC = 1e-9
 """Largest relative asymmetry of a stiffness."""
 
 
 class Differentiable(Protocol):
-    """An energy of points (n, 3) with gradient and stiffness."""
+    """Energy of points (n, 3), with gradient and stiffness."""
 
     def value(self, x: Array) -> tuple[float, Array]:
         """Energy and gradient (n, 3)."""
@@ -51,7 +51,7 @@ class Differentiable(Protocol):
 
 
 class TermsOnLayout:
-    """Terms of a distributed layout as a function of its owned points' displacements, (n, 3)."""
+    """Terms of a distributed layout as a function of the owned points' displacements, (n, 3)."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class TermsOnLayout:
         return energy, self.potential.g[:n].copy()
 
     def assembled(self, x: Array) -> PETSc.Mat:
-        """Stiffness without dyads, distributed; to be destroyed. Collective."""
+        """Distributed stiffness without dyads, to be destroyed by the caller. Collective."""
         self.value(x)
         stiffness = StiffnessMatrix(self.unknowns, self.potential.patterns())
         self.potential.add_stiffness(stiffness, self.exact)
@@ -96,7 +96,7 @@ class TermsOnLayout:
 
 
 class TermsWithDyads(TermsOnLayout):
-    """Terms whose stiffness has its dyads."""
+    """Terms with their dyads in the stiffness."""
 
     def times(self, x: Array, d: Array) -> Array:
         product, n = super().times(x, d), self.unknowns.n_owned
@@ -108,14 +108,14 @@ class TermsWithDyads(TermsOnLayout):
 
 
 def fitted_order(steps: Sequence[float], remainders: Sequence[float]) -> float:
-    """Exponent with which the remainders shrink."""
+    """Order of the remainders: their exponent in the step."""
     return float(np.polyfit(np.log(steps), np.log(remainders), 1)[0])
 
 
 def _order(
     f: Differentiable, x: Array, d: Array, curvature: float, steps: Sequence[float]
 ) -> float:
-    """Order of the remainder of the expansion, infinite where it is nothing but rounding."""
+    """Order of the expansion's remainder; infinite if it is pure rounding."""
     energy, g = f.value(x)
     slope, seen = f.dot(g, d), []
     for h in steps:
@@ -127,19 +127,20 @@ def _order(
 
 
 def gradient_order(f: Differentiable, x: Array, d: Array, steps: Sequence[float] = STEPS) -> float:
-    """2 or more if the gradient at x is right along d, 1 if it is not."""
+    """Order of the remainder: 2 or more if the gradient at x is right along d, else 1."""
     return _order(f, x, d, 0.0, steps)
 
 
 def stiffness_order(
     f: Differentiable, x: Array, d: Array, steps: Sequence[float] = CUBIC_STEPS
 ) -> float:
-    """3 or more if gradient and stiffness at x are right along d, 2 if the stiffness is not."""
+    """Order of the remainder: 3 or more if gradient and stiffness at x are right along d; 2 if only
+    the gradient is."""
     return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
 
 
 def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> float:
-    """Relative difference of stiffness times d and the central difference of the gradient."""
+    """Relative difference of stiffness times d and the gradient's central difference."""
     ahead, behind = f.value(x + h * d)[1], f.value(x - h * d)[1]
     difference: Array = np.asarray((ahead - behind) / (2 * h), dtype=np.float64)
     error: Array = np.asarray(f.times(x, d) - difference, dtype=np.float64)
@@ -147,7 +148,7 @@ def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> f
 
 
 def noise(X: Array, seed: int) -> Array:
-    """Random vectors (n, 3) that depend on the place alone, so on no numbering; size about 1. Waves
+    """Random vectors (n, 3) of size about 1 that depend on position only, not on numbering. Waves
     shorter than the distances in a mesh of about 20 look random on its vertices."""
     rng = np.random.default_rng(seed)
     waves, phases = rng.uniform(-1, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3))
@@ -157,16 +158,15 @@ def noise(X: Array, seed: int) -> Array:
 
 @dataclass(frozen=True)
 class TaylorRates:
-    """Orders with which remainders shrink with the step; infinite where nothing but rounding is
-    left, as of quadratic energies.
+    """Orders of the remainders in the step; infinite for pure rounding, as of quadratic energies.
 
     Attributes
     ----------
     gradient
-        Of the expansion to first order: 2 is due.
+        Order of the first-order expansion's remainder; 2 is expected.
     stiffness
-        Of the expansion to second order: 3 is due. None without a stiffness, or with one that is
-        not meant to be exact.
+        Order of the second-order expansion's remainder; 3 is expected. None without stiffness, or
+        with one that is not meant to be exact.
     """
 
     gradient: float
@@ -182,21 +182,21 @@ def taylor_test(
 ) -> TaylorRates:
     """Check a term's gradient and stiffness by Taylor expansions of its energy. Collective.
 
-    It is tested at displacements that are shaken at random, a tenth of a cell, from `u`, along
-    random directions, the same on any number of processes. There the energy must be smooth.
+    The test state is `u` plus random displacements of a tenth of a cell, the directions are random;
+    both are the same on any number of processes. The energy must be smooth there.
 
     Parameters
     ----------
     term
-        A term of mesh vertices. One that is in a scene already stays as it is.
+        A term of mesh vertices. One that belongs to a scene is left unchanged.
     u
-        Vertex displacements such as ``scene.u``; the same afterwards.
+        Vertex displacements such as ``scene.u``; restored afterwards.
     stiffness
-        "exact": a stiffness (with its dyads), if there is one, is the energy's second derivative.
+        "exact": the stiffness (with its dyads), if any, is the energy's second derivative.
         "semidefinite": it is a bound or an approximation, and only has to be symmetric and
         positive semidefinite.
     seed
-        Of the random displacements.
+        Seed of the random displacements.
 
     Returns
     -------
@@ -206,8 +206,8 @@ def taylor_test(
     Raises
     ------
     InputError
-        On all ranks: the gradient is not that of the energy, or the stiffness is not what it
-        should be.
+        On all ranks, if the gradient is not that of the energy, or the stiffness lacks the
+        required property.
 
     Examples
     --------
@@ -234,7 +234,7 @@ def taylor_test(
 def _rates(
     f: TermsOnLayout, name: str, x: Array, d: Array, other: Array, exact: bool
 ) -> TaylorRates:
-    """Rates of a term at x along d; `other` is another direction."""
+    """Rates of a term at x along d; `other` is a second direction."""
     order = gradient_order(f, x, d)
     if not order > 2 - SLACK:
         raise InputError(

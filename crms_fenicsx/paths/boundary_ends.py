@@ -1,11 +1,10 @@
-"""The ends of cables: where anchors that have been moved meet the membrane's boundary.
+"""Cable ends at moved anchors: where they meet the membrane's boundary.
 
-A cable held at its place on a held edge ends there. If its anchor is moved along the boundary, the
-path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
-the air and slides along the edge that it passes; if it comes back, the cable ends there again. If
-it comes to lie over the membrane, as when the edge is moved under it, the path goes no further than
-to the cell below; if it comes to lie under the membrane, the cable runs around the edge. The path
-of a cable with an anchor over the membrane ends in the cell below, which follows it.
+A cable held at a place on a held edge ends there. If its anchor moves along the boundary, the
+path's end follows from edge to edge; if it moves off, the cable continues through the air and
+slides along the edge that it passes; if it returns, the cable ends at the boundary again. If the
+anchor comes to lie above the membrane, as when the edge is moved under it, the path ends in the
+cell below, and follows it; if below the membrane, the cable bends around the edge.
 """
 
 from __future__ import annotations
@@ -39,15 +38,14 @@ from crms_fenicsx.surface.points import (
 )
 
 ASIDE = 0.1
-"""Sideways movement of an anchor in a load step, relative to the cells' size, from which on the
-cable is laid anew."""
+"""Lateral movement of an anchor per step, in cell sizes, above which its cable is laid again."""
 
 FARTHEST = 1000
-"""How many edges of the boundary an end may pass in one load step."""
+"""Limit of boundary edges that an end may pass in one load step."""
 
 
 def renew_ends(change: PathChange) -> bool:
-    """Bring the ends of all paths to where moved anchors are; say if any changed. Collective."""
+    """Move the ends of all paths to moved anchors, and return whether any changed. Collective."""
     changed = False
     shape = change.net.strip_shape()
     for cable in change.net.cables:
@@ -60,13 +58,13 @@ def renew_ends(change: PathChange) -> bool:
 
 
 def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
-    """Whether an anchor has left the vertical plane of its cable since the last equilibrium. On its
-    old path the cable would be drawn into the membrane sideways."""
+    """Whether an anchor has left the vertical plane of its cable since the last equilibrium, so
+    that the old path would draw the cable into the membrane sideways."""
     if cable.nodes[k].kind != "anchor" or cable.ends_before is None:
         return False
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
     chords = cable.positions[contacts] - cable.ends_before[k]
-    # An end on the boundary is there twice, as an anchor and as the path's first point.
+    # An end on the boundary occurs twice, as an anchor and as the path's first point.
     apart = np.linalg.norm(chords, axis=1) > SAME_PLACE * cable.length
     beside, along = contacts[np.argmax(apart)], chords[np.argmax(apart)]
     point = cable.nodes[beside].point or cable.nodes[1].point
@@ -89,7 +87,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
         if isinstance(node.point, CellPoint):
             return led
     there = cable.positions[beside]
-    if not cable.lifted[beside]:  # its edge may have been moved since the last step
+    if not cable.lifted[beside]:  # its edge may have moved since the last step
         there = shape.mean(*node.interpolation())
     away = float(np.linalg.norm(cable.positions[anchor] - there))
     if away <= SAME_PLACE * cable.length and node.kind != "edge slider":
@@ -100,7 +98,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
             return True
         if node.kind != "tied":
             return led
-        nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
+        nodes = list(cable.nodes)  # moved off, it now slides along its edge
         nodes[beside] = CableNode("edge slider", node.point)
         cable.update(nodes=tuple(nodes))
         return True
@@ -116,8 +114,8 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
 
 
 def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
-    """Lead a path's end to the cell under an anchor that has been moved, or off the membrane.
-    Pulled taut to where the anchor was, the path would go there and back."""
+    """Extend or shorten a path to the cell below a moved anchor, or off the membrane: pulled taut
+    to the old place it would go back and forth."""
     anchor, before = -1 if last else 0, cable.ends_before
     place = cable.positions[anchor]
     if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
@@ -126,8 +124,8 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
 
 
 def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) -> bool:
-    """Lead a path's end over the cells to the one under its anchor, or to where it leaves them.
-    With `over`, to none that the anchor lies under."""
+    """Extend or shorten a path to the cell below its anchor, or to where it leaves the membrane.
+    With `over`, not to a cell above the anchor."""
     anchor, beside = (-1, -2) if last else (0, 1)
     place, foot = cable.positions[anchor], cable.nodes[beside]
     ids, weights = foot.interpolation()
@@ -154,7 +152,7 @@ def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) 
 
 
 def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, float] | None:
-    """The held edge of the boundary that a place lies on, and where on it; None if on none."""
+    """Held boundary edge at a place, and the fraction on it; None if there is none."""
     mesh = membrane.mesh.mesh
     boundary = membrane.mesh.edges["boundary"]
     boundary = boundary[membrane.held_edges[boundary]]
@@ -188,7 +186,7 @@ def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, 
 def _way(
     change: PathChange, points: list[SurfacePoint], edge: Edge, fraction: float
 ) -> list[SurfacePoint]:
-    """The path with a new first point on an edge of the boundary, along which it gets there."""
+    """The path with its first point moved along the boundary to a place on `edge`."""
     ends = [p for p, at in zip(edge, (0.0, 1.0), strict=True) if abs(fraction - at) < 1e-9]
     first: SurfacePoint = VertexPoint(ends[0]) if ends else EdgePoint(edge, fraction)
     if first == points[0] or (not ends and points[0].support == edge):
@@ -209,7 +207,7 @@ def _way(
 def _walk(
     change: PathChange, points: list[SurfacePoint], goal: SurfacePoint, side: int
 ) -> list[SurfacePoint] | None:
-    """Lead the path's first point along the boundary; None if it does not get to the goal."""
+    """Move the path's first point along the boundary; None if it does not reach the goal."""
     start, rest = points[0].support, list(points[1:])
     at = start[0] if len(start) == 1 else start[side]
     behind = start[1 - side] if len(start) == 2 else -1

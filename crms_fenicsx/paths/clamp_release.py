@@ -1,12 +1,11 @@
-"""Clamps at vertices of the mesh: they lift off them, and come to them.
+"""Clamps at vertices of the mesh: lifting off, and moving onto a vertex.
 
-A cable lifts off where its own points may leave the membrane. At a clamp on a vertex, or on an edge
-that one of its cables follows, none of them may on its own. So their paths are put beside the
-vertex, or the edge: there the clamp is a point inside of a cell, which nothing but the contacts
-around it holds down.
+A cable lifts off at its own points. At a clamp on a vertex, or on an edge that one of its cables
+follows, no cable can lift off alone. So the paths are moved beside the vertex or edge: there the
+clamp is a point inside a cell, held down by the surrounding contacts only.
 
-A clamp beside a vertex, at which points of its cables are held, may belong on the vertex. Then a
-smoothed length is missing on one side of the clamp, and short stiff parts have other tensions.
+A clamp beside a vertex that holds its cables' points may belong on the vertex: otherwise one side
+of the clamp lacks a smoothed length, and short stiff parts get wrong tensions.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ from crms_fenicsx.surface.points import VertexPoint
 
 
 def lift_clamps(change: PathChange) -> list[str]:
-    """Put cables that pull their clamps off the membrane beside vertices and edges; say which.
-    Collective."""
+    """Move cables whose clamps pull off the membrane aside; return the changes. Collective."""
     cables = change.net.cables
     if not change.net.clamps or not any(cable.lifts_off for cable in cables):
         return []
@@ -43,7 +41,7 @@ def lift_clamps(change: PathChange) -> list[str]:
         if pulls @ normals[0] <= PULL * sum(cable.tension for cable, _ in held):
             continue
         for cable, node in zip((cable for cable, _ in held), nodes, strict=True):
-            # on an edge it is the cable that follows it which leaves the edge's ends
+            # on an edge, the cable along it leaves the edge's ends
             run = VertexRun(on, True, 0.0, 0.0)
             if not node.slides and pass_run(change, cables.index(cable), run):
                 changes.append(f"{cable.name} leaves {on} for its clamp to lift off")
@@ -51,7 +49,7 @@ def lift_clamps(change: PathChange) -> list[str]:
 
 
 def beside_vertices(change: PathChange) -> Iterator[tuple[int, list[LaidCable]]]:
-    """Vertices that hold all cables of clamps beside them, and these."""
+    """Vertices that hold all cables of a clamp beside them, and these cables."""
     shape = change.net.strip_shape()
     for held in clamped_together(change.net.cables):
         own = [cable for cable, _ in held]
@@ -65,7 +63,7 @@ def beside_vertices(change: PathChange) -> Iterator[tuple[int, list[LaidCable]]]
 
 
 def put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
-    """Lead cables beside a vertex over it; say whether they can go there. Collective."""
+    """Lead cables over a vertex beside them; return whether that is possible. Collective."""
     surface, ways = change.surface([vertex]), []
     for cable in cables:
         on_path = cable.path_nodes()

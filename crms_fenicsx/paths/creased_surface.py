@@ -1,7 +1,6 @@
-"""The membrane's current surface as a cable sees it: edges bent by other cables, seams, anchors.
+"""The current surface for pulling cables taut: edges folded by other cables, seams, anchors.
 
-A path is pulled taut by lengths of edges and the order of the cells at a vertex alone. An edge is
-as long as the way through the fold points on it.
+Only edge lengths, measured through fold points, and the order of cells around vertices enter.
 """
 
 from __future__ import annotations
@@ -30,22 +29,21 @@ from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
 
 BASE = 1 << 32
-"""More than there are vertices: an edge (a, b) has the key a BASE + b."""
+"""Above any vertex id: an edge (a, b) has the key a BASE + b."""
 
 
 class FoldPoints:
-    """The points on edges that cables fold, in order along each edge. Shapes: edges (k, 2), counts
-    of points (k,), points (m, 3)."""
+    """Fold points, in order along each edge: edges (k, 2), counts (k,), points (m, 3)."""
 
     def __init__(self, edges: Integers, counts: Integers, points: Array) -> None:
         self.edges, self.points = edges, points
         self._first = pointers(counts)
-        keys = ints(edges[:, 0] * BASE + edges[:, 1])  # no tuples: Python keeps track of each one
+        keys = ints(edges[:, 0] * BASE + edges[:, 1])  # tuples would burden garbage collection
         self._number = dict(zip(keys, range(len(keys)), strict=True))
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> FoldPoints:
-        """Those of cables in tension as they are now, without lifted ones."""
+        """Current fold points of taut cables, without lifted ones."""
         table, fractions = NodeTable.of(cables, nodes), fractions_of(cables)
         on = (table.size == 2) & (table.kind != CROSSING) & table.taut & ~table.lifted
         rows = np.flatnonzero(on)
@@ -62,15 +60,15 @@ class FoldPoints:
         return self.points[:0] if k is None else self.points[self._first[k] : self._first[k + 1]]
 
     def number(self, edge: Edge) -> int | None:
-        """Number of an edge among `edges`; None of one without points."""
+        """Index of an edge in `edges`; None without fold points."""
         return self._number.get(edge[0] * BASE + edge[1])
 
     def lengths(self, shape: StripShape) -> list[float]:
-        """Lengths of the edges through all points on them, (k,)."""
+        """Lengths of the edges through their fold points, (k,)."""
         if not len(self.edges):
             return []
         ends = shape.current[np.searchsorted(shape.strip.vertices, self.edges)]
-        first = self._first + 2 * np.arange(len(self._first))  # each edge has two more
+        first = self._first + 2 * np.arange(len(self._first))  # each edge has two vertices more
         line = np.empty((first[-1], 3))
         inner = np.ones(len(line), dtype=bool)
         for k, at in enumerate((first[:-1], first[1:] - 1)):
@@ -82,12 +80,11 @@ class FoldPoints:
 
 
 NO_FOLDS = FoldPoints(np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)))
-"""Those of a membrane without cables."""
+"""Fold points of a membrane without cables."""
 
 
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
-    """Refuse a route with a point on cells behind a seam, and on no others. Collective. Shapes:
-    route (k, 3)."""
+    """Reject a route (k, 3) with a point that lies only on cells behind a seam. Collective."""
     positions, cells = own_surface(membrane)
     hidden = np.isin(np.arange(len(cells)), membrane.mesh.hidden)
     behind, outer = membrane.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
@@ -113,7 +110,7 @@ def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
 
 
 def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
-    """Refuse a path over a seam with more than two outer cells, where it has no one way on."""
+    """Reject a path over a seam of more than two outer cells, as its continuation is ambiguous."""
     places = vectors(path.positions(shape.strip.vertices, shape.current))
     for point, place in zip(path.points, places, strict=True):
         if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:
@@ -124,7 +121,7 @@ def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
 
 
 class CreasedSurface:
-    """Lengths and neighbours on the current surface, folded by the cables in tension."""
+    """Edge lengths and neighbours on the current surface, folded by taut cables."""
 
     def __init__(
         self,
@@ -141,8 +138,8 @@ class CreasedSurface:
     def with_anchors(
         self, anchors: Mapping[int, Array], ends: Mapping[int, tuple[int, ...]]
     ) -> CreasedSurface:
-        """The surface with other anchors."""
-        self._bent  # noqa: B018 - known to both from now on
+        """The same surface with other anchors."""
+        self._bent  # noqa: B018 - computed once for both
         surface = copy(self)
         surface.anchors, surface.ends = _places(anchors), ends
         return surface
@@ -153,7 +150,7 @@ class CreasedSurface:
         return self.folds.lengths(self.shape)
 
     def length(self, edge: Edge) -> float:
-        """Length of an edge through all fold points on it."""
+        """Length of an edge through its fold points."""
         if edge[1] in self.anchors:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
         k = self.folds.number(edge)
@@ -176,14 +173,14 @@ class CreasedSurface:
         return opposite
 
     def is_boundary(self, support: tuple[int, ...]) -> bool:
-        """Whether a vertex or an edge of the membrane lies on its boundary."""
+        """Whether a vertex or an edge lies on the membrane's boundary."""
         if len(support) == 1:
             return not self.membrane_ring(support[0]).closed
         known = self.strip.complete.intersection(support)
         return len(support) == 2 and bool(known) and len(self.strip.outer_rows(support)) == 1
 
     def _joined_to(self, vertex: int) -> set[int]:
-        """The anchors to which a vertex of the boundary is joined."""
+        """Anchors to which a boundary vertex is joined."""
         place = self._at[vertex]
         nearest = min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
         return {nearest} | {k for k, vertices in self.ends.items() if vertex in vertices}
@@ -212,7 +209,7 @@ class CreasedSurface:
         )
 
     def place(self, edge: Edge, fraction: float) -> Array:
-        """Position on an edge at a share of its length, (3,)."""
+        """Position on an edge at a fraction of its length, (3,)."""
         line = self._line(edge)
         arcs = _arcs(line)
         at = max(fraction, 0.0) * arcs[-1]
@@ -228,8 +225,7 @@ def _places(anchors: Mapping[int, Array]) -> dict[int, tuple[float, float, float
 
 
 def _arcs(line: Sequence[Sequence[float]]) -> list[float]:
-    """Lengths of a polyline (n, 3) from its first point to each one. An edge has few points:
-    `arc_lengths` takes longer to set up than to compute."""
+    """Arc lengths of a polyline (n, 3); faster than `arc_lengths` for the few points of an edge."""
     steps = ((b[0] - a[0], b[1] - a[1], b[2] - a[2]) for a, b in pairwise(line))
     sizes = (math.sqrt(x * x + y * y + z * z) for x, y, z in steps)
     return list(accumulate(sizes, initial=0.0))

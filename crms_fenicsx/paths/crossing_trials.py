@@ -1,10 +1,9 @@
-"""Other ways of crossing cables are tried one by one, and taken where that lowers the energy.
+"""Trial configurations at crossings, accepted if they lower the energy.
 
-Two cables that press each other into the membrane have several minima of the energy nearby, in
-which no vertex holds a cable: a cable slides past a vertex on the one side or on the other, two
-cables cross an edge beside their crossing at one point or at two, and a contact beside a span is
-closed, as the cable has folded the membrane there, or open. Which of them is found depends on the
-order of the loads. Their energies tell which one is the equilibrium.
+Two cables that press each other into the membrane have several nearby minima of energy, in which no
+vertex holds a cable: a cable passes a vertex on one side or the other; two cables cross an edge
+beside their crossing at one point or at two; and a contact beside a span is closed, as the cable
+has folded the membrane there, or open. The load path picks one; the energies tell the equilibrium.
 """
 
 from __future__ import annotations
@@ -27,33 +26,33 @@ from crms_fenicsx.paths.vertex_passing import pass_run
 from crms_fenicsx.surface.points import Edge
 
 FEW = 4
-"""Crossings up to which other ways are tried. Nets have some at each crossing, and each of them
-changes the energy by a small part of what the mesh errs by."""
+"""Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
+of energy far below the mesh error."""
 
 MOST = 12
-"""How many ways are tried in one load step."""
+"""Limit of trials in one load step."""
 
 NEAR = 0.05
-"""Part of an edge within which a cable that slides past a vertex may pass it on the other side."""
+"""Fraction of an edge from a vertex within which a sliding cable may pass it on the other side."""
 
 LOW = 0.125
-"""Height above the membrane, relative to the cells' size, up to which a cable may touch it."""
+"""Height above the membrane, relative to the cell size, up to which a cable may touch it."""
 
 LIGHT = 0.04
-"""Turn of the cable (rad) at a contact up to which this may be open as well."""
+"""Turn of the cable (rad) at a contact up to which this may be open instead."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """Another way of some cables."""
+    """An alternative configuration of some cables."""
 
     cable: int  # one of them, by number
-    key: WayKey  # what it is known by while the cable stays where it is
-    take: Callable[[], bool]  # moves the cables; says whether they can go there
+    key: WayKey  # identifies it while the cable does not move
+    take: Callable[[], bool]  # moves the cables; returns whether that is possible
 
 
 class CrossingTrials:
-    """What is tried in one load step."""
+    """Trials of one load step."""
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
@@ -61,7 +60,7 @@ class CrossingTrials:
         self._contacts = set(tried.released), set(tried.settled)
 
     def next(self) -> bool:
-        """Move cables to a way that has not been tried; say whether there is one. Collective."""
+        """Move cables to an untried configuration; return whether there is one. Collective."""
         ways = [*self._clamps()] if self.net.clamps else []
         if 0 < len(self.net.crossings) <= FEW:
             ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
@@ -76,19 +75,19 @@ class CrossingTrials:
         return False
 
     def accept(self) -> None:
-        """Stay on the way: from there the others may lead elsewhere."""
+        """Accept the trial; from there all others may give another result."""
         for known in self.tried.ways.values():
             known.clear()
 
     def reject(self) -> None:
-        """Know of contacts what was known before the way was tried."""
+        """Restore the contact history before the trial."""
         tried = self.tried
         for now, before in zip((tried.released, tried.settled), self._contacts, strict=True):
             now.clear()
             now |= before
 
     def _crossed(self) -> list[int]:
-        """Numbers of the cables that cross others, and slide freely."""
+        """Numbers of freely sliding cables that cross others."""
         members = {c for one in self.net.crossings for c in (one.lower, one.upper)}
         return [c for c in sorted(members) if self._is_free(self.net.cables[c])]
 
@@ -97,7 +96,7 @@ class CrossingTrials:
         return cable.taut and cable.slides_freely and not cable.keeps_line
 
     def _clamps(self) -> Iterator[Way]:
-        """Clamps beside vertices onto these."""
+        """Clamps beside vertices, moved onto these."""
         for vertex, cables in beside_vertices(self.change):
 
             def take(vertex: int = vertex, cables: list[LaidCable] = cables) -> bool:
@@ -107,7 +106,7 @@ class CrossingTrials:
             yield Way(self.net.cables.index(cables[0]), key, take)
 
     def _sides(self) -> Iterator[Way]:
-        """Past vertices on the other side, the nearest first."""
+        """Vertices passed on the other side, the nearest first."""
         found = []
         for c in self._crossed():
             cable = self.net.cables[c]
@@ -122,14 +121,14 @@ class CrossingTrials:
         for _, c, vertex in sorted(found):
 
             def take(c: int = c, vertex: int = vertex) -> bool:
-                # On the side where the cable is already there is nothing to change.
+                # No change on the side where the cable already is.
                 runs = (VertexRun((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
                 return any(pass_run(self.change, c, run) for run in runs)
 
             yield Way(c, ("side", "", (vertex,), False), take)
 
     def _exchanges(self) -> Iterator[Way]:
-        """Over edges beside a crossing that both cables cross, so that this is beyond the edge."""
+        """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
         for crossing in self.net.crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
             if crossing.separated or not all(map(self._is_free, pair)):
@@ -155,14 +154,14 @@ class CrossingTrials:
                 yield Way(crossing.lower, key, take)
 
     def _put(self, cable: LaidCable, k: int, edge: Edge, fraction: float) -> None:
-        """Put a node elsewhere on its edge."""
+        """Move a node along its edge."""
         positions, fractions = cable.positions.copy(), cable.fractions.copy()
         positions[k] = self.change.surface(edge).place(edge, fraction)
         fractions[k] = fraction
         cable.update(positions=positions, fractions=fractions)
 
     def _open(self) -> Iterator[Way]:
-        """With a contact beside a span let go, those that press least first."""
+        """Contacts beside spans, opened, those of least pressure first."""
         shape = self.net.strip_shape()
         found = []
         for c in self._crossed():
@@ -186,7 +185,7 @@ class CrossingTrials:
                 yield Way(c, ("open", *key, False), take)
 
     def _closed(self) -> Iterator[Way]:
-        """With a contact more at the end of a span, the lowest above the membrane first."""
+        """Contacts at ends of spans, closed, the lowest above the membrane first."""
         shape = self.net.strip_shape()
         found = []
         for c in self._crossed():
@@ -212,12 +211,12 @@ class CrossingTrials:
 
 
 def _shared_edges(crossing: Crossing) -> list[Edge]:
-    """Edges that both cables cross next to their crossing."""
+    """Edges next to a crossing that both cables cross."""
     lower, upper = crossing.between[:2], crossing.between[2:]
     return [(e[0], e[1]) for e in lower if len(e) == 2 and e in upper]
 
 
 def _node_on(cable: LaidCable, edge: Edge) -> int | None:
-    """The node with which a cable touches an edge and slides on it, if there is just one."""
+    """The only sliding contact of a cable on an edge; None if there is not exactly one."""
     at = [k for k, node in enumerate(cable.nodes) if node.slides and node.support == edge]
     return at[0] if len(at) == 1 and not cable.lifted[at[0]] else None

@@ -1,10 +1,9 @@
-"""How cables with friction change their path: over the vertices that they have run into.
+"""Path changes of cables with friction: over the vertices that they have reached.
 
-A cable with friction does not lie along a geodesic, and pulling it taut would let it slide where
-it sticks. It changes its path only where friction gives way: a fold point that slides and has run
-into a vertex is moved around its other side, a node on a vertex leaves it when the cable pulls it
-sideways by more than friction holds. The new path is kept if the energy falls, with the work of
-friction in it; see `crms_fenicsx.equilibrium.search`.
+A cable with friction does not follow a geodesic, and pulling it taut would release it where it
+sticks. Its path changes only where friction yields: a sliding fold point that has reached a vertex
+moves around it, and a node on a vertex leaves it when the lateral pull exceeds friction. The new
+path is kept if the energy, including friction work, falls; see `crms_fenicsx.equilibrium.search`.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import adopt, straighten, way_past
 
 THERE_AND_BACK = 3
-"""How often in a load step a cable is moved around a vertex to either side: on each side friction
-may have bounds with which the other one is better."""
+"""Passes allowed to either side of a vertex in a load step: the friction bounds on each side may
+favour the other one."""
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
-    """Move cables with friction over the vertices that they have run into. Collective. Returns how
-    many vertices the cable that has passed most has."""
+    """Move cables with friction over the vertices that they have reached. Collective. Returns the
+    largest number of vertices passed by one cable."""
     tried.proposed = set()
     held = _held(change.net.cables)
     if not held:
@@ -41,7 +40,7 @@ def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None
 
 
 def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
-    """Cables that friction holds with known forces, by number."""
+    """Taut cables with known friction forces, by number."""
     return {
         c: cable
         for c, cable in enumerate(cables)
@@ -54,12 +53,11 @@ def straighten_kinks(
 ) -> bool:
     """Put caught fold points of cables with friction back on straight edges. Collective.
 
-    Two points on edges that meet in a vertex may have closed in on each other away from it, so that
-    the chord between them has no direction any more. Then edges are kinked, or the points are
-    pulled and do not move. They go to where a string between the points around them would cross
-    their edges. Returns whether any was moved that has not been before from the same place on the
-    path, where the cable still is: if that has raised the energy, it does with other friction
-    forces, too.
+    Two points on edges with a common vertex may have approached each other away from it, so that
+    their chord has lost its direction. Then edges are kinked, or the points are pulled without
+    moving. They are moved to where a string between the surrounding points crosses their edges.
+    Returns whether any was moved that had not been moved before from the same place on the path: if
+    that raised the energy, it would with other friction forces, too.
     """
     shape, caught = change.net.strip_shape(), set(kinked)
     for c, cable in _held(change.net.cables).items():
@@ -84,12 +82,12 @@ def straighten_kinks(
 
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
-    """The vertices that hold a cable by more than friction does."""
+    """Vertices at which a cable's pull exceeds friction."""
     return [one for one in held_vertices(cable, shape) if one.excess > 0.0]
 
 
 def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: VertexRun) -> int:
-    """Move a cable with friction past a vertex, if it may; return how many it has passed."""
+    """Move a cable with friction past a vertex, if allowed; return the number passed."""
     here = (cable.name, run.vertices[0], run.to_left)
     back = (cable.name, run.vertices[0], not run.to_left)
     if min(tried.passes[here], tried.passes[back]) >= THERE_AND_BACK:

@@ -1,9 +1,8 @@
-"""Geodesic sliding: cables without friction slide sideways until they are straight.
+"""Geodesic sliding of cables without friction.
 
 A taut cable without friction lies along a geodesic of the current, folded surface. Instead of
-moving it over one vertex per equilibrium, its path is pulled taut on the shape that is there and
-the new path tried: it is kept if the energy falls, else only half of the flips are tried. No path
-is tried twice, so this ends.
+moving it over one vertex per equilibrium, its path is pulled taut on the current shape and tried:
+it is kept if the energy falls, else half of the flips are tried. No path is tried twice.
 """
 
 from __future__ import annotations
@@ -37,20 +36,20 @@ from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
 
 CLAMP_INSIDE = 1e-6
-"""Least weight of a corner of the cell in which a clamp is."""
+"""Least weight of a corner of a clamp's cell."""
 
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
-has pressed its crease into the membrane: a path along a line of the mesh stays there."""
+has pressed a crease into the membrane."""
 
 
 @dataclass(frozen=True)
 class _Pulled:
-    """What has come of pulling a path taut."""
+    """Result of pulling a path taut."""
 
-    points: list[SurfacePoint]  # of its new path; none where that is the old one
-    lifted: list[bool]  # which of them are
-    flips: int  # how many vertices it has passed
+    points: list[SurfacePoint]  # of the new path; empty if unchanged
+    lifted: list[bool]  # whether each is lifted
+    flips: int  # number of vertices passed
     followed: list[tuple[Corridor, bool]]  # see `GeodesicSliding._note`
 
 
@@ -60,17 +59,16 @@ class GeodesicSliding:
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
         self._followed: set[Corridor] = set()
-        """Ways of cables without anchors that are known to be possible: that is so once for all."""
+        """Corridors without anchors known to be valid, on any shape."""
 
     def straighten(self) -> bool:
-        """Pull the paths of cables taut that have not been in equilibrium yet. Collective. A taut
-        cable on a bad path would cut into the membrane, and nothing converge. Returns whether there
-        were any."""
+        """Pull the paths of new taut cables taut, and return whether there are any. Collective.
+        On bad paths these would cut into the membrane and prevent convergence."""
         fresh = [
             cable
             for cable in self.net.cables
             if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
-            if cable.parts is None  # else clamps may well hold it in bends
+            if cable.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
             return False
@@ -82,19 +80,18 @@ class GeodesicSliding:
         for cable in fresh:
             if cable.lifts_off:
                 drape(cable, shape)
-            # Pulled straight it may turn out to be too long for its path: slack after all.
+            # Pulled taut, the cable may turn out too long for its path: slack.
             taut = cable.is_tight(nearly=True)
             cable.update(taut=taut, path_is_geodesic=taut)
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
-        """Forget where the fold points of some cables are, given by number, so that `straighten`
-        puts them on straight edges."""
+        """Make `straighten` reset the fold points of cables, by number, to straight edges."""
         for c in numbers:
             self.net.cables[c].update(path_is_geodesic=False)
 
     def renew_projections(self) -> list[str]:
-        """Bring the paths of lifted parts under their spans; say which changed. Collective."""
+        """Move paths of lifted parts below their spans; return the changes in words. Collective."""
         changes: list[str] = []
         off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
         if not off:
@@ -108,7 +105,7 @@ class GeodesicSliding:
                 except MissingCells as missing:
                     self.net.grow_strip(missing.vertices, rings)
                     surface = self.change.surface()
-            # A span that turns over its own touchdown keeps the projection that it had.
+            # A span that folds back over its own touchdown keeps its old projection.
             if found is not None and not why_invalid(corridor(found[0]), surface.opposite_vertices):
                 points, lifted = found
                 surface = self.change.surface([v for point in points for v in point.support])
@@ -117,7 +114,7 @@ class GeodesicSliding:
         return changes
 
     def check_on_membrane(self) -> None:
-        """Make sure that no cable has slid off the membrane. Collective."""
+        """Raise an error if a cable has slid off the membrane. Collective."""
         for cable in self.net.cables:
             nodes = [cable.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
@@ -130,8 +127,8 @@ class GeodesicSliding:
                     raise slid_off(cable, surface.shape.at(vertex))
 
     def slide(self, max_flips: int | None = None) -> int:
-        """Pull the paths of all cables in tension taut on the current surface. Collective. Returns
-        how many vertices the cable that has passed most has; 0: no path has changed."""
+        """Pull the paths of all taut cables taut on the current surface. Collective. Returns the
+        largest number of vertices passed by one cable; 0 if no path has changed."""
         self.tried.forget_moved(self.net.cables)
         free = [
             cable
@@ -170,7 +167,7 @@ class GeodesicSliding:
         max_flips: int | None,
         fresh: bool,
     ) -> list[_Pulled]:
-        """Pull paths taut, each on one rank, with the cells that this needs. Collective."""
+        """Pull paths taut, each on one rank, growing the strip as needed. Collective."""
         found: dict[int, _Pulled] = {}
         for rings in itertools.count(1):
             surface = CreasedSurface(self.net.strip_shape(), folds)
@@ -195,15 +192,14 @@ class GeodesicSliding:
         return [found[c] for c in range(len(cables))]
 
     def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:
-        """Take down the ways that a cable has been pulled taut in, and whether these are known to
-        be possible wherever it lies."""
+        """Record the corridors in which a cable was pulled taut, and those valid on any shape."""
         self.tried.refused.setdefault(cable.name, set()).update(way for way, _ in followed)
         self._followed.update(way for way, always in followed if always)
 
     def _pulled(
         self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
     ) -> _Pulled:
-        """The path pulled taut."""
+        """Pull one path taut."""
         path = list(cable.path.points)
         refused = set(self.tried.refused.get(cable.name, ()))
         held_at = None
@@ -218,14 +214,14 @@ class GeodesicSliding:
         for is_off, run, clamps in _between_clamps(cable, surface.shape):
             new = path[run.start : run.stop]
             if not is_off:
-                # Pulled between clamps, the places under spans at its ends, or anchors beyond.
+                # Pulled taut between clamps, adjacent lifted points, or anchors.
                 before, after = self.change.beyond(cable, surface, path, run)
                 before = before if clamps[0] is None else clamps[0]
                 after = after if clamps[1] is None else clamps[1]
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 fits = self._may_lie(string, joined)
-                if not fits and len(string) > len(new):  # a span turns over its own touchdown
+                if not fits and len(string) > len(new):  # a span folds back over its own touchdown
                     before, after, string = [], [], new
                     fits = self._may_lie(string, joined)
                 if fits and len(string) > 2:
@@ -233,7 +229,7 @@ class GeodesicSliding:
                     refused.add(given)
                     pulls = held_at is None or bool(held_at)
                     followed.append((given, pulls and not before and not after))
-                    if pulls:  # else it does not flip over any vertex
+                    if pulls:  # otherwise it flips over no vertex
                         result = shorten(
                             string, joined, refused=refused, max_flips=max_flips,
                             grip=GRIP if fresh else 0.0, held_at=held_at,
@@ -256,22 +252,21 @@ class GeodesicSliding:
 
 
 def _leaves_cells(cable: LaidCable) -> bool:
-    """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
+    """Whether a cable slides into other cells by the membrane's shape alone."""
     return cable.slides_freely and not cable.keeps_line
 
 
 Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
-"""Clamps beyond the two ends of a part of a path; none where it ends at one itself, None where
-there is no clamp."""
+"""Clamps beyond both ends of a path's part; empty if an end is itself a clamp, None without."""
 
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
-    """The parts of a path between clamps that are lifted, and those that are not."""
+    """Lifted and other parts of a path between clamps."""
     if cable.parts is None:
         return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
-    # clamps by the number of the path's first point after them, but those where the cable follows
-    # an edge between two vertices of its path: they can be no ends
+    # clamps by the index of the path's first point after them, except where the cable follows an
+    # edge between two of its vertices: these cannot be ends
     at: dict[int, SurfacePoint] = {}
     for k in cable.parts.nodes:
         point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
@@ -286,13 +281,13 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
             before: list[SurfacePoint] | None = [at[a]] if a in at else None
             ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
             if ahead is not None and not isinstance(ahead[0], CellPoint):
-                ahead = []  # the part has it as its last point
+                ahead = []  # the part includes it as its last point
             found.append((is_off, range(a, b), (before, ahead)))
     return found
 
 
 def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
-    """The place of a cell that is nearest to a position (3,)."""
+    """The point of a cell nearest to a position (3,)."""
     corners = np.array([shape.at(vertex) for vertex in point.cell])
     weights = np.maximum(closest(corners[None], position)[0][0], CLAMP_INSIDE)
     a, b, c = (weights / weights.sum()).tolist()

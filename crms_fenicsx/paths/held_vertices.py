@@ -1,13 +1,12 @@
 """Vertices of the mesh that hold a cable sideways.
 
-A fold point slides along its edge until the cable's force is square to it. On a vertex that the
-path visits there is no such point, and nearer to a vertex than the smoothing of short lengths
-reaches a fold point does not slide freely. What the cable pulls there sideways, along the surface
-and square to itself, is carried by the mesh. Friction may carry a part of it, and in an equilibrium
-of cable and membrane it carries all: a cable that slides freely is not held anywhere.
+A fold point slides along its edge until the cable's force is perpendicular to it. A node on a
+vertex cannot slide, nor can a fold point within the smoothing length of a vertex, and the mesh
+carries the cable's lateral pull there, in the surface and perpendicular to the cable. Friction may
+carry part of it; in equilibrium it carries all, and a freely sliding cable is held nowhere.
 
-A cable along a line of the mesh presses a valley into it, which one vertex alone does not leave, as
-the others hold the valley where it is. So vertices in a row make a run, which is left as a whole.
+A cable along a mesh line presses a valley into it, which it cannot leave at one vertex alone, since
+the others keep the valley in place. So consecutive vertices form a run, which is left as a whole.
 """
 
 from __future__ import annotations
@@ -29,24 +28,24 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
 
 SLACK, TINY = 0.05, 1e-5
-"""By how much a pull must exceed the friction force, relative to it and to the tension."""
+"""Excess of a pull over friction, relative to the bound and to the tension, that counts."""
 UNEVEN = 0.02
-"""Part of the normal force that a run without friction may be pulled sideways with: cells that are
-not alike on its two sides make such forces, which vanish with the cells' size, and edges that the
-penalty keeps straight hold fold points a little."""
+"""Lateral pull of a run without friction, relative to the normal force, that is not counted:
+different cells on both sides cause such forces, which vanish with the cell size, and edges that the
+penalty straightens hold fold points slightly."""
 ROUNDING = 1e-9
-"""Part of a string's largest displacement that is none."""
+"""Displacement of a string, relative to the largest, attributed to rounding."""
 APART = 2
-"""Vertices of which the nodes are as many places of the path apart, or fewer, are in a row."""
+"""Distance of consecutive vertices in a row, in points of the path."""
 
 
 @dataclass(frozen=True)
 class HeldVertex:
-    """A vertex that a cable visits or has run into."""
+    """A vertex that a cable visits or has reached."""
 
     vertex: int  # its id
     nodes: tuple[int, ...]  # the cable's nodes there, in order
-    # lateral force of the cable, positive to its left seen from outside, less the friction force
+    # lateral force of the cable minus friction, positive to its left seen from outside (force)
     pull: float
     press: float  # the cable's force on the membrane there (force)
     allowed: float  # rounding threshold of the pull (force)
@@ -59,16 +58,16 @@ class HeldVertex:
 
 @dataclass(frozen=True)
 class VertexRun:
-    """Vertices in a row that a cable is to pass on one side."""
+    """Consecutive vertices that a cable is to pass on one side."""
 
-    vertices: tuple[int, ...]  # ids, in the order of the path
-    to_left: bool  # whether it leaves them to its left, seen from outside
-    excess: float  # lateral force that they carry, beyond the thresholds (force)
+    vertices: tuple[int, ...]  # ids, in path order
+    to_left: bool  # whether the vertices are to the left of the cable afterwards, seen from outside
+    excess: float  # lateral force on them, beyond the thresholds (force)
     press: float  # the cable's force on the membrane there (force)
 
     @classmethod
     def of(cls, part: Sequence[HeldVertex]) -> VertexRun:
-        """The run of some vertices in a row."""
+        """Run of consecutive vertices."""
         pull = sum(one.pull for one in part)
         excess = abs(pull) - sum(one.allowed for one in part)
         vertices = tuple(one.vertex for one in part)
@@ -76,11 +75,11 @@ class VertexRun:
 
 
 Pulls = Mapping[int, Array]
-"""Forces (3,) of the other cables that are clamped to one, by its nodes."""
+"""Forces (3,) of the other cables clamped to a cable, by its nodes."""
 
 
 def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
-    """Of each clamp in tension on a vertex, or at a crossing, the cables with their nodes."""
+    """Taut cables with their nodes, for each clamp on a vertex or at a crossing."""
     at: dict[object, list[tuple[LaidCable, int]]] = defaultdict(list)
     for cable in cables:
         for k in () if cable.parts is None or not cable.taut else cable.parts.nodes:
@@ -90,8 +89,8 @@ def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, 
 
 
 def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
-    """Of each clamped cable the forces of those clamped to it, at clamps of which all cables may
-    slide sideways: what all of them pull with there, the mesh carries."""
+    """Forces of the other cables on each clamped cable, at clamps where all slide freely sideways:
+    the mesh carries their total pull."""
     found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
     for held in clamped_together(cables):
         if all(cable.slides_freely and not cable.keeps_line for cable, _ in held):
@@ -104,17 +103,17 @@ def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
 def held_vertices(
     cable: LaidCable, shape: StripShape, others: Pulls | None = None
 ) -> list[HeldVertex]:
-    """The vertices that a cable in tension visits or has run into. All nodes on edges at a vertex
-    count as one where friction holds them: only their sum means anything. Some of them may have
-    lifted off where the cable bends inward against the vertex. Returns in the order of the path;
-    none of a cable in an edge, which belongs there. At clamps the pulls of others count as well."""
+    """Vertices that a taut cable visits or has reached, in path order; none for a cable in an edge,
+    which belongs there. With friction all nodes on edges at a vertex are combined, as only their
+    sum is meaningful; some may have lifted off where the cable bends inward against the vertex. At
+    clamps the pulls of `others` are included."""
     near = {} if cable.keeps_line else _near(cable, shape, others or {})
     if not near:
         return []
     at = _at(cable) if cable.lateral is not None else near
     at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
     nodes = sorted({k for some in at.values() for k in some if not cable.lifted[k]})
-    # Of all nodes of the cable, nothing where it has lifted off.
+    # By node of the cable; zero where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.nodes)))
     press[nodes], pull[nodes] = forces_at(cable, nodes, shape, others)
     if cable.lateral is not None:
@@ -140,11 +139,10 @@ def held_vertices(
 
 
 def held_runs(cable: LaidCable, shape: StripShape, others: Pulls | None = None) -> list[VertexRun]:
-    """The runs of vertices that hold a cable, and the sides to which it leaves them. Without
-    friction the sides are those to which a string between the ends of the run would be moved by the
-    forces: next to its ends a run may be pulled the other way, by the cable's turn there. With
-    friction they are those to which each vertex is pulled. Returns in the order of the path;
-    vertices next to each other that are left to different sides are in different runs."""
+    """Runs of vertices that hold a cable, in path order, and the sides on which it leaves them.
+    Without friction these follow the displacements of a string between the run's ends under the
+    pulls: near the ends the cable's turn may pull the other way. With friction each vertex is left
+    to the side of its pull. Neighbours left to different sides are in different runs."""
     held = held_vertices(cable, shape, others)
     if cable.lateral is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
@@ -153,7 +151,7 @@ def held_runs(cable: LaidCable, shape: StripShape, others: Pulls | None = None) 
 
 
 def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
-    """The parts of a row that are left to one side and to the other."""
+    """Split a row into parts left to the same side."""
     contacts = cable.contacts()
     arc = arc_lengths(cable.positions[contacts])
     at = np.searchsorted(contacts, [one.nodes[0] for one in row])
@@ -162,13 +160,13 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     moved = np.array([one.pull for one in row])
     if cable.lateral is None:
         moved = _string(places, moved)
-        moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's own ends
+        moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
     return [list(row[a:b]) for a, b in pairwise(starts)]
 
 
 def _string(places: Array, forces: Array) -> Array:
-    """Displacements, but for a factor, of a string held at its ends by forces in between, (n,).
+    """Displacements (n,), up to a factor, of a string held at its ends under forces in between.
     Shapes and units: places (n + 2,) (length), forces (n,) (force)."""
     shear = np.concatenate([[0.0], -np.cumsum(forces)])
     moved = np.concatenate([[0.0], np.cumsum(shear * np.diff(places))])
@@ -177,7 +175,7 @@ def _string(places: Array, forces: Array) -> Array:
 
 
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
-    """Vertices in a row. A clamp on a vertex holds other cables as well, and is in no row."""
+    """Rows of consecutive vertices; without clamped vertices, which hold other cables too."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
     clamps = () if cable.parts is None else cable.parts.nodes
     held_there = [k for k in clamps if cable.nodes[k].kind == "vertex"]
@@ -193,9 +191,8 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 
 
 def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
-    """Vertices that a cable's nodes are on, or so near that they may have run into them. Along the
-    membrane's boundary it is a part of that, which it can only slide off; clamps hold it to others,
-    and count where these may slide, too."""
+    """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
+    which it can only slide, and at clamps, unless all of their cables can slide."""
     near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
@@ -222,7 +219,7 @@ def _at(cable: LaidCable) -> dict[int, list[int]]:
 
 
 def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
-    """Nodes on the mesh between the cable's ends, and their places."""
+    """Path nodes between the cable's ends, and their supports."""
     nodes = cable.nodes
     for k in cable.path_nodes():
         if 0 < k < len(nodes) - 1:
@@ -230,7 +227,7 @@ def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
 
 
 def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
-    """Nodes on vertices to or from which a cable runs along the membrane's boundary."""
+    """Nodes on vertices to or from which a cable runs along the boundary."""
     found = set[int]()
     for k, (a, b) in enumerate(pairwise(nodes)):
         if a.kind == b.kind == "vertex" and a.support != b.support:

@@ -1,4 +1,4 @@
-"""Lay a cable: from the route of the user to a polyline with typed points."""
+"""Laying of a cable: from the user's route to a polyline of typed nodes."""
 
 from __future__ import annotations
 
@@ -44,11 +44,10 @@ from crms_fenicsx.surface.trace import IndirectLeg, trace
 
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
-    """Bring a route in space from the points of other cables to the unfolded cells. Collective.
-    Shapes: route (k, 3). Returns route (m, 3): without points at which a cable crosses another one
-    inside a cell, which no path has; those at the other points of cables are moved to their places
-    on the unfolded cells; known: these places, by their rows in the route; folds: where these
-    points are in the folds, in the order of `known`."""
+    """Map a route in space (k, 3) from points on other cables to unfolded cells. Collective.
+    Returns route (m, 3): without points at crossings inside cells, which paths do not contain, and
+    with those at other cable points moved to the unfolded cells; known: surface points of these, by
+    rows of the route; folds: their positions in the folds, in the order of `known`."""
     if route.shape[1] == 2 or net.strip is None:
         return route, {}, []
     contacts: list[tuple[LaidCable, int]] = []
@@ -99,8 +98,7 @@ def lay(
     shortest: bool = False,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
-    """Trace the path, decide what each of its points is, and add the cable to the net. See
-    `Scene.lay_cable`. Everything here is the same on all ranks."""
+    """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
@@ -161,7 +159,7 @@ def lay(
 
 
 def _held_kind(cable: Cable, hold: Hold) -> Cable:
-    """A cable without the friction that has no part in what holds it."""
+    """The cable without friction in directions in which `hold` fixes it."""
     free = HOLDS[hold]
     if free.sideways or (cable.sideways is None and free.along):
         return cable
@@ -175,7 +173,7 @@ def _held_kind(cable: Cable, hold: Hold) -> Cable:
 def _refuse_joints_on_the_membrane(
     name: str, joints: tuple[str | None, str | None], path: Path
 ) -> None:
-    """Refuse a cable that ends at a joint where there is the membrane to end on."""
+    """Reject a cable that ends at a joint on the membrane."""
     for joint, anchor in zip(joints, (path.start_anchor, path.end_anchor), strict=True):
         if joint is not None and anchor is None:
             raise PathError(
@@ -191,7 +189,7 @@ def _put_in_folds(
     in_fold: Mapping[SurfacePoint, Array],
     reach: float,
 ) -> set[SurfacePoint]:
-    """Move nodes to the fold of the cable that they follow; the points moved beyond `reach`."""
+    """Move nodes to the folds in `in_fold`, and return the points moved farther than `reach`."""
     moved = set[SurfacePoint]()
     for k, node in enumerate(nodes):
         if node.point is not None and node.point in in_fold:
@@ -203,10 +201,10 @@ def _put_in_folds(
 
 
 def _checked_name(net: CableNet, name: str | None) -> str:
-    """The name of a new cable, by default "cable 1", "cable 2" ..."""
+    """Check the name of a new cable, or choose "cable 1", "cable 2" ..."""
     taken = {other.name for other in net.cables}
     if name is None:
-        numbers = count(net.laid + 1)  # not that of a cable that has been removed
+        numbers = count(net.laid + 1)  # not the number of a removed cable
         return next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
     if not isinstance(name, str) or not name or name != name.strip():
         raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
@@ -218,7 +216,7 @@ def _checked_name(net: CableNet, name: str | None) -> str:
 def _check_length(
     name: str, L0: float | None, tension: float | None, measured_on: MeasuredOn
 ) -> None:
-    """Refuse what does not tell how long a new cable is."""
+    """Check the arguments for the length of a new cable."""
     if L0 is not None and tension is not None:
         raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
@@ -231,7 +229,7 @@ def _check_length(
 
 
 def _follows_free_edge(path: Path, strip: Strip) -> bool:
-    """Whether a path goes from vertex to vertex along edges of the membrane that are not held."""
+    """Whether a path runs from vertex to vertex along free boundary edges of the membrane."""
     vertices = [point.support[0] for point in path.points if len(point.support) == 1]
     if len(vertices) < max(len(path.points), 2):
         return False
@@ -243,9 +241,8 @@ def _follows_free_edge(path: Path, strip: Strip) -> bool:
 
 
 def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint]) -> float:
-    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside of
-    that, and what they take off a path is, for a membrane that hardly stretches, as much as the
-    strain that puts the cable in tension."""
+    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it: in
+    a stiff membrane they shorten the path by as much as the cable's elastic strain."""
     vertices = shape.strip.vertices
     surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
     nodes = cable.contacts()
@@ -266,7 +263,7 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
 
 
 def traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:
-    """Trace a route on the cells along it, or if they are not enough across the whole mesh."""
+    """Trace a route on the cells along it, or on the whole mesh if these do not suffice."""
     for along_legs in (True, False):
         near = cells_near(membrane, route, along_legs)
         shape = StripShape.of(membrane, near)
@@ -279,7 +276,7 @@ def traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) 
 
 
 def shortened(membrane: Membrane, path: Path) -> Path:
-    """The shortest path nearby between the same ends, pulled taut over vertices. Collective."""
+    """Shortest nearby path between the same ends, pulled taut over vertices. Collective."""
     strip = cells_at(membrane, [v for point in path.points for v in point.support])
     for rings in count(1):
         try:
@@ -291,7 +288,7 @@ def shortened(membrane: Membrane, path: Path) -> Path:
 
 
 def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
-    """Refuse a cable that would fold cells whose material has no compiled law. Collective."""
+    """Reject a cable that would fold cells whose material has no compiled law. Collective."""
     edges = {node.point.edge for node in cable.nodes if isinstance(node.point, EdgePoint)}
     rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
     mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
@@ -299,7 +296,7 @@ def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
 
 
 def route_points(path: object) -> Array:
-    """The points of a path, (k, 2) or (k, 3)."""
+    """Check and return the points of a path, (k, 2) or (k, 3)."""
     try:
         route = np.array(path, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -343,7 +340,7 @@ def _ends(membrane: Membrane, strip: Strip, path: Path) -> tuple[End, End]:
 
 
 def _positions(nodes: Sequence[CableNode], path: Path, shape: StripShape) -> Array:
-    """Where nodes are at laying; an anchor without a place of its own is where the path ends."""
+    """Positions of nodes at laying; an anchor without a place of its own is at the path's end."""
     ends = {
         k: (path.points[k], anchor)
         for k, anchor in ((0, path.start_anchor), (-1, path.end_anchor))

@@ -1,8 +1,7 @@
-"""Change a cable's path: the surface that it lies on, its typed nodes, and the path put in.
+"""Changes of a cable's path: its surface, its typed nodes, and its replacement.
 
-A path is first a sequence of points on the current surface, of which those on edges are anywhere.
-Given to a cable it keeps the points that it had before on the same edges, where equilibrium has
-put them.
+A path is first a sequence of points on the current surface, with arbitrary places on edges. Given
+to a cable it keeps the cable's old points on the same edges, where equilibrium has put them.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, Vert
 def nodes_of(
     points: Sequence[SurfacePoint], strip: Strip, ends: tuple[End, End]
 ) -> tuple[CableNode, ...]:
-    """The points of a polyline, with anchors at its ends where it has them."""
+    """Nodes for the points of a polyline, with anchors at its ends as needed."""
     nodes: list[CableNode] = []
     last = len(points) - 1
     for k, point in enumerate(points):
@@ -50,21 +49,20 @@ def nodes_of(
 
 
 def fractions_of(nodes: Sequence[CableNode]) -> Array:
-    """Places of the nodes on edges; NaN for other nodes."""
+    """Edge fractions of the nodes; NaN for other nodes."""
     points = (node.point for node in nodes)
     return np.array([p.fraction if isinstance(p, EdgePoint) else np.nan for p in points])
 
 
 def is_crossed(cable: LaidCable) -> bool:
-    """Whether a cable is in contact with another one that crosses it. The surface on which
-    geodesics are found does not have the points inside cells where cables press each other in. So
-    geodesics know where cables bend to within the angles by which they do so there only, and
-    propose paths on fine meshes where cables would not go."""
+    """Whether a cable is in contact with a crossing one. The surface for geodesics lacks the points
+    inside cells where cables press each other in. So geodesics ignore the bends there, and on fine
+    meshes propose paths that cables would not take."""
     return any(node.crossing is not None for node in cable.nodes)
 
 
 def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
-    """The parts of a path that are lifted, and those that are not: indices of their points."""
+    """Lifted and other parts of a path: indices of their points."""
     lifted = flags(cable.lifted)
     off = [lifted[k] for k in cable.path_nodes()]
     starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
@@ -72,7 +70,7 @@ def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
 
 
 def vertices_near(cable: LaidCable, near: float) -> set[int]:
-    """Vertices near which a cable's points slide, within a part of the edge."""
+    """Vertices within the fraction `near` of an edge from a cable's sliding points."""
     nodes, fractions = cable.nodes, cable.fractions
     beside = np.flatnonzero((np.minimum(fractions, 1 - fractions) < near) & ~cable.lifted)
     at = [(nodes[k].support, int(fractions[k] > 0.5)) for k in beside if nodes[k].slides]
@@ -84,24 +82,24 @@ class PathChange:
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
-        self._folds: tuple[list[CableState], FoldPoints] | None = None  # of these states
+        self._folds: tuple[list[CableState], FoldPoints] | None = None  # for these states
 
     @property
     def n_vertices(self) -> int:
-        """Number of the membrane's vertices: ids from here on are those of anchors."""
+        """Number of the membrane's vertices; larger ids are those of anchors."""
         return self.net.membrane.V.dofmap.index_map.size_global
 
     def surface(
         self, vertices: Sequence[int] = (), rings: int = 1, like: StripShape | None = None
     ) -> CreasedSurface:
-        """The current surface, with all cells around some vertices. Collective."""
+        """The current surface, including all cells around some vertices. Collective."""
         self.net.grow_strip(vertices, rings)
         if like is None or like.strip is not self.net.strip:
             like = self.net.strip_shape()
         return CreasedSurface(like, self.folds())
 
     def folds(self) -> FoldPoints:
-        """The fold points of all cables; the same while these do not change."""
+        """Fold points of all cables, cached until these change."""
         states = [cable.state for cable in self.net.cables]
         of, folds = self._folds or ([], None)
         same = len(of) == len(states) and all(map(operator.is_, of, states))
@@ -111,7 +109,7 @@ class PathChange:
         return folds
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
-        """The surface with the triangles between its boundary and a cable's anchors."""
+        """The surface with triangles between its boundary and a cable's anchors."""
         anchors = self.anchors(cable, surface)
         if not anchors:
             return surface
@@ -121,9 +119,9 @@ class PathChange:
         return surface.with_anchors(anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
-        """Positions of a cable's anchors off the membrane, by ids that no vertex has. Not of one
-        that a cable in a sleeve has left at a corner of the membrane, as at a mast that has been
-        moved: pulled straight to it the cable would leave the membrane."""
+        """Positions of a cable's anchors off the membrane, by ids beyond those of vertices.
+        Excluded is an anchor that a cable in a sleeve has left at a corner of the membrane, as at a
+        moved mast: pulled straight to it the cable would leave the membrane."""
         ends, off = cable.ends, {}
         for k in (0, 1):
             if ends[k] == "off":
@@ -138,7 +136,7 @@ class PathChange:
         path: Sequence[SurfacePoint],
         run: Sequence[int],
     ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
-        """What a run of contacts is pulled between, before and after it."""
+        """Points before and after a run of contacts between which it is pulled taut."""
         before, after = path[: run[0]][-1:], path[run[-1] + 1 :][:1]
         anchors, n = self.anchors(cable, surface), self.n_vertices
         if not before and n in anchors and surface.is_boundary(path[0].support):
@@ -150,8 +148,8 @@ class PathChange:
     def move_ends(
         self, cable: LaidCable, points: Sequence[SurfacePoint], ends: tuple[End, End]
     ) -> None:
-        """Give a cable a path whose ends have been moved along the boundary. Collective. It is to
-        be straightened then: with its old folds it would cut into the membrane."""
+        """Replace the path of a cable whose ends have moved along the boundary. Collective. It must
+        then be straightened: with its old folds the cable would cut into the membrane."""
         surface = self.surface([v for point in points for v in point.support])
         off = {
             node.point.support
@@ -170,9 +168,8 @@ class PathChange:
         surface: CreasedSurface,
         ends: tuple[End, End] | None = None,
     ) -> None:
-        """Give a cable a new path; points on edges that it crossed before stay where they are.
-        Before the first equilibrium they go to the string's places: the way in which a cable was
-        laid is none in which it could be taut."""
+        """Replace a cable's path, keeping points on edges that it crossed before. Before the first
+        equilibrium they move to the string: along its laid line the cable would not be taut."""
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)
@@ -203,8 +200,7 @@ class PathChange:
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
         """Keep a point of a string off the vertices. Strings of several cables may touch one
-        vertex: there, too, no two of their points may be in one place, and their order must be the
-        same all around."""
+        vertex: their points must stay distinct there, with the same order all around."""
         if not isinstance(point, EdgePoint):
             return point
         least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
@@ -212,7 +208,7 @@ class PathChange:
 
 
 def slid_off(cable: LaidCable, place: Array) -> PathError:
-    """The error of a cable that no membrane is left for, with its last place (3,) (length)."""
+    """Error for a cable that has slid off the membrane, with its last place (3,) (length)."""
     return PathError(
         f"{cable.name!r} has slid off the membrane's edge at {place}; hold it there by a "
         "sleeve or an anchor, or load it less."
@@ -220,12 +216,12 @@ def slid_off(cable: LaidCable, place: Array) -> PathError:
 
 
 def _key(node: CableNode) -> object:
-    """What a node is known by while a path changes: its edge if it slides, else its place."""
+    """Key of a node while its path changes: its edge if it slides, else its place."""
     return None if node.point is None else node.point.support if node.slides else node.point
 
 
 def _is_corner(point: SurfacePoint, surface: CreasedSurface) -> bool:
-    """Whether a point is a vertex at which the membrane's boundary turns by 60 degrees or more."""
+    """Whether a point is a vertex at which the boundary turns by 60 degrees or more."""
     if not isinstance(point, VertexPoint) or point.vertex not in surface.strip.complete:
         return False
     if not surface.is_boundary(point.support):
@@ -237,7 +233,7 @@ def _is_corner(point: SurfacePoint, surface: CreasedSurface) -> bool:
 
 
 def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
-    """Whether a point that the path had before stays where equilibrium has put it."""
+    """Whether an old point stays where equilibrium has put it."""
     if not node.slides or not isinstance(node.point, EdgePoint):
         return True
     fraction = float(cable.fractions[old])

@@ -1,12 +1,10 @@
-"""Pass vertices of the mesh on the other side, where that lowers the energy.
+"""Trials of passing vertices of the mesh on the other side, kept if they lower the energy.
 
-The path crosses the edges on that side, at first next to the vertices, where a string between the
-points that stay crosses them.
+On the other side the path crosses the edges near the vertices, on a string between kept points.
 
-Geodesics do not tell where a cable goes that vertices hold: it is shortest in the valley that it
-presses into a line of the mesh. Its forces tell (see `held_vertices`), and the energy decides
-whether it gets free. Friction carries a part of the forces; a cable leaves vertices that hold it
-beyond that one by one before (see `friction_release`), which is not always enough.
+Geodesics do not tell where a cable held by vertices goes: it is shortest in the valley that it
+presses into a mesh line. The forces on it tell (see `held_vertices`), and the energy decides. With
+friction, cables first leave overloaded vertices one by one, which may not suffice.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ from crms_fenicsx.surface.vertex_flip import other_side
 def pass_run(
     change: PathChange, number: int, run: VertexRun, shape: StripShape | None = None
 ) -> bool:
-    """Move a cable past the vertices of a run; say whether any path goes there. Collective."""
+    """Move a cable past the vertices of a run; return whether that is possible. Collective."""
     cable = change.net.cables[number]
     found = way_past(change, cable, run, shape)
     if found is None:
@@ -49,19 +47,18 @@ def pass_run(
 
 @dataclass(frozen=True)
 class WayPast:
-    """A way past a run of vertices."""
+    """A path past a run of vertices."""
 
-    supports: Corridor  # what the path goes through, between the cable's anchors
-    vertices: frozenset[int]  # those that it passes
-    replaced: Corridor  # what it does not go through any more, and what it does instead
-    surface: CreasedSurface  # the surface, with the anchors
+    supports: Corridor  # of the path, between the cable's anchors
+    vertices: frozenset[int]  # those passed
+    replaced: Corridor  # supports left, and those taken instead
+    surface: CreasedSurface  # with the anchors
 
 
 def way_past(
     change: PathChange, cable: LaidCable, run: VertexRun, shape: StripShape | None = None
 ) -> WayPast | None:
-    """Find the way of a cable past a run. Collective. Returns None where there is none for any of
-    the vertices."""
+    """Find the path of a cable past a run; None if it can pass none of the vertices. Collective."""
     string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
     joined = change.with_anchors(cable, change.surface(run.vertices, like=shape))
     n = change.n_vertices
@@ -80,8 +77,8 @@ def way_past(
                 change.net.grow_strip(missing.vertices, rings)
                 joined = change.with_anchors(cable, change.surface())
             except MeshError:
-                break  # where several sheets of membrane meet the vertex holds
-        # Beside the membrane, between its boundary and an anchor, no cable lies.
+                break  # a vertex where several sheets meet holds the cable
+        # No cable lies between the membrane's boundary and an anchor.
         if found is None or any(len(s) != 2 or max(s) >= n for s in found.taken):
             continue
         string, replaced = found.corridor, (*replaced, *found.left, *found.taken)
@@ -93,7 +90,7 @@ def way_past(
 
 
 def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
-    """Give a cable a way past vertices; all nodes that it had stay where they are."""
+    """Give a cable a path past vertices, with its remaining nodes unchanged."""
     supports, on_path = way.supports, cable.path_nodes()
     change.net.grow_strip([v for support in supports for v in support])
     strip = change.net.strip
@@ -119,7 +116,7 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
     on_path = cable.path_nodes()
     added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
-    if added:  # along the membrane's boundary there may only be fewer
+    if added:  # along the boundary nodes may only vanish
         part = on_path[max(added[0] - 1, 0) : added[-1] + 2]
         straighten(change, cable, part, way.surface.shape)
 
@@ -127,9 +124,8 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
 def straighten(
     change: PathChange, cable: LaidCable, part: list[int], shape: StripShape | None = None
 ) -> bool:
-    """Pull a part of a cable, given by nodes, taut between its ends, in the cells that it crosses.
-    Collective. Says whether that can be done. The positions of the vertices around are gathered
-    where they are not known."""
+    """Pull a part of a cable, given by nodes, taut in its cells between its ends, and return
+    whether that is possible. Collective. Gathers vertex positions that are not known."""
     points = cable.points(part)
     surface = change.surface([v for point in points for v in point.support], like=shape)
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
@@ -146,7 +142,7 @@ def straighten(
 
 
 def _counterclockwise(surface: CreasedSurface, vertex: int) -> bool:
-    """Whether the ring of a vertex is in the membrane's order, counterclockwise from outside."""
+    """Whether the ring of a vertex is counterclockwise seen from outside."""
     ring = surface.membrane_ring(vertex).neighbours
     row = surface.strip.outer_rows((vertex, ring[0], ring[1]))[0]
     cell = surface.strip.corners[row]
@@ -154,36 +150,36 @@ def _counterclockwise(surface: CreasedSurface, vertex: int) -> bool:
 
 
 HALVINGS = 2
-"""How often runs that were left together, and did not lower the energy, are tried by halves."""
+"""Times that a rejected set of runs is halved."""
 
 GAIN = 1e-5
-"""Energy, relative to the sum of all kinds, by which a round must lower it for another one. Meshes
-of 64 cells a side err by a hundred times as much. On a roof of 30 000 unknowns under 28 cables the
+"""Gain of energy, relative to the sum of all kinds, that a round must bring for another one. Meshes
+of 64 cells a side have a hundred times that error. On a roof of 30 000 unknowns under 28 cables the
 rounds below this take a quarter of a load step, for 3e-5 of its energy."""
 
 Trial = tuple[int, VertexRun]
-"""A cable, by number, and the run of vertices that it leaves."""
+"""A cable, by number, and the run of vertices to pass."""
 
 
 class VertexTrials:
-    """What is tried in one load step, in rounds. In a round all runs that hold cables are left at
-    once, and if that is rejected each half of them, and each half of these."""
+    """Trials of one load step, in rounds. A round first passes all runs that hold cables at once;
+    if that is rejected, each half of them, and each half of these."""
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried = change, tried
-        self._groups: list[tuple[int, list[Trial]]] = []  # with how often halved
+        self._groups: list[tuple[int, list[Trial]]] = []  # with number of halvings
         self._energy = math.inf
         self._halved = 0
         self._runs: dict[int, tuple[CableState, list[VertexRun]]] = {}
-        """What holds each cable, by number, in the state in which it was found."""
+        """Runs of each cable, by number, with the state in which they were found."""
 
     def next(self, energy: float, scale: float) -> list[Trial]:
-        """Move cables past runs of vertices that hold them. Collective. Units: energy
-        (force x length). Returns what was moved; nothing where there is nothing left to try."""
+        """Move cables past the runs of vertices that hold them and return what was moved; nothing
+        if no trial is left. Collective. Units: energy (force x length)."""
         while runs := self._held():
             if not self._groups:
                 if self._energy - energy < GAIN * scale:
-                    self._note(runs)  # the same load once more shall not begin another round
+                    self._note(runs)  # so that repeating the load starts no other round
                     break
                 self._energy = energy
                 self._groups = [(0, runs)]
@@ -198,7 +194,7 @@ class VertexTrials:
         return []
 
     def halve(self, moved: list[Trial]) -> bool:
-        """Try the halves of what was rejected later, or never again; say whether the former."""
+        """Schedule the halves of a rejected trial and return True, or reject it finally."""
         half = len(moved) // 2
         if half == 0 or self._halved == HALVINGS:
             self._note(moved)
@@ -207,12 +203,12 @@ class VertexTrials:
         return True
 
     def _shape(self, group: list[Trial]) -> StripShape:
-        """The vertices around runs, also around the edges that ways past them cross. Collective."""
+        """Positions of the vertices around runs and around the edges beside them. Collective."""
         vertices = [vertex for _, run in group for vertex in run.vertices]
         return self.change.surface(vertices, rings=2).shape
 
     def _held(self) -> list[Trial]:
-        """Runs that hold cables, and have not been tried."""
+        """Untried runs that hold cables."""
         net, shape = self.change.net, self.change.net.strip_shape()
         cables = net.cables
         least: dict[int, int] = {}
@@ -225,7 +221,7 @@ class VertexTrials:
                 from crms_fenicsx.friction.lateral import remap
 
                 remap(cable)
-                least[c] = 2  # single vertices have been passed by `friction_release`
+                least[c] = 2  # `friction_release` has handled single vertices
         known = self._runs
         moved = [c for c in least if c not in known or known[c][0] is not cables[c].state]
         runs = share_out(
@@ -239,12 +235,12 @@ class VertexTrials:
         return self.tried.runs_left(self.change.net.cables[c])
 
     def _note(self, trials: list[Trial]) -> None:
-        """Do not try these again while the cable stays where it is."""
+        """Exclude these trials while the cable does not move."""
         for trial in trials:
             self._tried(trial[0]).add(self._key(trial)[1])
 
     @staticmethod
     def _key(trial: Trial) -> tuple[int, tuple[int, ...]]:
-        """The cable; the side and the vertices."""
+        """Key of a trial: the cable; the side and the vertices."""
         c, run = trial
         return c, (1 if run.to_left else -1, *run.vertices)
