@@ -51,9 +51,9 @@ def catenoids() -> None:
         neck = brentq(lambda c, h=height: c * np.cosh(h / 2 / c) - 10.0, 6.0, 10.0)
         area = np.pi * neck * (height + neck * np.sinh(height / neck))
         for n in (16, 32, 64, 128):
-            found = []
-            for rows, radius in ((n / 4, 10.0), (n / 2.5, 10.0 * np.pi / n / np.sin(np.pi / n))):
-                mesh = cylinder(COMM, n, round(rows), radius, height)
+            found, longer = [], 10.0 * np.pi / n / np.sin(np.pi / n)
+            for rows, radius in ((n // 4, 10.0), (2 * round(n / 5), longer)):
+                mesh = cylinder(COMM, n, rows, radius, height)
                 form = find_form(mesh, 2.0, fixed=["boundary"])
                 neck_found = np.hypot(*nodes(form)[:, :2].T).min()
                 found.append(errors((form.area, area), (neck_found, neck)))
