@@ -1,14 +1,17 @@
 """What makes tensions of cables with little strain converge from far away: experiments.
 
 A ring just taut around an inflated sphere, a hoop around an inflated cylinder, both against an
-ordinary differential equation, and a great circle over the cap of `demos/cable_net.py`. Units: m,
-kN. What follows from the figures is in `docs/benchmarks/cable_accuracy.md`.
+ordinary differential equation, and a great circle over the cap of `demos/cable_net.py`, and that
+demo's net. Units: m, kN. What follows from the figures is in `docs/benchmarks/cable_accuracy.md`.
 
-    ./run python benchmarks/cable_convergence.py
+    ./run python benchmarks/cable_convergence.py [sphere] [cylinder] [valley] [factor] [cap] [ends]
+                                                 [net]
 """
 
 from __future__ import annotations
 
+import itertools
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -204,10 +207,64 @@ def cap_table() -> None:
         show("finer along", size, *errors(case, mesh, exact))
 
 
+def ends_table() -> None:
+    """A great circle that meets the rim beside its vertices."""
+    route = nets.great_circle(RIM, HEIGHT, 0.3, 0.0)
+    whole = 2 * R * np.arcsin(RIM / R)
+    show("\ngreat circle at 0.3 rad; T in kN by L0")
+    show("size", "longer, mm", "whole", "between", "surface", "facets")
+    for size in (3.0, 2.0, 1.4, 1.0, 0.7):
+        mesh = meshes.spherical_cap(COMM, RIM, HEIGHT, size)
+        laid = Scene(mesh, IsotropicMembrane(E=800e3, nu=NU, thickness=1e-3)).lay_cable(
+            Cable(EA), route
+        )
+        a, b = laid.positions[[0, -1]] - (0.0, 0.0, HEIGHT - R)
+        between = R * np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+        cases = [Case(route, length, 800.0, lambda s: s.fix("boundary"))
+                 for length in (whole, between)]  # fmt: skip
+        T = [case.tension(mesh, "true") for case in cases]
+        T += [cases[0].tension(mesh, rule) for rule in ("surface", "facets")]
+        show(str(size), 1e3 * float(whole - between), *T)
+
+
+def net_table() -> None:
+    """The net of `demos/cable_net.py` in the calm and in the wind."""
+    show("\nnet of 14 cables: mean T in the calm and greatest in the wind, kN, L0 by")
+    show("size", *(f"{rule}, {state}" for rule in RULES[:2] for state in ("calm", "wind")))
+    for size in (3.0, 2.0, 1.6, 1.25, 0.9, 0.5):
+        mesh, found = meshes.spherical_cap(COMM, RIM, HEIGHT, size), list[float]()
+        for rule in RULES[:2] if size > 0.5 else ("surface",):
+            scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=NU, thickness=1e-3))
+            scene.fix("boundary")
+            for angle, offset in itertools.product((30.0, -30.0), 4.5 * np.arange(-3, 4)):
+                route = nets.great_circle(RIM, HEIGHT, np.radians(angle), offset)
+                scene.lay_cable(Cable(EA), route, measured_on=rule)
+            solver = Solver(scene, verify=False)
+            solver.advance(pressure=PRESSURE, steps=2)
+            found.append(float(np.mean([cable.tension for cable in scene.cables])))
+            found.append(np.nan)
+            if size > 1.0 and rule == "surface":
+                scene.put_wind(0.75, lambda x, _: np.interp(x[0], [-RIM, 0, RIM], [0.8, -1, -0.3]))
+                solver.advance(load=1.0, steps=2)
+                found[-1] = max(cable.tension for cable in scene.cables)
+        show(str(size), *([np.nan] * (4 - len(found))), *found)
+
+
+TABLES = {
+    "sphere": sphere_table,
+    "cylinder": cylinder_table,
+    "valley": valley_table,
+    "factor": factor_table,
+    "cap": cap_table,
+    "ends": ends_table,
+    "net": net_table,
+}
+
+
 def main() -> None:
-    """Print the tables."""
-    for table in (sphere_table, cylinder_table, valley_table, factor_table, cap_table):
-        table()
+    """Print the tables, or those asked for."""
+    for name in sys.argv[1:] or TABLES:
+        TABLES[name]()
 
 
 if __name__ == "__main__":

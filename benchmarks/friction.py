@@ -5,8 +5,16 @@ rigid
     which geodesic and normal curvature have a constant ratio. It should slide if the ratio is
     larger than mu, and end where it is mu. Means over meshes, whose lattices are turned and shifted
     against the cable.
+ways
+    A cable on a rigid cylinder that is tightened by 1 % at smaller coefficients: its way over the
+    exact one, least and largest of some meshes, in one load step and in six; in brackets the
+    coefficient told from it, over mu (only for coefficients of three quarters of .2 and more).
+drum
+    A cable over a drum that is dragged obliquely, in the shape of Coulomb's cone, with the cone and
+    with independent friction sideways and along: ratio of tensions, force sideways.
 
-    ./run python benchmarks/friction.py [rigid] [--meshes 8] [--sizes 20 40] [--half 1.0]
+    ./run python benchmarks/friction.py [rigid] [ways] [drum] [--meshes 8] [--sizes 20 40]
+                                        [--half 1.0]
 
 What is told from a slid cable is the coefficient with which an exact one would have slid as far, in
 the mean over its length. The threshold is where that way is 0.02 cells, some elastic slips, over
@@ -26,12 +34,15 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, Solver
+from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their surfaces
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "friction"))  # and the drum
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
+from test_cone import dragged, steady
 
 COMM = MPI.COMM_WORLD
 LATITUDES = (10.0, 20.0, 30.0, 45.0)
@@ -108,9 +119,55 @@ def rigid_surfaces(sizes: Sequence[int], meshes: int, half: float) -> None:
                 row(f"{name}, {kind}", way, 1 / n, min(meshes, 3), kind, False)
 
 
+def ways(sizes: Sequence[int], meshes: int) -> None:
+    """Of a cable along a limit curve of a rigid cylinder, at smaller coefficients."""
+    way = curve(SURFACES["cylinder"], 0.2, 1.0)
+    coefficients = (0.1, 0.13, 0.16, 0.19)
+    exact = [way.sideways(way.slid(mu).points).mean() for mu in coefficients]
+    say(f"\nway over the exact one (coefficient over mu), {meshes} meshes; mu:", *coefficients)
+    say("exact way / R", *(f"{-one:.4f}" for one in exact))
+    for n in sizes:
+        for steps in (1, 6):
+            text = f"R/{n}, {steps} steps"
+            for mu, aim in zip(coefficients, exact, strict=True):
+                found, told = [], []
+                for seed in range(meshes):
+                    scene, cable = rigid(COMM, way, band(way, 1 / n, seed), mu, EA=0.1)
+                    solver, L = Solver(scene), cable.length
+                    for k in range(steps):
+                        solver.advance(L0={cable: L * (1 - STRAIN * (k + 1) / steps)})
+                    found.append(way.sideways(cable.positions).mean() / aim)
+                    told.append(way.coefficient_of(cable.positions) / mu)
+                text += f"{min(found):9.3f}-{max(found):.3f} ({min(told):.3f}-{max(told):.3f})"
+            say(text)
+
+
+def drum(n: int, meshes: int) -> None:
+    """Dragged in three directions over a drum of n cells around."""
+    say(f"\ndrum of {n} cells, {meshes} meshes; least and largest of ln of the ratio of tensions, "
+        "sideways force over the press")  # fmt: skip
+    for cone in (True, False):
+        for degrees in (30.0, 45.0, 60.0):
+            found, turn = [], np.radians(degrees)
+            for seed in range(1, meshes + 1):
+                friction = Friction(0.3, along=0.3, cone=cone)
+                scene, cable, ln_T = dragged(COMM, friction, turn, n, seed)
+                on = [k for k in cable.contacts() if cable.nodes[k].slides]
+                press = contact_forces(cable, scene.net.strip_shape())
+                aside = abs(press.lateral[on].sum()) / press.bearing[on].sum()
+                found.append((np.log(cable.tensions[-1] / cable.tensions[0]), aside))
+            _, around, alpha, _ = steady(0.3, 0.3, turn)
+            mean = (alpha[-1] - alpha[0]) / np.trapezoid(np.cos(alpha), around)
+            low, high = np.min(found, axis=0), np.max(found, axis=0)
+            say(
+                f"{'cone' if cone else 'box':5}{degrees:4g}  exact {ln_T[-1]:.3f}, {mean:.3f}; "
+                + ", ".join(f"{a:.4g}-{b:.4g}" for a, b in zip(low, high, strict=True))
+            )
+
+
 def main() -> None:
     """Print the sections asked for."""
-    sections = ("rigid",)
+    sections = ("rigid", "ways", "drum")
     parser = argparse.ArgumentParser(description="Friction: see the head of this file.")
     parser.add_argument("sections", nargs="*", help=f"of {', '.join(sections)}; default all")
     parser.add_argument("--sizes", type=int, nargs="+", default=[20, 40], help="radii by cells")
@@ -122,6 +179,11 @@ def main() -> None:
         parser.error(f"there are no such sections: {', '.join(set(wanted) - set(sections))}")
     if "rigid" in wanted:
         rigid_surfaces(given.sizes, given.meshes, given.half)
+    if "ways" in wanted:
+        ways(given.sizes, given.meshes)
+    if "drum" in wanted:
+        for n in given.sizes:
+            drum(n, given.meshes)
 
 
 if __name__ == "__main__":

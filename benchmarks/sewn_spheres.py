@@ -40,7 +40,7 @@ THERE = {
 """Radii; along warp mean, standard deviation and least force; along weft mean and deviation."""
 
 
-def flat(columns: Sequence[int] = (4, 8, 16)) -> None:
+def flat(columns: Sequence[int] = (4, 8, 16, 32)) -> None:
     """Print energies of flat gores, widths, and lengths, which the meridian's facets have too."""
     film = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
     for n in columns:

@@ -18,6 +18,7 @@ TUTORIALS = [
     "cable_net",
     "tent",
     "air_hall",
+    "code_loads",
     "clamped_net",
     "net_tuning",
     "patterns",

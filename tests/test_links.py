@@ -66,3 +66,9 @@ def test_pages_can_be_read_aloud(page: Path) -> None:
     assert all(len(alt) > 10 for alt in re.findall(r"!\[([^\]]*)\]", text))
     heads = re.findall(r"^ *\|(.*)\|\n *\|[-|]+\|$", text, re.MULTILINE)
     assert all(cell.strip() for head in heads for cell in head.split("|"))
+
+
+def test_every_demo_is_a_tutorial() -> None:
+    """Those that are not in their order end the building of the site."""
+    order = re.findall(r'^    "(\w+)",$', (ROOT / "docs" / "conf.py").read_text(), re.MULTILINE)
+    assert {path.stem for path in (ROOT / "demos").glob("*.py")} <= set(order)

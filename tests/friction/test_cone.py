@@ -121,13 +121,13 @@ def steady(mu: float, along: float, beta: float) -> tuple[Array, Array, Array, A
 
 
 def dragged(
-    comm: MPI.Intracomm, friction: Friction, beta: float, n: int = 16
+    comm: MPI.Intracomm, friction: Friction, beta: float, n: int = 16, seed: int = 1
 ) -> tuple[Scene, LaidCable, Array]:
     """A cable that was laid in the steady shape and dragged; and the exact ln T."""
     x, around, alpha, T = steady(friction.mu, friction.along, beta)
     far, way, size = 0.2, 0.5, np.pi / n
     low, high = x.min() - far - 0.2, x.max() + far + 0.2
-    rows, rng = round((high - low) / size), np.random.default_rng(1)
+    rows, rng = round((high - low) / size), np.random.default_rng(seed)
     i, j = np.meshgrid(np.arange(rows + 1), np.arange(n + 1), indexing="ij")
     inner = (i > 0) & (i < rows) & (j > 0) & (j < n)
     along, about = 0.25 * inner * rng.uniform(-1, 1, (2, *i.shape)) + (i, j)

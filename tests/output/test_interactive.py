@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output.report.interactive import Scale, with_scales
 
 
 def roof(comm: MPI.Intracomm) -> Solver:
@@ -47,3 +48,15 @@ def test_a_page_of_each_combination(comm: MPI.Intracomm, tmp_path: Path) -> None
         text = (tmp_path / name).read_text()
         assert len(text) > 1e5
         assert 'src="http' not in text
+        assert ("<title>snow</title>", "<title>calm</title>")[k - 1] in text
+
+
+def test_scales_stand_beside_the_view() -> None:
+    """One below the other, with the page's name."""
+    scales = [Scale("force [kN/m]", "viridis", (0.0, 8.0)), Scale("axial", "YlOrRd", (-1.0, 1.0))]
+    empty = "<html><head><title>VTK.js</title></head><body class='x'><p></p></body></html>"
+    page = with_scales(empty, "snow & wind", scales)
+    assert "<title>snow &amp; wind</title>" in page and "VTK.js" not in page
+    assert page.index("<body class='x'>") < page.index("force [kN/m]") < page.index("axial")
+    assert page.count("linear-gradient(to right, #") == 2
+    assert [f"<span>{x}</span>" in page for x in ("0", "2", "4", "6", "8", "-0.5")] == 6 * [True]

@@ -590,12 +590,15 @@ def test_importing_loads_no_optional_package() -> None:
 
 
 def test_names_in_plans_lie_apart() -> None:
-    """Eight names of one place, on its sides, do not cover each other."""
+    """Eight names of one place, on its sides, cover neither each other nor the rim below them."""
     axes, _ = plans._axes(np.array([[-1.0, -1.0], [1.0, 1.0]]), "m", 6.0, 0.1)
     ways = [np.array([x, y]) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y]
     places = [(np.array([0.3, y]), way) for y in (0.0, 0.3, -0.3) for way in ways]
-    plans._write_apart(axes, [(f"guy west {k}", places) for k in range(8)])
+    rim = np.array([[[-1.0, -0.34], [1.0, -0.34]]])
+    plans._write_apart(axes, [(f"guy west {k}", places) for k in range(8)], rim)
     axes.figure.canvas.draw()
     boxes = [text.get_window_extent() for text in axes.texts]
     assert len(boxes) == 8
     assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
+    level = axes.transData.transform((0.0, -0.34))[1]
+    assert not any(box.y0 < level < box.y1 for box in boxes)

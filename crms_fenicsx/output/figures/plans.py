@@ -141,7 +141,7 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
     if len(plan.points) <= MOST_VALUES:
         names += [(name, [(place[:2], way) for way in _ways(place[:2] - centre)])
                   for name, place in plan.points if name]  # fmt: skip
-    _write_apart(axes, names)
+    _write_apart(axes, names, plan.rim[..., :2])
     told = [
         (HELD, "held edges", len(plan.rim)), (CABLE, "cables", len(plan.cables)),
         (BAR, "bars", len(plan.bars)), (DISTINCT[2], "warp", len(at)),
@@ -181,7 +181,9 @@ def _line_names(plan: ModelPlan, centre: Array, near: float) -> list[tuple[str, 
             out = np.array([along[1], -along[0]])
             out = out if out @ (place - centre) >= 0.0 else -out
             within += [(place, out), (place, -out)]
-        beyond = [(flat[0], flat[0] - flat[1]), (flat[-1], flat[-1] - flat[-2])]
+        beyond = list[Place]()
+        for end, before in ((flat[0], flat[1]), (flat[-1], flat[-2])):
+            beyond += [(end, end - before), *((end, way) for way in _sides(end - centre))]
         own_end = sum(np.linalg.norm(end - flat[0]) < near for end in ends) == 1
         found.append((line.name, flat, beyond + within if own_end else within + beyond))
     return [(name, places) for name, _, places in found]
@@ -193,13 +195,22 @@ def _ways(out: Array) -> list[Array]:
     return sorted(sides, key=lambda way: -float(way @ out))
 
 
-def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]]) -> None:
-    """Write each name at the first of its places where it lies within the axes and covers no other
-    name, or else at that where it does so the least."""
+def _sides(out: Array) -> list[Array]:
+    """Ways along the axes that lead outwards, the farther one first."""
+    sides = np.diag(np.sign(out))
+    return [sides[k] for k in np.argsort(-np.abs(out))]
+
+
+def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: Array) -> None:
+    """Write each name at the first of its places where it lies within the axes and covers neither
+    another name nor the rim (k, 2, 2), or else at that where it does so the least."""
     axes.apply_aspect()
     taken: Array = np.zeros((0, 4))
     points = 72.0 / axes.figure.dpi
     frame = axes.bbox.extents * points
+    part = np.linspace(0.0, 1.0, 6)[:, None]
+    dots = (rim[:, None, 0] * (1.0 - part) + rim[:, None, 1] * part).reshape(-1, 2)
+    dots = axes.transData.transform(dots) * points
     for name, places in names:
         tried = list[tuple[float, int, Array, Array, Array]]()
         for at, out in places:
@@ -212,6 +223,8 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]]) -> Non
             covered = float(over.clip(0.0).prod(axis=1).sum())
             covered += 9.0 * float((frame - box)[:2].clip(0.0).sum()
                                    + (box - frame)[2:].clip(0.0).sum())  # fmt: skip
+            hidden = ((dots > box[:2]) & (dots < box[2:])).all(axis=1)
+            covered += 9.0 * float(hidden.sum())
             tried.append((covered, len(tried), box, at, away))
         _, _, box, at, away = min(tried, key=lambda one: one[:2])
         taken = np.vstack([taken, box])

@@ -134,7 +134,7 @@ def with_view(
     colour = next(known, "stress")
     limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
     labels = units[label_of(colour)[1]], units["force"]
-    return replace(case, view=interactive_view(solver, colour, limits, labels))
+    return replace(case, view=interactive_view(solver, case.name, colour, limits, labels))
 
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:

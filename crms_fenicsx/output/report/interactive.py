@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +23,8 @@ INSTALL = (
     "report: interactive=True needs pyvista and its trame: pip install "
     '"pyvista[jupyter]", or this package with its extra [interactive].'
 )
+FABRIC_MAP, LINES_MAP, TICKS = "viridis", "YlOrRd", 5
+"""Colour maps of the fabric and of cables and bars, and numbers below a scale."""
 PLAIN, EDGES, SUPPORT, SHAPE = "#dfe5ec", "#8a94a0", "#1d1f24", (1100, 760)
 """Colours of fabric without values, of edges of cells and of supports; size of the window (pixels).
 """
@@ -55,9 +61,43 @@ def _export(plotter: Any) -> str:
         raise ImportError(f"{INSTALL} ({error})") from None
 
 
+@dataclass(frozen=True)
+class Scale:
+    """A scale of colours, which the page shows beside the view: vtk.js puts all of its own in one
+    place."""
+
+    label: str  # with its unit
+    map: str  # of matplotlib
+    limits: tuple[float, float]
+
+    @property
+    def colours(self) -> list[str]:
+        """Evenly spaced, as #rrggbb."""
+        from matplotlib import colormaps
+        from matplotlib.colors import to_hex
+
+        return [to_hex(colormaps[self.map](x)) for x in np.linspace(0.0, 1.0, 17)]
+
+    @property
+    def ticks(self) -> list[float]:
+        """Numbers below it."""
+        return [float(x) for x in np.linspace(*self.limits, TICKS)]
+
+
+def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
+    """A page of vtk.js with its name and scales of colours."""
+    from jinja2 import Environment, FileSystemLoader
+
+    folder = FileSystemLoader(Path(__file__).parent / "templates")
+    jinja = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    shown = jinja.get_template("scales.html").render(title=title, scales=scales)
+    page = re.sub("<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", page, count=1)
+    return re.sub("<body[^>]*>", lambda found: f"{found[0]}\n{shown}", page, count=1)
+
+
 def interactive_view(
-    solver: HasSystem, colour: str, limits: Mapping[str, tuple[float, float] | None],
-    units: tuple[str, str],
+    solver: HasSystem, title: str, colour: str,
+    limits: Mapping[str, tuple[float, float] | None], units: tuple[str, str],
 ) -> str:  # fmt: skip
     """The scene's current state as a page, on the first rank. Collective.
 
@@ -67,35 +107,40 @@ def interactive_view(
     blocks, page = to_pyvista(solver.system.scene, fields_of(results), None), ""
     with raised_together(solver.comm):
         if blocks is not None:
-            page = _page(blocks, colour, limits, units)
+            view, scales = _view(blocks, colour, limits, units)
+            page = with_scales(view, title, scales)
     return page
 
 
-def _page(
+def _view(
     blocks: Any, colour: str, limits: Mapping[str, tuple[float, float] | None],
     units: tuple[str, str],
-) -> str:  # fmt: skip
+) -> tuple[str, list[Scale]]:  # fmt: skip
     import pyvista
+
+    scales: list[Scale] = []
+
+    def scaled(mesh: Any, name: str, scale: Scale, **look: Any) -> None:
+        scales.append(scale)
+        plotter.add_mesh(mesh, scalars=name, cmap=scale.map, clim=scale.limits,
+                         show_scalar_bar=False, **look)  # fmt: skip
 
     with _plotter(pyvista) as plotter:
         plotter.set_background("white")
         name = QUANTITY_OF.get(colour, "")
-        fabric, bar = blocks["membrane"], {"color": "black", "n_labels": 5}
+        fabric = blocks["membrane"]
+        edges = {"show_edges": True, "edge_color": EDGES}
         if name in fabric.cell_data:
-            plotter.add_mesh(
-                fabric, scalars=name, cmap="viridis", clim=limits["membrane"], show_edges=True,
-                edge_color=EDGES, line_width=0.5,
-                scalar_bar_args={"title": f"{QUANTITIES[name].label}{units[0]}", **bar},
-            )  # fmt: skip
+            label = f"{QUANTITIES[name].label}{units[0]}"
+            own = limits["membrane"] or fabric.get_data_range(name)
+            scaled(fabric, name, Scale(label, FABRIC_MAP, own), line_width=0.5, **edges)
         else:
-            plotter.add_mesh(fabric, color=PLAIN, show_edges=True, edge_color=EDGES)
+            plotter.add_mesh(fabric, color=PLAIN, **edges)
         present = blocks.keys()
         for kind in (one for one in ("cables", "bars") if one in present):
-            plotter.add_mesh(
-                blocks[kind], scalars="tension", cmap="YlOrRd", clim=limits["lines"],
-                scalar_bar_args={"title": f"axial force{units[1]}", "vertical": True, **bar},
-            )  # fmt: skip
+            own = limits["lines"] or blocks[kind].get_data_range("tension")
+            scaled(blocks[kind], "tension", Scale(f"axial force{units[1]}", LINES_MAP, own))
         if "supports" in present:
             plotter.add_mesh(blocks["supports"], color=SUPPORT, point_size=6.0)
         plotter.view_isometric()
-        return _export(plotter)
+        return _export(plotter), list(dict.fromkeys(scales))

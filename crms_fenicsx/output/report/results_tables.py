@@ -10,7 +10,7 @@ from typing import Any
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.report.case import Case
-from crms_fenicsx.output.report.page import Cell, Table, per_cent, place
+from crms_fenicsx.output.report.page import Cell, PagePart, Paragraph, Table, per_cent, place
 from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.quantities import QUANTITIES
@@ -89,9 +89,11 @@ class ResultTables:
 
     def overview(self) -> Table:
         """Deformation and state of the membrane."""
+        most = max(case.summary.displacement.value for case in self.cases)
         rows: list[Row] = [
             (
-                case.name, one.displacement.value, one.lowest.value, one.highest.value,
+                case.name, one.displacement.value,
+                *clean((one.lowest.value, one.highest.value), most, FINE),
                 per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled), one.energy,
             )
             for case in self.cases for one in [case.summary]
@@ -316,20 +318,28 @@ class ResultTables:
         ]  # fmt: skip
         return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
 
-    def nearest_to_limits(self) -> Table:
-        """Each check where it is nearest to its limit."""
+    def nearest_to_limits(self) -> list[PagePart]:
+        """Each check where it is nearest to its limit, and the names of those that are far off."""
         known = [(case, check) for case in self.cases if case.verification is not None
                  for check in case.verification.checks]  # fmt: skip
-        rows: list[Row] = []
+        rows, far = list[Row](), list[str]()
         for name in dict.fromkeys(check.name for _, check in known):
             case, check = max(
                 ((case, check) for case, check in known if check.name == name),
                 key=lambda one: (not one[1].passed, one[1].value / (one[1].limit or 1.0)),
             )
             part = check.value / check.limit if check.limit > 0.0 else 0.0
-            rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
+            if check.passed and part < FINE:
+                far.append(name)
+            else:
+                rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
         columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
-        return Table("Checks, where they are nearest to their limits", columns, rows)
+        found: list[PagePart] = []
+        if rows:
+            found.append(Table("Checks, where they are nearest to their limits", columns, rows))
+        if far:
+            found.append(Paragraph(f"Below {per_cent(FINE)} of their limits: {', '.join(far)}."))
+        return found
 
 
 def in_per_cent(name: str) -> float:

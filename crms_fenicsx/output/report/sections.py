@@ -159,7 +159,7 @@ class Report:
             *self._results(),
             *self._forces(),
             *self.further,
-            PageSection("Verification", [results.verdicts(), results.nearest_to_limits()]),
+            PageSection("Verification", [results.verdicts(), *results.nearest_to_limits()]),
             PageSection("Notes", [Notes(NOTES)]),
         ]
         return page(self.title, about, sections, self.template)
