@@ -7,7 +7,6 @@ with one plane.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -89,7 +88,8 @@ def near_section(
         ends = np.column_stack([course, np.zeros(len(course))])
         up, margin = np.array([0.0, 0.0, 1.0]), 3.0 * size if along_legs else np.inf
         # trace may move ends to the rim, and the plane along
-        planes = [Plane.of(a, b, up, up) for a, b in pairwise(vectors(ends))]
+        ups = np.broadcast_to(up, ends[1:].shape)
+        planes = [plane for plane in Plane.of_legs(ends[:-1], ends[1:], ups, ups) if plane]
         mask[strips(planes, x, rows, (RIM + snap) * size, margin)[1]] = True
         flat = flattened(x[rows])
         centre, radius = balls(flat)
@@ -105,7 +105,7 @@ def near_section(
     places = np.array([foot.position for foot in feet])
     sizes = np.array([foot.size for foot in feet])
     mask[_in_reach(centre, radius, places, sizes * (1.0 + 1e-9) + snap * size)] = True
-    planes, straight = [], []
+    legs, straight = [], []
     for i in range(len(course) - 1):
         # whether an end is an anchor depends on the boundary, which one rank may not see
         starts = [places[i]] + ([course[i]] if i == 0 else [])
@@ -115,10 +115,11 @@ def near_section(
             continue
         for a in starts:
             for b in stops:
-                if norm(b - a) == 0.0:
-                    continue
-                with suppress(PathError):  # if this is the leg, trace says so
-                    planes.append(Plane.of(a, b, feet[i].normal, feet[i + 1].normal))
+                if norm(b - a) > 0.0:
+                    legs.append((a, b, feet[i].normal, feet[i + 1].normal))
+    planes = []
+    if legs:  # of one without a plane trace says so
+        planes = [plane for plane in Plane.of_legs(*np.array(legs).swapaxes(0, 1)) if plane]
     mask[strips(planes, x, rows, snap * size, np.inf)[1]] = True
     if straight:  # no point of a way is farther from the leg's middle than half the way's length
         a, b = places[straight], places[np.array(straight) + 1]
@@ -268,7 +269,7 @@ def _direct_ways(
 ) -> list[list[SurfacePoint] | None]:
     """Return the points of the legs that go straight on; None for others."""
     ways: list[list[SurfacePoint] | None] = [None] * (len(places) - 1)
-    legs: list[tuple[int, Plane, tuple[Place, Place]]] = []
+    others: list[tuple[int, Place, Place]] = []
     for i, (first, last) in enumerate(pairwise(places)):
         if first.point is None or last.point is None:
             continue
@@ -277,12 +278,20 @@ def _direct_ways(
         if surface.in_one_cell((first.point, last.point)):
             ways[i] = [first.point, last.point]
             continue
-        with suppress(PathError):  # it is raised when it is this leg's turn
-            plane = Plane.of(first.position, last.position, first.normal, last.normal)
-            legs.append((i, plane, (first, last)))
-    ends = [both for _, _, both in legs]
-    along = cuts(surface, [plane for _, plane, _ in legs], ends, snap, 2.0 * surface.size)
-    for (i, plane, (first, last)), cut in zip(legs, along, strict=True):
+        others.append((i, first, last))
+    if not others:
+        return ways
+    ends = [(first, last) for _, first, last in others]
+    a, b = (np.array([both[k].position for both in ends]) for k in (0, 1))
+    normals = (np.array([both[k].normal for both in ends]) for k in (0, 1))
+    # An error of a leg without a plane is raised when it is its turn.
+    legs = [
+        (*o, plane) for o, plane in zip(others, Plane.of_legs(a, b, *normals), strict=True) if plane
+    ]
+    along = cuts(
+        surface, [leg[3] for leg in legs], [leg[1:3] for leg in legs], snap, 2.0 * surface.size
+    )
+    for (i, first, last, plane), cut in zip(legs, along, strict=True):
         ways[i] = _direct_way(surface, plane, first, last, cut)
     return ways
 
