@@ -10,7 +10,7 @@ from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.meshes.edge_table import line_of
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.model.net import Net
-from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
+from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
 from crms_fenicsx.paths.laying import traced
 from crms_fenicsx.runtime import checks
@@ -116,7 +116,7 @@ def geodesics_across(
     scene = checked_scene(call, scene)
     checks.same(scene.comm, call, lines=lines, spacing=spacing)
     spacing = checks.positive(f"{call}: spacing", spacing)
-    routes = [checked_route(call, line) for line in lines]
+    routes = [route_of_call(call, line) for line in lines]
     surface = WholeSurface.of(scene.membrane)
     step = min(surface.size, spacing)
     families = []

@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.meshes.edge_table import EdgeTable
 from crms_fenicsx.meshes.refinement import check_positive
 from crms_fenicsx.model.net import Net
-from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
+from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -125,7 +125,7 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     call = "from_paths"
     scene = checked_scene(call, scene)
     checks.same(scene.comm, call, families=families, shortest=shortest)
-    routes = [[checked_route(call, path) for path in family] for family in families]
+    routes = [[route_of_call(call, path) for path in family] for family in families]
     return assembled(call, WholeSurface.of(scene.membrane), routes, taut=bool(shortest))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.meshes.triangles import balls, dot, flattened, longest_sides, norm, vectors
+from crms_fenicsx.meshes.triangles import balls, dot, flattened, longest_sides, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import (
@@ -46,23 +46,35 @@ from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 DETOUR = 0.95
 
 
-def checked_route(route: ArrayLike, snap: float) -> Array:
-    """Return a route as an array, (k, 2) or (k, 3); raise PathError if it is none."""
-    if not 0.0 < snap <= 0.1:
-        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
+def route_points(route: object) -> Array:
+    """The points of a route or of a cable's path, (k, 2) or (k, 3)."""
     try:
-        course = np.asarray(route, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise PathError(f"route {route!r}: give points (x, y) or (x, y, z), all alike") from None
+        course = np.array(route, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise PathError(
+            f"path: {route!r} is no list of points of one kind; give all in plan, (x, y), or all "
+            "in space, (x, y, z), as a joint is."
+        ) from None
     if course.ndim != 2 or course.shape[1] not in (2, 3) or len(course) < 2:
         raise PathError(
-            f"a route of shape {course.shape}: give two or more points (x, y) or (x, y, z)"
+            f"path: an array of shape {course.shape}; give two or more points in plan, (k, 2), or "
+            "in space, (k, 3)."
         )
-    for i, point in enumerate(vectors(course)):
-        if not np.isfinite(point).all():
-            raise PathError(f"route point {i} is {as_text(point)}; give finite coordinates")
-        if i and np.array_equal(point, course[i - 1]):
-            raise PathError(f"route points {i - 1} and {i} are both {as_text(point)}; drop one")
+    bad = np.flatnonzero(~np.isfinite(course).all(axis=1))
+    if len(bad):
+        raise PathError(f"path: point {bad[0]} is {as_text(course[bad[0]])}, which is not finite.")
+    return course
+
+
+def checked_route(route: object, snap: float) -> Array:
+    """The points of a route on which a path can be traced, (k, 2) or (k, 3)."""
+    if not 0.0 < snap <= 0.1:
+        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
+    course = route_points(route)
+    same = np.flatnonzero((course[1:] == course[:-1]).all(axis=1))
+    if len(same):
+        i = int(same[0])
+        raise PathError(f"route points {i} and {i + 1} are both {as_text(course[i])}; drop one")
     return course
 
 
