@@ -72,7 +72,7 @@ class Chains:
     smoothing: Array
     span: Indices
     # pointers, blocks, place: blocks along the edges of the fold points near to this rank's cells,
-    # and which of them the fold point is; see `crms_fenicsx.energies.lateral_friction.Slips`
+    # and which of them the fold point is; see `crms_fenicsx.energies.segments.EdgePoints`
     pointers: Indices
     blocks: Indices
     place: Indices

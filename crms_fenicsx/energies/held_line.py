@@ -12,34 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import (
+    EdgePoints,
     add_slip_curvature,
     add_slip_forces,
     edge_fractions,
     slip_stiffness,
 )
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @dataclass(frozen=True)
-class HeldPoints(ElementTable):
+class HeldPoints(EdgePoints):
     """This rank's points that are held on their edges."""
 
-    # pointers, blocks: blocks along the edge of each point in CSR form: its first vertex, the
-    # points on it, its last vertex
-    pointers: Indices
-    blocks: Indices
-    place: Indices  # (n,) which of them the point is
     rest: Array  # (n,) its place on the edge, as a share of the length
     stiffness: Array  # (n,) against that share, k a^2 (force x length)
-    addresses = ("blocks",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the points."""
-        return self.pointers, self.blocks
 
 
 class HeldLine(EnergyTerm):
@@ -88,16 +77,7 @@ class HeldLine(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> HeldPoints | None:
         """Points with chosen blocks on their edges."""
-        t = self.table
-        rows = t.rows_on(chosen)
-        if len(rows) == 0:
-            return None
-        counts = np.diff(t.pointers)[rows]
-        pointers = np.append(0, np.cumsum(counts))
-        own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        return HeldPoints(
-            pointers.astype(np.int32), t.blocks[own], t.place[rows], t.rest[rows], t.stiffness[rows]
-        )
+        return self.table.points_on(chosen)
 
     def of_elements(self, table: HeldPoints, sums: Array) -> HeldLine:
         """What holds such points."""

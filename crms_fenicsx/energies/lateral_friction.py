@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import (
+    EdgePoints,
     add_slip_curvature,
     add_slip_forces,
     edge_fractions,
@@ -32,28 +32,17 @@ from crms_fenicsx.energies.smooth_coulomb import (
     tangent_stiffness,
 )
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @dataclass(frozen=True)
-class Slips(ElementTable):
+class Slips(EdgePoints):
     """This rank's nodes with friction."""
 
-    # pointers, blocks: blocks along the edge of each node in CSR form: its first vertex, the points
-    # on it, its last vertex
-    pointers: Indices
-    blocks: Indices
-    place: Indices  # (n,) which of them the node is
     slope: Array  # slope, offset: (n,) slip by place on the edge (length)
     offset: Array
     bound: Array  # (n,) friction force F of a node that slides (force)
     eps: Array  # (n,) slip at which that force is reached (length)
-    addresses = ("blocks",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the nodes."""
-        return self.pointers, self.blocks
 
 
 class LateralFriction(EnergyTerm):
@@ -112,17 +101,7 @@ class LateralFriction(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> Slips | None:
         """Nodes with chosen blocks on their edges."""
-        t = self.table
-        rows = t.rows_on(chosen)
-        if len(rows) == 0:
-            return None
-        counts = np.diff(t.pointers)[rows]
-        pointers = np.append(0, np.cumsum(counts))
-        own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        return Slips(
-            pointers.astype(np.int32), t.blocks[own], t.place[rows], t.slope[rows],
-            t.offset[rows], t.bound[rows], t.eps[rows],
-        )  # fmt: skip
+        return self.table.points_on(chosen)
 
     def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
         """The friction of such nodes."""
