@@ -28,6 +28,11 @@ class FormInputs:
     functions: tuple[fem.Function, ...]
     constants: tuple[fem.Constant, ...]
 
+    @property
+    def mesh(self) -> Any:
+        """The mesh."""
+        return self.functions[0].function_space.mesh
+
     @classmethod
     def joint(cls, parts: Sequence[FormInputs]) -> FormInputs:
         """Those of a sum of forms."""
@@ -67,7 +72,7 @@ class CompiledCode:
         self, spaces: Sequence[fem.FunctionSpace], inputs: FormInputs, cell_tags: Any
     ) -> fem.Form:
         """The form on a mesh."""
-        mesh = spaces[0].mesh
+        mesh = inputs.mesh
         owned = mesh.topology.index_map(2).size_local
         cells = [(tag, cell_tags.find(tag)) for tag in self.parts]
         own = [(tag, found[found < owned]) for tag, found in cells]
@@ -92,7 +97,7 @@ def compiled_form(
     """
     if inputs is None:
         return fem.form(write())
-    comm = spaces[0].mesh.comm
+    comm = inputs.mesh.comm
     functions, constants = list(map(id, inputs.functions)), list(map(id, inputs.constants))
     # Inputs that are one object are one in the code, too.
     same = (*map(functions.index, functions), *map(constants.index, constants))

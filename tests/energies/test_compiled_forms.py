@@ -18,6 +18,7 @@ from crms_fenicsx.energies import compiled_forms, integral, membrane_energy, pre
 from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.form_finding import film, find_form
 from crms_fenicsx.model.materials import MembraneMaterial
 
 FILM = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
@@ -105,3 +106,18 @@ def test_a_compiled_form_keeps_no_mesh_alive(monkeypatch: pytest.MonkeyPatch) ->
     del scene
     gc.collect()
     assert compiled_forms.COMPILED and gone() is None
+
+
+@pytest.mark.parametrize("stress", [2.0, (3.0, 1.0)])
+def test_a_form_is_found_on_another_mesh_without_compiling(
+    stress: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: Any = {"fixed": ["boundary"], "warp": (1.0, 0.0, 0.0), "pressure": 0.5}
+    given = given if isinstance(stress, tuple) else {"fixed": ["boundary"], "pressure": 0.5}
+    find_form(grid(MPI.COMM_SELF, 4, FILM), stress, **given)
+    with monkeypatch.context() as unable:
+        unable.delattr(fem, "compile_form")
+        found = find_form(grid(MPI.COMM_SELF, 6, FILM), stress, **given)
+    monkeypatch.setattr(film, "compiled_form", by_signature)
+    other = find_form(grid(MPI.COMM_SELF, 6, FILM), stress, **given)
+    np.testing.assert_array_equal(found.mesh.mesh.geometry.x, other.mesh.mesh.geometry.x)
