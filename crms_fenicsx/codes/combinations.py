@@ -34,11 +34,11 @@ class CombinationRules:
     Attributes
     ----------
     name
-        Of the standard.
+        Name of the standard.
     kinds
-        Kinds of variable loads that it knows; of EN 1990 with their factors psi.
+        Kinds of variable loads; for EN 1990 with their factors psi.
     states
-        Design situations, as "ULS" or "strength", the first one by default.
+        Limit states, such as "ULS" or "strength"; the first one is the default.
     """
 
     name: str
@@ -83,39 +83,37 @@ def combinations(
     state: str | None = None,
     also: Mapping[str, object] | None = None,
 ) -> dict[str, dict[str, object]]:
-    """The table of load combinations of a standard, for `Solver.combine`.
+    """Return a standard's table of load combinations, for `Solver.combine`.
 
-    Permanent loads have one factor together, the unfavourable one and the favourable one in turn.
-    Of the variable loads of a kind one acts at a time, as wind comes from one direction; each
-    set of kinds acts with each of them leading. Every load is named in each combination, those
-    that do not act with the factor 0.
+    All permanent loads share one factor, the unfavourable or the favourable one. One variable load
+    of each kind acts at a time, as wind comes from one direction; each kind leads in turn. Every
+    combination names all loads, with the factor 0 if they do not act.
 
     Parameters
     ----------
     rules
         `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the newest one.
     permanent
-        Names of permanent loads. Prestress and inner pressure, which EN 1990 takes with the factor
-        1, belong to the state that combinations begin in.
+        Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
+        to the initial state of the combinations.
     variable
-        Names of variable loads, which begin with their kind ("snow", "snow drifted", "wind x"), or
-        a mapping of names to kinds. The kinds are ``rules.kinds``.
+        Names of variable loads that begin with their kind ("snow", "snow drifted", "wind x"), or a
+        mapping of names to kinds, out of ``rules.kinds``.
     state
         One of ``rules.states``; by default the first, the ultimate limit state.
     also
-        What all combinations have besides, as ``{"pressure": 0.6}``.
+        Further entries of all combinations, such as ``{"pressure": 0.6}``.
 
     Returns
     -------
     dict
-        Factors of the loads by the combination's name, which tells them:
-        "ULS: 1.35 weight + 1.5 snow + 0.9 wind x".
+        Factors of the loads, by names of combinations such as "ULS: 1.35 weight + 1.5 snow +
+        0.9 wind x".
 
     Raises
     ------
     InputError
-        No rules, a state or a kind that they do not have, no loads at all, or a name that comes
-        twice.
+        No rules, an unknown state or kind, no loads at all, or a repeated name.
 
     Examples
     --------

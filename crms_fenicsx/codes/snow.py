@@ -47,13 +47,13 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     pitch
         Pitches, 0 to 90 degrees.
     retained
-        Whether snow guards or parapets keep the snow from sliding off; mu is then 0.8 at least,
+        Whether snow guards or parapets keep the snow from sliding off: mu is then at least 0.8,
         5.3.2(2).
 
     Returns
     -------
     numpy.ndarray
-        0.8 up to 30 degrees, then linear to 0 at 60 degrees; in the shape of `pitch`.
+        mu_1 in the shape of `pitch`: 0.8 up to 30 degrees, then linear to 0 at 60 degrees.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class PitchedSnow:
     Parameters
     ----------
     pitch
-        Of the whole roof (degrees); None, the default, takes the slope at each place.
+        Pitch of the whole roof (degrees); by default the local slope counts.
     retained
         As for `snow_on_pitch`.
 
@@ -130,7 +130,7 @@ class DuopitchSnow:
     Raises
     ------
     InputError
-        A case that is not known, a direction without length, or a pitch out of range.
+        An unknown case, a direction without length, or a pitch out of range.
     """
 
     ridge: Sequence[float]
@@ -161,8 +161,7 @@ class CylindricalSnow:
     crown
         A point (x, y) below the crown (length).
     across
-        Direction (x, y) in plan across the roof; the drift is heavier on the side to which it
-        points.
+        Direction (x, y) in plan across the roof, towards the side with the heavier drift.
     span, rise
         Width b and height h of the roof's arc (length).
     case
@@ -171,14 +170,14 @@ class CylindricalSnow:
     Attributes
     ----------
     width : float
-        Width l_s in plan on which the tangent is not steeper than 60 degrees (length), of an arc
-        of a circle. Beyond it there is no snow.
+        Width l_s with snow, in plan (length), where the tangent of a circular arc has up to
+        60 degrees.
 
     Raises
     ------
     InputError
-        A case that is not known, a direction without length, a span or rise that is not positive,
-        or a rise beyond half of the span, for which there is no figure.
+        An unknown case, a direction without length, a span or rise that is not positive, or a rise
+        of more than half the span, beyond the figure.
     """
 
     crown: Sequence[float]
@@ -221,20 +220,20 @@ class DriftedSnow:
     Parameters
     ----------
     wall
-        A point (x, y) of the taller works' wall (length).
+        Point (x, y) of the wall of the taller works (length).
     away
         Direction (x, y) in plan from the wall over the roof.
     height
-        h from the roof to the top of the taller works (m).
+        Height h of the taller works above the roof (m).
     upper, lower
         Widths b_1 of the taller works and b_2 of this roof (m).
     s_k
         Characteristic snow load on the ground (kN/m^2).
     upper_pitch, upper_slope
-        Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof. From
-        15 degrees on half of the largest snow load on it slides down.
+        Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof.
+        Above 15 degrees half of its largest snow load slides down.
     weight
-        Weight of snow by volume gamma (kN/m^3).
+        Weight of snow by volume, gamma (kN/m^3).
 
     Attributes
     ----------
@@ -249,8 +248,7 @@ class DriftedSnow:
 
     Notes
     -----
-    The bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m are recommended in m and kN/m^2, so that
-    sizes have to be given in these.
+    Use m and kN/m^2, the units of the recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m.
     """
 
     wall: Sequence[float]
@@ -321,7 +319,7 @@ def snow_load(
     Raises
     ------
     InputError
-        A load or coefficient that is not positive, or no shape.
+        A load or coefficient that is not positive, or an invalid shape.
 
     Examples
     --------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
 from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.model.membrane import Membrane
@@ -57,7 +60,27 @@ class Film:
             fem.Constant(domain, np.float64(value)) for value in (0.0, 1.0, 0.0, 0.0)
         )
         self.modulus = SOFTEST
-        basis, dx = tangent_basis(domain, None), one_point(domain)
+        self._inputs = FormInputs(
+            ("film", self.isotropic),
+            (self.u, start, self.reference, s1, s2, d),
+            (self._exact, self._stressed, self._holding, self._pressure),
+        )
+        spaces = {"force": [self.V], "growth": [self.V], "volume": [], "area": []}
+        self._forms = {name: self._form(name, of) for name, of in spaces.items()}
+        self._stiffness: Any = self._form("stiffness", [self.V, self.V])
+        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
+        self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+
+    def _form(self, name: str, spaces: list[fem.FunctionSpace]) -> fem.Form:
+        """A form, which is written where it has not been compiled before."""
+        key = self._inputs.key, name
+        return compiled_form(replace(self._inputs, key=key), spaces, lambda: self._written[name])
+
+    @cached_property
+    def _written(self) -> dict[str, Any]:
+        """Forms, and stress and sides of the cells, in UFL."""
+        _, start, _, s1, s2, d = self._inputs.functions
+        basis, dx = tangent_basis(self.V.mesh, None), one_point(self.V.mesh)
         F, Fr = Kinematics(self.u, basis).F, Kinematics(self.reference, basis).F
         C, G = (ufl.as_matrix([[ufl.dot(a, b) for b in A] for a in A]) for A in (F, Fr))
         inverse, J, lifted = ufl.inv(C), ufl.sqrt(ufl.det(C)), ufl.inv(G)
@@ -75,15 +98,20 @@ class Film:
         held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
         volume: Any = ufl.dot(start + self.u, ufl.cross(*F)) / 3 * dx
         growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # the volume's derivative inside the rim
-        self._forms = {"force": force, "volume": volume, "growth": growth, "area": J * dx}
-        self._forms = {name: fem.form(form) for name, form in self._forms.items()}
         exact = ufl.derivative(force - self._pressure * growth, self.u, w)
-        self._stiffness = fem.form((1 - self._exact) * held + self._exact * exact)
-        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
-        self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+        stiffness = (1 - self._exact) * held + self._exact * exact
         stress = ufl.as_vector([S[i, j] / J for i, j in ((0, 0), (0, 1), (1, 1))])
-        values = [stress, ufl.as_vector([A[i] for A in F for i in range(3)])]
-        self._cell_values = [fem.Expression(value, np.array([[1 / 3, 1 / 3]])) for value in values]
+        sides = ufl.as_vector([A[i] for A in F for i in range(3)])
+        return {
+            "force": force, "volume": volume, "growth": growth, "area": J * dx,
+            "stiffness": stiffness, "stress": stress, "sides": sides,
+        }  # fmt: skip
+
+    @cached_property
+    def _cell_values(self) -> list[fem.Expression]:
+        """Stress and sides of the cells."""
+        middle, names = np.array([[1 / 3, 1 / 3]]), ("stress", "sides")
+        return [fem.Expression(self._written[name], middle) for name in names]
 
     def area(self) -> float:
         """Area of the current surface (length squared). Collective."""

@@ -45,11 +45,11 @@ def equidistant(
     """Lay out a net whose meshes all have sides of one length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
-    two others. Where a mesh would have an angle of less than `least_angle` the net ends. All lines
-    run straight on from their last node to the rim. Where a geodesic ends at the rim before the
-    membrane does, the next line of its family starts from one that goes on.
+    two others. The net ends where a mesh would have an angle below `least_angle`; from there, all
+    lines run straight on to the rim. Where a geodesic ends at the rim before the membrane does, the
+    next line of its family starts from one that goes on.
 
-    The lines turn within the surface: cables that slide freely do not stay on them. Clamp their
+    The lines are no geodesics, so cables that slide freely do not stay on them: clamp their
     crossings, or let friction hold them.
 
     Parameters
@@ -57,14 +57,13 @@ def equidistant(
     scene
         A scene, on whose current shape the net is laid out.
     width
-        Distance of neighbouring nodes, in a straight line (length).
+        Straight distance between neighbouring nodes (length).
     origin
-        A node, in plan, (2,), or in space, (3,) (length).
+        One of the nodes, in plan, (2,), or in space, (3,) (length).
     directions
-        Directions of both geodesics at the origin, in plan, (2,), or in space, (3,), any angle
-        between them.
+        Directions of both geodesics at the origin, in plan, (2,), or in space, (3,).
     least_angle
-        Least angle of a mesh (degrees).
+        Smallest angle of a mesh (degrees).
 
     Returns
     -------
@@ -74,14 +73,14 @@ def equidistant(
     Raises
     ------
     InputError
-        On all ranks: a width for which no mesh has room, or directions that are parallel.
+        On all ranks: a width too large for any mesh, or parallel directions.
     PathError
         An origin off the membrane, or a line that cannot be laid.
 
     Warns
     -----
     NetWarning
-        The net ends where it would fold; it says where.
+        The net ends where it would fold; the message says where.
 
     Examples
     --------

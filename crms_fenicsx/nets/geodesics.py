@@ -10,7 +10,7 @@ from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.meshes.edge_table import line_of
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.model.net import Net
-from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
+from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
 from crms_fenicsx.paths.laying import traced
 from crms_fenicsx.runtime import checks
@@ -25,18 +25,18 @@ def geodesics_between(
 ) -> Net:
     """Lay out a net of shortest paths between pairs of edges. Collective.
 
-    Each family divides both of its edges into equal parts, n + 1 for n lines, and joins their ends
-    by the path that is shortest near the straight line in plan.
+    The n lines of a family join points that divide both of its edges into n + 1 equal parts, each
+    by the shortest path near the straight line in plan.
 
     Parameters
     ----------
     scene
         A scene, on whose current shape the net is laid out.
     edges
-        For each family the groups of edges between which its lines run, such as
-        ``[("left", "right"), ("front", "back")]``. A group is one line with two ends.
+        Pairs of edge groups, one for each family, such as ``[("left", "right"), ("front",
+        "back")]``. A group is one line with two ends.
     n
-        Number of lines of each family, or one number for all.
+        Number of lines, for each family or for all.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def geodesics_between(
     Raises
     ------
     InputError
-        On all ranks: groups that do not exist, are closed or in pieces, or a number that is none.
+        On all ranks: unknown groups, groups that are closed or in pieces, or an invalid number.
     PathError
         A line that cannot be laid on the membrane.
 
@@ -82,19 +82,18 @@ def geodesics_across(
 ) -> Net:
     """Lay out a net of geodesics that cross given lines at right angles. Collective.
 
-    Each family starts from its line at equal distances, those of the first and last to the line's
-    ends being equal, goes straight on to the rim on both sides, and is then pulled taut between
-    its ends. Away from the line the distances change with the surface's curvature: on a sphere of
-    radius R as cos(s / R).
+    A family starts at equal distances along its line, centred on it, runs straight on to the rim on
+    both sides, and is then pulled taut between its ends. Away from the line its spacing changes
+    with the curvature: on a sphere of radius R as cos(s / R).
 
     Parameters
     ----------
     scene
         A scene, on whose current shape the net is laid out.
     lines
-        For each family the points of its line, in plan, (k, 2), or in space, (k, 3) (length).
+        Points of one line for each family, in plan, (k, 2), or in space, (k, 3) (length).
     spacing
-        Distance of the family's lines along its line (length).
+        Distance between the geodesics of a family, along its line (length).
 
     Returns
     -------
@@ -104,7 +103,7 @@ def geodesics_across(
     Raises
     ------
     InputError
-        On all ranks: a spacing that is larger than a line.
+        On all ranks: a spacing larger than a line.
     PathError
         A line that leaves the membrane.
 
@@ -116,7 +115,7 @@ def geodesics_across(
     scene = checked_scene(call, scene)
     checks.same(scene.comm, call, lines=lines, spacing=spacing)
     spacing = checks.positive(f"{call}: spacing", spacing)
-    routes = [checked_route(call, line) for line in lines]
+    routes = [route_of_call(call, line) for line in lines]
     surface = WholeSurface.of(scene.membrane)
     step = min(surface.size, spacing)
     families = []

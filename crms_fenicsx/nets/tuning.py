@@ -48,30 +48,30 @@ def tune(
 ) -> dict[LaidCable, float]:
     """Find the unstressed lengths of cables for prescribed tensions under the present loads.
 
-    Collective. `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`: each
-    of its evaluations is a load step of the solver, whose last one has the tensions.
+    Collective. By `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`.
+    Each evaluation is a load step; the last one has the tensions.
 
     Parameters
     ----------
     solver
         A `Solver` at an equilibrium in which the cables are in tension.
     tensions
-        Tensions by cables (force); of a cable with clamps its mean tension.
+        Tensions by cables (force), mean ones for cables with clamps.
     rtol
-        Largest difference from them, relative.
+        Largest relative difference.
     most
         Largest number of load steps.
 
     Returns
     -------
     dict
-        The unstressed lengths by cables (length), which these have now.
+        The new unstressed lengths by cables (length).
 
     Raises
     ------
     InputError
-        On all ranks: what is no cable of the scene, a tension that is not positive, a slack cable,
-        or tensions that no lengths give; the scene is as it was.
+        On all ranks: no cable of the scene, a tension that is not positive, a slack cable, or
+        tensions that no lengths give; the scene is then restored.
 
     Examples
     --------

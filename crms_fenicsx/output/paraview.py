@@ -169,7 +169,7 @@ _OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface|cables)_\d{{6,}}\.vtu"
 
 
 class Series:
-    """Steps of a surface and of the lines on it, written as the run goes.
+    """Steps of a surface and its lines, written during the run.
 
     The folder then holds ::
 
@@ -177,21 +177,21 @@ class Series:
         steps/surface_000000.vtu    the surface of a step, written by all ranks together
         steps/cables_000000.vtu     all lines of a step, from rank 0
 
-    Binary VTK XML, double precision. A collection is replaced, in one go, when the step's files are
-    complete, so what it lists can always be read.
+    Binary VTK XML, double precision. A collection is replaced at once when the step's files are
+    complete, so that all it lists can be read.
 
     Parameters
     ----------
     folder : str or Path
-        Created where it is missing. The first step that is written replaces an older series in
-        it; no other file is touched.
+        Folder, created if missing. The first step replaces an older series in it, and no other
+        file.
     comm : MPI communicator
-        Its ranks write together.
+        Ranks that write together.
 
     Raises
     ------
     InputError
-        On all ranks, when the folder cannot be written.
+        On all ranks: a folder that cannot be written.
     """
 
     def __init__(self, folder: str | Path, comm: MPI.Intracomm) -> None:
@@ -210,24 +210,21 @@ class Series:
         Parameters
         ----------
         time : float
-            Time or load factor; more than the step's before.
+            Time or load factor, larger than in the step before.
         surface : Surface
-            This rank's piece; it may be empty. All pieces have data of the same names. A point
-            that belongs to another rank (`Surface.homes`) is written by that one, so that it is
-            in the file once.
+            This rank's piece, which may be empty, with data of the same names on all ranks. Points
+            are written by the ranks they belong to (`Surface.homes`), once.
         lines : sequence of Line
-            All lines, on rank 0; those of other ranks are not looked at. In the file they are
-            as of `views.view_data.joined`. Where there are none any more the step has an empty
-            file. Their names are the texts "names" of the file.
+            All lines, on rank 0; those of other ranks are ignored. The file has them joined as by
+            `views.view_data.joined`, and their names as texts "names"; without lines it is empty.
         case : str
-            What the step belongs to, a text of both files.
+            Load case of the step, a text in both files.
 
         Raises
         ------
         InputError
-            On all ranks: shapes that disagree, times that do not grow, pieces with different
-            data, no triangle on any rank, points that belong nowhere, or files that cannot be
-            written.
+            On all ranks: shapes that disagree, times that do not grow, pieces with different data,
+            no triangle on any rank, points without a rank, or files that cannot be written.
         """
         with raised_together(self.comm):
             surface = surface.checked()
@@ -291,19 +288,19 @@ class Series:
         return own, np.concatenate([[0], np.cumsum(counts)])[homes[:, 0]] + homes[:, 1]
 
     def resume(self, times: Sequence[float]) -> None:
-        """Go on with the series that is in the folder. Collective.
+        """Continue the series in the folder. Collective.
 
         Its later steps stay until the next one is written.
 
         Parameters
         ----------
         times
-            Those of the steps to keep. If the series does not begin with them, none are kept.
+            Times of the steps to keep; none are kept if the series does not begin with them.
 
         Raises
         ------
         InputError
-            On all ranks, when the series cannot be read.
+            On all ranks: a series that cannot be read.
         """
         kept = checks.from_first(
             self.comm, lambda: {name: self._listed(name, times) for name in self._entries}

@@ -65,19 +65,19 @@ def write_vtkhdf(
 ) -> None:
     """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
 
-    One file has all: a step for each combination, with the surface, cables and bars and the arrays
-    of `Solver.to_pyvista`. Those that a cell does not have are NaN. "line" is -1 on the surface and
-    the number of the cable or bar otherwise; the texts of each step are "case", the combination's
-    name, and "names" of cables and bars in the order of "line".
+    Each combination is a step with the surface, cables and bars and the arrays of
+    `Solver.to_pyvista`, NaN on cells that do not have them. "line" is -1 on the surface, else the
+    number of the cable or bar; texts of a step are "case", the name of the combination, and
+    "names" of cables and bars in the order of "line".
 
     Parameters
     ----------
     solver
-        Whose scene it is; its state is restored.
+        Solver of the scene, whose state is restored.
     filename
-        Ending in .vtkhdf. One that is there is replaced when the new one is complete.
+        File ending in .vtkhdf; an existing one is replaced once the new one is complete.
     combinations
-        What `Solver.combine` returned; by default the current state alone.
+        Combinations from `Solver.combine`; by default the current state alone.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def write_vtkhdf(
         On all ranks, with nothing written: another suffix, no combinations of this solver, or a
         file that cannot be written.
     ImportError
-        On all ranks: there is no h5py.
+        On all ranks: h5py is not installed.
 
     Examples
     --------

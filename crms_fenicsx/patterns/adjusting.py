@@ -34,11 +34,11 @@ class Adjusted:
     pattern
         The pattern.
     solver
-        The solver of the roof that is sewn of it.
+        Solver of the roof sewn from it.
     comparisons
-        What was got before each update, and in the end.
+        Comparisons before each update and at the end.
     errors
-        Largest difference from what was wanted, relative to it, each time.
+        Largest relative difference from the target in each comparison.
     """
 
     pattern: Pattern
@@ -57,39 +57,39 @@ def adjust(
     tolerance: float = 1e-4,
     updates: int = 10,
 ) -> Adjusted:
-    """Change compensation until the sewn roof is the wanted one. Collective.
+    """Adjust compensation until the sewn roof meets its target. Collective.
 
-    With `forces` the roof gets the compensation with which its mean section forces are the wanted
-    ones. On a pneumatic roof these follow from pressure and shape, and compensation changes the
-    shape: leave `forces` out there, and the roof gets the compensation with which its mean lengths
-    along warp and weft are those of the wanted form.
+    With `forces` the target is the mean section forces. On a pneumatic roof these follow from
+    pressure and shape, and compensation changes the shape: leave `forces` out there, and the target
+    is the mean lengths of the form along warp and weft.
 
     Parameters
     ----------
     pattern
-        The pattern to begin with.
+        Initial pattern.
     build
-        A function of a pattern that sews it, brings supports and loads on and returns the solver.
+        Function of a pattern that sews it, applies supports and loads, and returns the solver.
     forces
         Wanted section forces along warp and weft, or one for both (force per length).
     each
-        Whether each piece gets a compensation of its own, for its own means.
+        Whether to adjust the compensation of each piece by its own means.
     tolerance
-        Largest difference of the means, relative to the larger wanted force, or of lengths.
+        Largest difference of the mean lengths, or of the mean forces relative to the larger wanted
+        one.
     updates
-        Most of them.
+        Largest number of updates.
 
     Returns
     -------
     Adjusted
-        The pattern, its solver, and what was got on the way.
+        The pattern, its solver, and the comparisons on the way.
 
     Raises
     ------
     InputError
-        On all ranks: arguments that cannot be used, or a `build` that returns another roof.
+        On all ranks: invalid arguments, or a `build` that returns another roof.
     ConvergenceError
-        On all ranks: the roof is not the wanted one after all updates.
+        On all ranks: a roof that misses the target after all updates.
 
     Examples
     --------

@@ -22,18 +22,18 @@ Profile = float | Sequence[tuple[float, float]]
 
 @dataclass(frozen=True)
 class Shrink:
-    """Compensation of a piece: by which part it is cut shorter along warp and weft.
+    """Compensation of a piece: shares by which it is cut shorter along warp and weft.
 
     Parameters
     ----------
     warp, weft
-        Parts, .01 for 1 %: one each, or by section pairs of place and part, the place from 0 at
-        one end of the piece to 1 at the other along its warp; linear between them.
+        Shares, .01 for 1 %: a number, or pairs of place and share, linear between them, with places
+        from 0 to 1 along the warp of the piece.
 
     Raises
     ------
     InputError
-        A part of 50 % or more, or places that do not ascend.
+        A share of 50 % or more, or places that do not ascend.
 
     Examples
     --------
@@ -84,16 +84,15 @@ def checked_part(what: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class EdgeShrink:
-    """De-compensation: what an edge has along itself instead of its piece's compensation.
+    """De-compensation of an edge, along itself, in place of the piece's compensation.
 
     Parameters
     ----------
     part
-        By which part the piece is cut shorter along the edge; 0 where a clamping profile, which
-        cannot be stretched, has the length of the form.
+        Share by which the edge is cut shorter; 0 along a clamping profile, which cannot stretch.
     band
-        Width (length) of the strip along the edge over which this passes over, linearly, to the
-        piece's own compensation.
+        Width (length) of the strip along the edge in which the compensation changes linearly to
+        that of the piece.
     """
 
     part: float = 0.0
@@ -105,7 +104,7 @@ class EdgeShrink:
 
 
 def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) -> Shrink:
-    """Compensation with which a fabric has section forces in its form.
+    """Return the compensation for given section forces in the form.
 
     Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, where l are the
     stretches and S = D E the law's forces.
@@ -125,7 +124,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
     Raises
     ------
     InputError
-        Forces in compression, forces that the law does not have, or a `UflMembrane`.
+        Compressive forces, forces beyond the law, or a `UflMembrane`.
 
     Examples
     --------
@@ -167,11 +166,11 @@ def stretches_for(
 
 
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
-    """Width of strips up to which a double-curved roof has no compression along the warp.
+    """Return the largest width of strips without compression along the warp.
 
-    A strip of width W that takes the form is strained by ``K W**2 / 24`` in its middle and by
-    ``-K W**2 / 12`` at its edges, beside what compensation wants: on a dome the seams are slacker
-    than the middle, on a saddle the other way round and by half as much.
+    On a doubly curved form a strip of width W has further strains of ``K W**2 / 24`` in its middle
+    and ``-K W**2 / 12`` at its edges: on a dome the seams are slacker than the middle; on a saddle
+    the middle is slacker, by half as much.
 
     Parameters
     ----------
@@ -180,7 +179,7 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     force
         Section force along the warp (force per length).
     curvature
-        Gaussian curvature (1 / length squared) of the form, such as `Piece.curvature`.
+        Gaussian curvature of the form (1 / length squared), such as `Piece.curvature`.
 
     Returns
     -------

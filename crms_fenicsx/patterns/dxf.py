@@ -25,18 +25,18 @@ TEXT = 0.04
 
 @collective
 def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str = "m") -> None:
-    """Write the pieces as they lie on the roll to a DXF file. Collective.
+    """Write the layout on the roll to a DXF file. Collective.
 
-    Layers: CUT, the edge of the fabric with allowances; SEAM, where pieces are sewn; OVERLAP, where
-    the other piece's allowance ends; MARK, match marks with their numbers along the seam; WARP,
-    arrows; TEXT, names of pieces and edges; ROLL. Needs ezdxf.
+    Layers: CUT, the cutting line with allowances; SEAM, seam lines; OVERLAP, the end of the other
+    piece's allowance; MARK, numbered match marks; WARP, arrows; TEXT, names of pieces and edges;
+    ROLL. Needs ezdxf.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        Of the file, ending in .dxf. One that is there is replaced when the new one is complete.
+        File ending in .dxf; an existing one is replaced once the new one is complete.
     sheet
         Roll, allowances and marks.
     unit
@@ -45,10 +45,10 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
     Raises
     ------
     InputError
-        On all ranks, with nothing written: an argument that cannot be used, pieces wider than the
-        roll, or a file that cannot be written.
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
     ImportError
-        On all ranks: there is no ezdxf.
+        On all ranks: ezdxf is not installed.
     """
     if not isinstance(pattern, Pattern):
         raise InputError(f"write_dxf: pattern = {pattern!r}; give what patterns.flatten returned.")

@@ -22,7 +22,7 @@ STATIONS = 64
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a piece takes to lie flat.
+    """Estimate of the distortion of a flat piece.
 
     Attributes
     ----------
@@ -47,24 +47,24 @@ class Estimate:
 def estimates(
     pieces: Pieces, material: Materials, *, warp: Warp | None = None
 ) -> dict[str, Estimate]:
-    """Tell before pieces are laid flat how much they will be strained. Collective.
+    """Estimate the strains of pieces before they are laid flat. Collective.
 
     Parameters
     ----------
     pieces
-        What `cut` returned.
+        Pieces from `cut`.
     material, warp
         As of `flatten`.
 
     Returns
     -------
     dict of str to Estimate
-        By the pieces' names.
+        Estimates by names of pieces.
 
     Raises
     ------
     InputError
-        On all ranks: arguments that cannot be used.
+        On all ranks: invalid arguments.
 
     Examples
     --------

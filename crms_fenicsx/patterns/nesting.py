@@ -13,20 +13,20 @@ from crms_fenicsx.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class Nesting:
-    """Pieces on the roll, x along it.
+    """Layout of pieces on the roll, x along it.
 
     Attributes
     ----------
     roll
         Width of the roll (length).
     length
-        What is used of it (length).
+        Used length of the roll (length).
     waste
-        Part of that which is not of pieces, with their allowances.
+        Share of the used roll outside of pieces and their allowances.
     drawings
-        The pieces where they lie.
+        Drawings of the pieces in place.
     rows
-        Where along the roll each row of pieces across it begins.
+        Starts, along the roll, of the rows of pieces across it.
     """
 
     roll: float
@@ -37,9 +37,9 @@ class Nesting:
 
 
 def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
-    """Lay pieces on the roll with their warp along it, the longest first.
+    """Lay pieces on the roll, warp along it, the longest first.
 
-    Pieces lie side by side while the roll is wide enough; what follows lies beyond the longest.
+    Pieces lie side by side as far as the roll is wide; the next row starts beyond the longest.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     Returns
     -------
     Nesting
-        Where pieces lie, and the waste.
+        The layout and its waste.
 
     Raises
     ------
     InputError
-        A piece that is wider than the roll, or allowances of edges that are not there.
+        A piece wider than the roll, or allowances of unknown edges.
     """
     if not isinstance(pattern, Pattern) or not isinstance(sheet, Sheet):
         raise InputError("nest: give a pattern of patterns.flatten and a Sheet(roll=...).")

@@ -42,7 +42,7 @@ TOLD = 1e-3
 
 @dataclass(frozen=True)
 class FlatPiece:
-    """A piece as it is cut.
+    """A flat piece, as it is cut.
 
     Attributes
     ----------
@@ -53,8 +53,7 @@ class FlatPiece:
     shrink
         Mean compensation (2,) along warp and weft.
     strains
-        What the strains (E11, E22, 2 E12) of its cells (m, 3) have beside the wanted ones when it
-        takes the form: the distortion.
+        Distortion: strains (E11, E22, 2 E12) of the cells (m, 3) in the form, less the wanted ones.
     """
 
     piece: Piece
@@ -66,7 +65,7 @@ class FlatPiece:
     @cached_property
     def energy(self) -> float:
         """Energy of the distortion per area of the form (force per length), extrapolated to
-        infinitely fine cells: found when it is first asked for."""
+        infinitely fine cells on first use."""
         own = self.problem_of(self.piece, self.shape).energy(self.shape)
         found = fine_energies(self.piece, self.shape, self.problem_of)
         return max(own - found[0] + limit_of(found), 0.0) / self.piece.area
@@ -88,17 +87,17 @@ class FlatPiece:
 
     @property
     def width(self) -> float:
-        """Extent across the warp (length): what it needs of the roll's width."""
+        """Extent across the warp (length), along the roll's width."""
         return float(np.ptp(self.shape[:, 1]))
 
     @property
     def distortion(self) -> float:
-        """Largest strain beside the wanted ones."""
+        """Largest strain of the distortion."""
         return float(np.abs(self.strains).max())
 
     def largest_width(self, force: float) -> float:
-        """Width (length) up to which it has no compression along its warp with a section force
-        (force per length), as `patterns.largest_width` with its mean curvature."""
+        """`patterns.largest_width` (length) for its mean curvature and a section force (force per
+        length)."""
         moduli = warp_moduli(self.problem_of(self.piece, self.shape).stiffness)
         modulus = float(self.piece.areas @ moduli) / self.piece.area
         return width_in_tension(modulus, force, self.piece.curvature)
@@ -128,13 +127,13 @@ class Pattern:
     Attributes
     ----------
     pieces
-        The pieces in space and how they are sewn together.
+        Pieces in space and the joints between them.
     material
         The fabric.
     flat
-        The pieces as they are cut.
+        Flat pieces.
     made
-        With which options.
+        Options they were made with.
     """
 
     pieces: Pieces
@@ -157,11 +156,11 @@ class Pattern:
 
     @property
     def area(self) -> float:
-        """Area of all pieces as they are cut (length squared)."""
+        """Area of all flat pieces (length squared)."""
         return sum(one.area for one in self.flat)
 
     def flat_piece(self, name: str) -> FlatPiece:
-        """The flat piece with a name."""
+        """Return the flat piece with a name."""
         return checks.named("piece", {one.name: one for one in self.flat}, name)
 
     def seam_lengths(self) -> dict[str, Array]:
@@ -177,17 +176,17 @@ class Pattern:
 
     @collective
     def adjusted(self, factors: Mapping[str, tuple[float, float]]) -> Pattern:
-        """The pattern with further stretches of pieces, cut anew. Collective.
+        """Return the pattern cut for further stretches of its pieces. Collective.
 
         Parameters
         ----------
         factors
-            Stretches along warp and weft by which pieces are stretched more, 1.01 for 1 %.
+            Further stretches along warp and weft, by pieces, 1.01 for 1 %.
 
         Returns
         -------
         Pattern
-            Another pattern of the same pieces.
+            New pattern of the same pieces.
         """
         both = {
             one.name: tuple(np.multiply(self.made.factors.get(one.name, (1.0, 1.0)),
@@ -210,30 +209,29 @@ def flatten(
 ) -> Pattern:
     """Lay pieces flat with the least strain energy, and compensate them. Collective.
 
-    Each piece gets the flat shape from which it takes the form with the strain that compensation
-    wants and, where the form is curved in two directions, as little energy beside it as there can
-    be (J. Linhard, R. Wuechner, K.-U. Bletzinger, Introducing cutting patterns in form finding and
-    structural analysis, 2008), started by a conformal map. The warp lies along x of all flat
-    pieces.
+    A flat piece takes its form in space with the strain of the compensation and, where the form is
+    doubly curved, the least possible energy of further strains (J. Linhard, R. Wuechner,
+    K.-U. Bletzinger, Introducing cutting patterns in form finding and structural analysis, 2008).
+    The search starts from a conformal map. All flat pieces have the warp along x.
 
     Parameters
     ----------
     pieces
-        What `cut` returned.
+        Pieces from `cut`.
     material
-        The fabric, or that of each part of the mesh.
+        The fabric, or one for each part of the mesh.
     warp
-        "seams": along the seams of each piece; or a direction in space (3,), or a function of
-        points (3, n) that gives directions (3, n), of which the mean over each piece counts. By
-        default an orthotropic material's own, and of others "seams".
+        "seams", along the seams of each piece; a direction in space (3,); or a function that
+        returns directions (3, n) for points (3, n), averaged over each piece. By default the warp
+        of an orthotropic material, for others "seams".
     shrink
-        Compensation of all pieces, or by names of pieces or parts of the mesh; by default none.
+        Compensation of all pieces, or by names of pieces or parts; none by default.
     edges
         De-compensation, by names of edge groups.
     equal
-        Whether both sides of seams are equally long when cut; it costs .02 % of the energy.
+        Whether both sides of a seam are cut to equal length; it costs .02 % of the energy.
     limit
-        Largest strain beside the wanted ones that is accepted.
+        Largest accepted strain of the distortion.
 
     Returns
     -------
@@ -243,23 +241,22 @@ def flatten(
     Raises
     ------
     InputError
-        On all ranks: an argument that cannot be used, or a piece that is strained beyond `limit`,
-        with the number of strips that would do.
+        On all ranks: an invalid argument, or a piece strained beyond `limit`; the message tells
+        how many strips would do.
     ConvergenceError
         On all ranks: a piece that does not lie flat.
 
     Warns
     -----
     PatternWarning
-        Fewer than 8 columns of cells across a piece that is curved in two directions: strains, and
-        the scatter of section forces in the sewn roof, are found too large.
+        Fewer than 8 columns of cells across a doubly curved piece, for which strains, and the
+        scatter of section forces in the sewn roof, are overestimated.
 
     Notes
     -----
-    A strip of width W on a surface of Gaussian curvature K is strained by ``|K| W**2 / 12`` and has
-    the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. The pieces' energies are
-    found on their cells and on finer ones, and extrapolated: to 1 % with 8 columns of cells across
-    a piece, to 6 % with 4.
+    A strip of width W on a surface of Gaussian curvature K has the strain ``|K| W**2 / 12`` and the
+    energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. Energies are extrapolated
+    from the piece's cells and finer ones: to 1 % with 8 columns of cells, to 6 % with 4.
 
     Examples
     --------

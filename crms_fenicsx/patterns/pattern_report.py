@@ -35,7 +35,7 @@ def report_sections(
     unit: str = "",
     force: str = "",
 ) -> list[PageSection]:
-    """Sections on a cutting pattern for a report. Collective.
+    """Make the report's sections on a cutting pattern. Collective.
 
     Parameters
     ----------
@@ -44,19 +44,19 @@ def report_sections(
     sheet
         Roll, allowances and marks.
     comparison
-        What `compare` found on the sewn roof, which gets a section as well.
+        Comparison of the sewn roof by `compare`, for a section of its own.
     unit, force
         Names of the units of length and force.
 
     Returns
     -------
     list
-        For the option ``sections`` of `Solver.report`, which writes their tables as CSV files, too.
+        Sections for ``sections=`` of `Solver.report`, which also writes their tables as CSV files.
 
     Raises
     ------
     InputError
-        On all ranks: arguments that cannot be used, or pieces wider than the roll.
+        On all ranks: invalid arguments, or pieces wider than the roll.
 
     Examples
     --------

@@ -34,9 +34,9 @@ class PieceEdge:
     Attributes
     ----------
     name
-        The seam, or the group of boundary edges, along which it runs.
+        Seam, or group of boundary edges, along which it runs.
     sewn
-        Whether it is a side of a seam.
+        Whether it belongs to a seam.
     vertices
         Vertices of the piece (k,) along it, counter-clockwise seen from outside.
     """
@@ -53,18 +53,17 @@ class Piece:
     Attributes
     ----------
     name
-        "piece 1", "piece 2" ...: also the name of a part of the cut mesh.
+        "piece 1", "piece 2" ..., also as a part of the cut mesh.
     cells
-        Its cells (m,) of the cut surface.
+        Cells (m,) of the cut surface.
     triangles
-        Vertices of the piece at their corners, (m, 3).
+        Corners of the cells as vertices of the piece, (m, 3).
     vertices
-        Numbers (n,) of its vertices in the cut surface; where a seam runs inside of it, both its
-        sides have their own.
+        Vertices (n,) of the cut surface; a seam inside the piece has them twice, once on each side.
     points
-        Places of its vertices (n, 3) (length).
+        Positions of the vertices (n, 3) (length).
     edges
-        Its edges, counter-clockwise seen from outside.
+        Edges, counter-clockwise seen from outside.
     """
 
     name: str
@@ -76,17 +75,17 @@ class Piece:
 
     @property
     def areas(self) -> Array:
-        """Areas of its cells (m,) (length squared)."""
+        """Areas of the cells (m,) (length squared)."""
         return np.asarray(norm(double_areas(self.points[self.triangles])) / 2)
 
     @property
     def area(self) -> float:
-        """Its area (length squared)."""
+        """Area of the piece (length squared)."""
         return float(self.areas.sum())
 
     @property
     def outline(self) -> Integers:
-        """Its vertices (k,) around it, counter-clockwise seen from outside."""
+        """Vertices (k,) along its rim, counter-clockwise seen from outside."""
         return np.concatenate([edge.vertices[:-1] for edge in self.edges])
 
     @property
@@ -117,18 +116,18 @@ class Pieces:
     Attributes
     ----------
     mesh
-        The surface with its cells divided along the seams, with all groups of the one that was
-        cut, the seams as groups of edges, and the pieces as parts.
+        The surface with cells divided along the seams: groups as before, seams as groups of edges,
+        pieces as parts.
     seams
         The seams.
     pieces
         The pieces, the same on all ranks.
     joints
-        Which segments of their edges belong together.
+        Pairs of edge segments that are sewn together.
     surface
         The cut surface with all groups, on all ranks.
     lines
-        Vertices (k,) of the cut surface along each seam, by its name.
+        Vertices (k,) of the cut surface along each seam, by names.
     """
 
     mesh: MembraneMesh
@@ -154,7 +153,7 @@ class Pieces:
         return sum(piece.area for piece in self.pieces)
 
     def piece(self, name: str) -> Piece:
-        """The piece with a name."""
+        """Return the piece with a name."""
         return checks.named("piece", {piece.name: piece for piece in self.pieces}, name)
 
 
@@ -162,17 +161,17 @@ class Pieces:
 def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     """Cut a surface along seams. Collective.
 
-    Cells that seams cross are divided. Vertices nearer to a crossing than a fifth of the edge are
-    moved to it, along the edge, so that no slivers are cut off: the pieces are those of a surface
-    that differs from the mesh by no more than the smooth one does.
+    Cells that seams cross are divided. A vertex nearer to a crossing than a fifth of the edge is
+    moved there along the edge, to avoid slivers; this changes the surface by no more than its
+    difference from the smooth one.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     seams
-        Seams on it; none where the surface is one piece. They may meet and cross at vertices of the
-        mesh, and where they cross an edge at the same point.
+        Seams on it, none for one piece. They may meet and cross at vertices of the mesh, and at
+        common points of edges.
 
     Returns
     -------
@@ -182,10 +181,10 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     Raises
     ------
     InputError
-        On all ranks: what are no seams, or two of one name.
+        On all ranks: no seams, or two of one name.
     PathError
-        On all ranks: seams that end inside the surface, run along its boundary or along each
-        other, or cross inside of cells; a piece with a hole, or a closed one.
+        On all ranks: seams that end inside the surface, coincide with its boundary or each other,
+        or cross inside cells; a piece that is closed or has a hole.
 
     Examples
     --------

@@ -26,16 +26,16 @@ SNAP = 1e-3
 
 @dataclass(frozen=True)
 class Seam:
-    """A line over the surface, from rim to rim or closed.
+    """A line on the surface, from rim to rim or closed.
 
     Attributes
     ----------
     name
-        Its name, which edges of pieces on both its sides have.
+        Name of the seam, and of the edges of pieces on both sides.
     points
-        Where it meets vertices and crosses edges of the mesh.
+        Vertices it passes and crossings with edges of the mesh.
     path
-        Places of these points (k, 3) (length).
+        Positions of these points (k, 3) (length).
     """
 
     name: str
@@ -44,12 +44,12 @@ class Seam:
 
     @property
     def length(self) -> float:
-        """Its length (length)."""
+        """Length of the seam (length)."""
         return float(arc_lengths(self.path)[-1])
 
     @property
     def closed(self) -> bool:
-        """Whether it ends where it begins."""
+        """Whether the seam is closed."""
         return self.points[0] == self.points[-1]
 
 
@@ -71,11 +71,10 @@ def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePo
 
 @collective
 def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
-    """A seam along the shortest lines between points. Collective.
+    """Make a seam of shortest lines between points. Collective.
 
-    Between each two points the seam is laid as cables with ``shortest=True`` are: it begins with
-    the plane section through both points and slides over the vertices of the mesh until it is
-    straight within the surface, and so on the flat piece.
+    As for cables with ``shortest=True``, the plane section through two points is pulled taut over
+    the vertices of the mesh until it is straight in the surface, and so on the flat piece.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     Raises
     ------
     PathError
-        On all ranks: points off the surface, or between which no plane section leads.
+        On all ranks: points off the surface, or that no plane section joins.
 
     Examples
     --------
@@ -127,19 +126,18 @@ def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ..
 def geodesic_along(
     mesh: MembraneMesh, start: ArrayLike, direction: ArrayLike, *, name: str
 ) -> Seam:
-    """A seam straight on from a place in a direction, to the rim on both sides. Collective.
+    """Make a seam that runs straight through a point, from rim to rim. Collective.
 
-    Within the surface it turns neither left nor right: where the direction is that of the warp the
-    seam follows the fabric.
+    In the surface it turns neither left nor right: along the warp it follows the fabric.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     start
-        A place on the surface (3,) (length).
+        Point on the surface (3,) (length).
     direction
-        Direction there (3,); its projection on the surface counts.
+        Direction (3,), which is projected on the surface.
     name
         Name of the seam.
 
@@ -151,8 +149,8 @@ def geodesic_along(
     Raises
     ------
     PathError
-        On all ranks: a place off the surface, a direction normal to it, or a line that does not
-        come to a rim.
+        On all ranks: a point off the surface, a direction normal to it, or a line that does not
+        reach the rim.
     """
     surface = PatternSurface.of("geodesic_along", mesh, start=start, direction=direction, name=name)
     place = checks.vector("geodesic_along: start", start)
@@ -170,14 +168,14 @@ def geodesic_along(
 
 @collective
 def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, name: str) -> Seam:
-    """A seam along the section of the surface with a plane. Collective.
+    """Make a seam along the surface's section with a plane. Collective.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     origin
-        A point of the plane (3,) (length). Of several lines the one nearest to it is taken.
+        Point of the plane (3,) (length), next to which the seam is if there are several lines.
     normal
         Normal of the plane (3,).
     name
@@ -217,16 +215,16 @@ def nearest(
 
 @collective
 def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Seam:
-    """A seam along mesh edges. Collective.
+    """Make a seam of mesh edges. Collective.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     group
-        Name of a group of edges, which is a single line from end to end or around.
+        Name of a group of edges that form one line, open or closed.
     name
-        Name of the seam, by default that of the group.
+        Name of the seam; by default the group's.
 
     Returns
     -------
@@ -236,9 +234,9 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     Raises
     ------
     InputError
-        On all ranks: no such group.
+        On all ranks: an unknown group.
     PathError
-        On all ranks: a group that is no single line.
+        On all ranks: a group that is not one line.
     """
     surface = PatternSurface.of("edge_line", mesh, group=group, name=name)
     points = surface.line_of_group("edge_line", group)
@@ -249,9 +247,9 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
 def parallel(
     mesh: MembraneMesh, line: Line, distance: float, *, toward: ArrayLike, name: str
 ) -> Seam:
-    """A seam at a distance from a line, such as the width of the fabric. Collective.
+    """Make a seam at a distance from a line, such as the width of the fabric. Collective.
 
-    The distance is that over the surface (see `PatternSurface.distances`), linear between vertices.
+    Distances are measured over the surface, and are linear between vertices.
 
     Parameters
     ----------
@@ -262,8 +260,8 @@ def parallel(
     distance
         Distance (length).
     toward
-        A point (3,) (length) on the side where the seam is to be: of several lines the one nearest
-        to it is taken.
+        Point (3,) (length) on the seam's side of the line, next to which it is if there are
+        several.
     name
         Name of the seam.
 
@@ -275,7 +273,7 @@ def parallel(
     Raises
     ------
     PathError
-        On all ranks: nothing of the surface is so far from the line.
+        On all ranks: no part of the surface is that far from the line.
     """
     surface = PatternSurface.of(
         "parallel", mesh, line=line, distance=distance, toward=toward, name=name

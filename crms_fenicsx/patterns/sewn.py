@@ -25,21 +25,21 @@ SLOPE = 1e-12
 
 @collective
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
-    """Make a scene of the pieces of a pattern, sewn together along the seams. Collective.
+    """Make a scene of the pieces of a pattern, sewn along the seams. Collective.
 
-    The stress-free shape of each cell is its flat one. The scene starts in the wanted form, where
-    the fabric has the strains that the cut gives it, without supports, loads and cables. Its mesh
-    is that of the form, with its groups, the seams as groups of edges and the pieces as parts.
+    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains of the
+    cut and without supports, loads and cables. Its mesh is that of the cut form: groups as before,
+    seams as groups of edges, pieces as parts.
 
     Parameters
     ----------
     pattern
         The pattern.
     material
-        The fabric, or that of each part; by default the pattern's. Its warp is that of the pieces,
-        and its prestress is left out, as it comes from the cut.
+        The fabric, or one for each part; by default the pattern's. The pieces set the warp and the
+        cut the prestress, so that the fabric's own are ignored.
     **options
-        For `Scene`.
+        Options of `Scene`.
 
     Returns
     -------
@@ -49,8 +49,8 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     Raises
     ------
     InputError
-        On all ranks: what is no pattern, a material with a step-wise strain, or a `UflMembrane`
-        with a prestress in its density.
+        On all ranks: no pattern, step-wise strain, or a `UflMembrane` with a prestress in its
+        density.
 
     Examples
     --------
@@ -103,21 +103,21 @@ def frames_of(pattern: Pattern) -> Array:
 
 @dataclass(frozen=True)
 class SewnPiece:
-    """A piece of the roof as it stands.
+    """Results of a piece in the sewn roof.
 
     Attributes
     ----------
     name
         Name of the piece.
     mean, spread, least, largest
-        Section forces (2,) along warp and weft: mean and standard deviation over the current area,
-        least and largest of a cell (force per length).
+        Section forces (2,) along warp and weft (force per length): mean and standard deviation over
+        the current area, least and largest of the cells.
     deviation
-        Largest distance of its vertices from the wanted form along its normal (length).
+        Largest distance of vertices from the form, along its normal (length).
     wrinkled
-        Part of its area that is wrinkled or slack.
+        Share of the area that is wrinkled or slack.
     stretch
-        Mean stretches (2,) along warp and weft from the wanted form, 1 where it has its lengths.
+        Mean stretches (2,) along warp and weft relative to the form.
     """
 
     name: str
@@ -132,19 +132,19 @@ class SewnPiece:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the cut does to the roof.
+    """Comparison of a sewn roof with the form and the wanted forces.
 
     Attributes
     ----------
     wanted
-        Section forces (2,) along warp and weft that were wanted (force per length), or None.
+        Wanted section forces (2,) along warp and weft (force per length), or None.
     pieces
-        What each piece has got.
+        Results of each piece.
     whole
-        What all together have got.
+        Results of all pieces together.
     cells
-        Of each cell of the cut surface (m, 4): section forces along warp and weft, distance from
-        the form, and whether it is wrinkled or slack.
+        Cells of the cut surface (m, 4): section forces along warp and weft, distance from the form,
+        and whether they are wrinkled or slack.
     """
 
     wanted: Array | None
@@ -175,7 +175,7 @@ def compare(
     Parameters
     ----------
     solver
-        Solver of the scene that `sew` made of the pattern, in the state to compare.
+        Solver of a scene made by `sew`, in the state to compare.
     pattern
         The pattern.
     forces
@@ -184,7 +184,7 @@ def compare(
     Returns
     -------
     Comparison
-        Section forces, deviation from the form and wrinkles, by pieces and in all.
+        Section forces, deviation and wrinkles, by pieces and in all.
 
     Raises
     ------

@@ -25,27 +25,27 @@ ARROW = 0.3
 
 @dataclass(frozen=True)
 class Sheet:
-    """How pieces are cut from the roll.
+    """Options for cutting pieces from the roll.
 
     Parameters
     ----------
     roll
         Width of the roll (length).
     allowance
-        What is added at seams, on each side (length): half of a weld's width.
+        Allowance on each side of a seam (length), half the width of the weld.
     rim
-        What is added at all other edges (length).
+        Allowance at all other edges (length).
     edges
-        Allowances of their own by names of seams and edge groups (length).
+        Other allowances by names of seams and edge groups (length).
     marks
-        Distance of match marks along seams (length), measured on the form from the seam's start.
+        Spacing of match marks along seams, from the seam's start on the form (length).
     gap
-        Distance of pieces on the roll (length).
+        Gap between pieces on the roll (length).
 
     Raises
     ------
     InputError
-        A roll narrower than twice the allowance, or lengths that cannot be.
+        A roll narrower than twice the allowance, or an invalid length.
     """
 
     roll: float

@@ -31,19 +31,18 @@ WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
 def draw_sheets(
     pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
 ) -> Figure | None:
-    """Draw the pieces as they lie on the roll. Collective.
+    """Draw the layout on the roll. Collective.
 
-    Red is the edge of the fabric with allowances, blue where pieces are sewn, grey where the other
-    piece's allowance ends, green the match marks. A PDF has a further page for each piece, with its
-    sizes.
+    Cutting lines with allowances are red, seam lines blue, ends of the other piece's allowance
+    grey, match marks green. A PDF has a further page for each piece, with its sizes.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        Of the picture, in a format of matplotlib, such as .svg, .pdf or .png; None returns the
-        figure of the roll on the first rank.
+        Picture in a format of matplotlib, such as .svg, .pdf or .png; None returns the figure of
+        the roll on the first rank.
     sheet
         Roll, allowances and marks.
     unit
@@ -57,8 +56,8 @@ def draw_sheets(
     Raises
     ------
     InputError
-        On all ranks, with nothing written: an argument that cannot be used, pieces wider than the
-        roll, or a file that cannot be written.
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
     """
     if not isinstance(pattern, Pattern):
         raise InputError(f"draw_sheets: pattern = {pattern!r}; give one of patterns.flatten.")

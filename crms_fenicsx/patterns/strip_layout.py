@@ -39,12 +39,11 @@ def strips(
     allowance: float = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
-    """Seams between two lines that make the fewest strips of a largest width. Collective.
+    """Make seams between two lines for the fewest strips of a given width. Collective.
 
-    The seams divide the distance between the lines evenly. Geodesic ones are then pulled straight
-    between their ends, which saves fabric, as pieces have nearly straight edges. The number of
-    strips grows until all are narrow enough over the surface: the distance of each seam from the
-    one before. What pieces really need of the roll is told, and checked, when they lie flat.
+    Seams divide the distance between the lines evenly; geodesic ones are then pulled taut between
+    their ends, which saves fabric. Strips are added until the distance between neighbouring seams
+    over the surface fits the width. `flatten` and the layout on the roll check the flat pieces.
 
     Parameters
     ----------
@@ -57,26 +56,25 @@ def strips(
     kind
         "geodesic", or "parallel": the lines of even distances themselves.
     warp
-        Direction of the fabric (3,), or a function of points (3, n) that gives directions (3, n):
-        the seams follow it, each from the middle of its line of even distances to the rim on both
-        sides.
+        Direction of the fabric (3,), or a function that returns directions (3, n) for points
+        (3, n), which the seams follow from the middle of their lines to the rim on both sides.
     allowance
-        What seams take of the width on each side of a strip (length).
+        Seam allowance on each side of a strip (length).
     name
-        The seams are this with their numbers from `first` on: "seam 1", "seam 2" ...
+        Names of the seams, with numbers from `first` on: "seam 1", "seam 2" ...
 
     Returns
     -------
     list of Seam
-        The seams in order, without `first` and `last`; none where one strip is enough.
+        The seams in order, without `first` and `last`; none if one strip is enough.
 
     Raises
     ------
     InputError
-        On all ranks: a roll narrower than both allowances, or an argument that cannot be used.
+        On all ranks: a roll narrower than both allowances, or an invalid argument.
     PathError
-        On all ranks: lines between which there are no such seams, or a warp that leads from one to
-        the other.
+        On all ranks: lines without seams between them, or a warp that leads from one line to the
+        other.
 
     Examples
     --------

@@ -16,7 +16,7 @@ from crms_fenicsx.runtime.handle import Stateful
 
 @dataclass(frozen=True)
 class AirState:
-    """All that can change of the air."""
+    """State of the air."""
 
     pressure: float = 0.0  # current pressure (force per area)
     sealed: SealedAir | None = None  # None if the pressure is given
@@ -42,9 +42,9 @@ class Air(Stateful[AirState]):
 
     @property
     def volume(self) -> float:
-        """Volume gained under the cells under pressure since the stress-free shape (length cubed).
+        """Volume gained under the pressurised cells since the stress-free shape (length cubed).
 
-        It is the volume between the two shapes while the rim of these cells is held, or slides in
+        It lies between the two shapes as long as the rim of these cells is held, or slides in
         planes that are held in their normal direction.
         """
         return gained_volume(self._net)
@@ -54,25 +54,23 @@ class Air(Stateful[AirState]):
     def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
         """Seal the air under the membrane at its present pressure. Collective.
 
-        From now on its pressure follows from its volume by the gas law, as in a cushion, or in a
-        hall in a gust that is faster than its fans. `pressure` is what it has come to.
+        From now on the gas law gives the pressure from the volume, as in a cushion, or in a hall
+        in a gust that is faster than its fans. `pressure` is the current one.
 
         Parameters
         ----------
         volume
-            Volume of the air now (length cubed); the mesh, open at the ground, does not tell it.
+            Current volume of the air (length cubed), which a mesh open at the ground does not tell.
         atmosphere
             Pressure of the atmosphere (force per area); the default is in kPa.
         exponent
-            1 if the air keeps its temperature (isothermal); 1.4 if it has no time to exchange heat
-            (adiabatic).
+            1 for isothermal changes, 1.4 for adiabatic ones, too fast to exchange heat.
 
         Raises
         ------
         InputError
-            On all ranks: air that is sealed already, the paper's pressure, a volume or an
-            atmosphere that is not positive, an exponent below 1, or a present pressure below
-            vacuum.
+            On all ranks: air already sealed, the paper's pressure law, a volume or atmosphere that
+            is not positive, an exponent below 1, or a current pressure below vacuum.
 
         Examples
         --------
@@ -110,12 +108,12 @@ class Air(Stateful[AirState]):
     @collective
     @changes_model
     def unseal(self) -> None:
-        """Let fans hold the pressure that the sealed air has come to. Collective.
+        """Let fans hold the current pressure of the sealed air. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: the air is not sealed.
+            On all ranks: air that is not sealed.
         """
         if self.sealed is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")

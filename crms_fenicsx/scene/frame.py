@@ -24,14 +24,14 @@ Place = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class FrameState:
-    """All that can change of joints and bars, in the order in which they were added."""
+    """State of joints and bars, in the order in which they were added."""
 
     joints: Mapping[Joint, JointState]
     bars: Mapping[PlacedBar, BarState]
 
 
 class Frame:
-    """Joints, those of anchors included, and bars in the order in which they were added."""
+    """Joints, including anchors, and bars, in the order in which they were added."""
 
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("_joints", "call scene.add_joint(...)")
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("_bars", "call scene.add_bar(...)")
@@ -44,7 +44,7 @@ class Frame:
 
     @property
     def state(self) -> FrameState:
-        """All that can change of them."""
+        """Their current state."""
         joints = {joint: joint.state for joint in self.joints}
         return FrameState(joints, {bar: bar.state for bar in self.bars})
 
@@ -61,22 +61,21 @@ class Frame:
 
     @collective
     def add_joint(self, position: Place, *, name: str | None = None, held: str = "") -> Joint:
-        """Add a joint off the membrane, at which bars end; its displacement is an unknown.
+        """Add a joint off the membrane for bars to end at; its displacement is an unknown.
 
         Parameters
         ----------
         position
-            Where it is, (3,) (length).
+            Position, (3,) (length).
         name
-            Name in messages and for loads; "joint 1", "joint 2" ... by default.
+            Name in messages and loads; "joint 1", "joint 2" ... by default.
         held
-            Held components of its displacement, out of "xyz".
+            Held components of the displacement, out of "xyz".
 
         Raises
         ------
         InputError
-            On all ranks: a position that is not finite, directions that are none, or a name that
-            is taken.
+            On all ranks: a position that is not finite, other directions, or a name that is taken.
         """
         checks.same(self.comm, "add_joint", position=position, name=name, held=held)
         joint = self._add_joint(checks.vector("add_joint: position", position), name, held)
@@ -85,17 +84,17 @@ class Frame:
 
     @collective
     def vertex_at(self, point: Place) -> MeshVertex:
-        """The vertex of the membrane that is at a point now, for bars to end at. Collective.
+        """Find the membrane's vertex at a current place, for bars to end at. Collective.
 
         Parameters
         ----------
         point
-            Its place, (3,) (length).
+            Current position, (3,) (length).
 
         Raises
         ------
         InputError
-            On all ranks: no vertex is there; it says where the nearest is.
+            On all ranks: no vertex is there; the message names the nearest.
         """
         checks.same(self.comm, "vertex_at", point=point)
         self.membrane.check_finite("vertex_at")
@@ -129,18 +128,17 @@ class Frame:
     ) -> PlacedBar:
         """Add a bar: a mast, a strut or, with ``Bar(EA, tension_only=True)``, a guy. Collective.
 
-        It is straight, has hinges at both ends, and knows nothing of the membrane between them.
+        It is straight and hinged at both ends; the membrane between them does not touch it.
 
         Parameters
         ----------
         bar
-            Its data.
+            Data of the bar.
         start, end
-            Where it ends: a point in space, which becomes an anchor (a held joint, ``bar.start``);
-            a joint; a vertex of the membrane from `vertex_at`; or the name of a group of one
-            vertex.
+            Ends: a point in space, which becomes an anchor (a held joint, ``bar.start``); a joint;
+            a vertex of the membrane from `vertex_at`; or the name of a group of one vertex.
         L0
-            Unstressed length (length); by default the distance of its ends now.
+            Unstressed length (length); by default the current distance of the ends.
         name
             Name in tables and pictures; "bar 1", "bar 2" ... by default.
 
@@ -152,8 +150,8 @@ class Frame:
         Raises
         ------
         InputError
-            On all ranks: an end that is none, two ends at one place, an L0 that is not positive or
-            a name that is taken.
+            On all ranks: an invalid end, both ends at one place, an L0 that is not positive or a
+            name that is taken.
 
         Examples
         --------
@@ -193,22 +191,22 @@ class Frame:
         return placed
 
     def bar(self, name: str) -> PlacedBar:
-        """The bar with a name.
+        """Return the bar with a name.
 
         Raises
         ------
         InputError
-            There is none.
+            No bar has that name.
         """
         return checks.named("bar", {bar.name: bar for bar in self.bars}, name)
 
     def joint(self, name: str) -> Joint:
-        """The joint with a name; that of a bar's anchor is "start of mast" or "end of mast".
+        """Return the joint with a name; anchors are "start of mast" or "end of mast".
 
         Raises
         ------
         InputError
-            There is none.
+            No joint has that name.
         """
         return checks.named("joint", {joint.name: joint for joint in self.joints}, name)
 

@@ -36,14 +36,14 @@ AIR = ("pressure", "temperature", "atmosphere")
 
 @dataclass(frozen=True)
 class LoadsState:
-    """All that can change of the loads of a scene."""
+    """State of the loads of a scene."""
 
     loads: tuple[MembraneLoad, ...] = ()  # on the membrane and on joints, with their factors
     ponds: tuple[Pond, ...] = ()  # the water on it, with its levels, volumes and factors
 
 
 class Loads(Stateful[LoadsState]):
-    """The loads on the membrane and on joints of a scene, by iteration, and its ponds."""
+    """Loads on the membrane and on joints, and ponds; iterate over it for the loads."""
 
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
     """The water on the membrane, with its current levels, volumes and factors."""
@@ -60,12 +60,12 @@ class Loads(Stateful[LoadsState]):
         return len(self.state.loads)
 
     def load(self, name: str) -> MembraneLoad:
-        """The load with a name.
+        """Return the load with a name.
 
         Raises
         ------
         InputError
-            There is none.
+            No load has that name.
         """
         return checks.named("load", {load.name: load for load in self}, name)
 
@@ -76,7 +76,7 @@ class Loads(Stateful[LoadsState]):
         return {load.name: load.factor for load in self} | ponds
 
     def replace_each(self, change: Callable[[Any], Any]) -> None:
-        """Replace each load and each pond by what a function makes of it; for the package alone."""
+        """Internal: replace each load and pond by a function's value."""
         self.state = LoadsState(
             tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
         )
@@ -85,27 +85,26 @@ class Loads(Stateful[LoadsState]):
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
         """Put a load of fixed direction on the membrane.
 
-        Its forces follow from the current shape, and then keep direction and size;
-        `Solver.advance` multiplies them by its factor.
+        Its forces follow from the current shape and then keep direction and size;
+        `Solver.advance` scales them by the load's factor.
 
         Parameters
         ----------
         force
-            Force per area (force / length squared): (3,), or a function of points (3, n) on the
-            current surface and of its unit normals (3, n), which point to the side that pressure
-            pushes to, that returns (3, n).
+            Force per area (force / length squared): (3,), or a function that returns (3, n) for
+            points (3, n) on the current surface and its unit normals (3, n), which point the way
+            that pressure pushes.
         name
-            What load steps and results know the load by.
+            Name in load steps and results.
         per
-            The area that the force is counted by: "surface", that of the current surface; "plan",
-            that of its projection along z, as for snow; "material", that of the stress-free
-            membrane, as for its weight.
+            Reference area: the current "surface"; its "plan", the projection along z, as for snow;
+            or the stress-free "material", as for the membrane's weight.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite or of another shape, an area that is not
-            known, or a name that is taken.
+            On all ranks: a force that is not finite or of another shape, an unknown area, or a
+            name that is taken.
 
         Examples
         --------
@@ -118,29 +117,28 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
-        """Put wind on the membrane; `Solver.advance` brings it on by its factor.
+        """Put wind on the membrane; `Solver.advance` applies it by its factor.
 
-        Its pressure stays normal to the surface: a load step is solved until the wind's forces are
-        those of the shape that it leads to. Coefficients belong to the cells, wherever these move.
+        The pressure stays normal to the surface: a load step ends when the wind's forces are those
+        on the deformed shape. Coefficients stay with the cells as these move.
 
         Parameters
         ----------
         pressure
             Peak velocity pressure q_p (force per area), positive.
         coefficient
-            Pressure coefficient c_p, positive where the wind presses on the outside and negative
-            where it sucks, as in EN 1991-1-4: one number, one of each part of the mesh by its
-            name, or a function of points (3, n) on the current surface and of its unit normals
-            (3, n) to the outside that returns (n,).
+            Pressure coefficient c_p, positive for pressure on the outside and negative for
+            suction, as in EN 1991-1-4: one number, one for each named part of the mesh, or a
+            function that returns (n,) for points (3, n) on the current surface and its outward
+            unit normals (3, n).
         name
-            What load steps and results know the load by.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
             On all ranks: a pressure that is not positive, coefficients that are not finite or of
-            another shape, a part that does not exist or is missing, parts with common cells, or a
-            name that is taken.
+            another shape, an unknown or missing part, overlapping parts, or a name that is taken.
 
         Examples
         --------
@@ -154,21 +152,21 @@ class Loads(Stateful[LoadsState]):
     def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
         """Put forces on the membrane's vertices, as from another program. Collective.
 
-        They keep direction and size, and are copied: later changes of the function are not seen.
+        They keep direction and size. The function is copied: later changes have no effect.
 
         Parameters
         ----------
         forces
-            The force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values
-            of ghosts do not count.
+            Force on each vertex (force), as a ``dolfinx.fem.Function(scene.V)``; values of ghosts
+            are ignored.
         name
-            What load steps and results know the load by.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: it is no function in the space `V`, a force is not finite, or the name is
-            taken.
+            On all ranks: no function in the space `V`, a force that is not finite, or a name that
+            is taken.
 
         Examples
         --------
@@ -186,8 +184,8 @@ class Loads(Stateful[LoadsState]):
     ) -> None:
         """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
 
-        Its forces follow from the current lengths of the edges, and then keep direction and size;
-        each edge gives half of its own to both of its ends.
+        Its forces follow from the current lengths of the edges and then keep direction and size;
+        half of an edge's force acts at each end.
 
         Parameters
         ----------
@@ -196,12 +194,12 @@ class Loads(Stateful[LoadsState]):
         edges
             Name of a group of edges of the mesh.
         name
-            What load steps and results know the load by.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite, no such group, or a name that is taken.
+            On all ranks: a force that is not finite, an unknown group, or a name that is taken.
 
         Examples
         --------
@@ -213,24 +211,24 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
-        """Put forces on joints; `Solver.advance` brings them on by their factor. Collective.
+        """Put forces on joints; `Solver.advance` applies them by their factor. Collective.
 
         Parameters
         ----------
         forces
-            Force on each joint, (3,) (force). They keep direction and size.
+            Force on each joint, (3,) (force), constant in direction and size.
         name
-            What load steps and results know the load by.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: what is no joint of this scene, a force that is not finite, or a name
-            that is taken.
+            On all ranks: no joint of this scene, a force that is not finite, or a name that is
+            taken.
 
         Examples
         --------
-        >>> scene.put_on_joints({top: (0.0, 0.0, -5.0)}, name="lamp")
+        >>> scene.put_joint_load({top: (0.0, 0.0, -5.0)}, name="lamp")
         >>> solver.advance(load={"lamp": 1.35})
         """
         self._check_new("put_joint_load", name, forces=forces)
@@ -258,39 +256,38 @@ class Loads(Stateful[LoadsState]):
         on: Sequence[str] | None = None,
         name: str = "pond",
     ) -> None:
-        """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
+        """Let water stand on the membrane; `Solver.advance` applies it by its factor. Collective.
 
-        It lies over all that is below its level, where the membrane's outer side faces up (of a
-        cushion on the upper foil), and presses the more the further that sinks. Water over a rim
-        below the level does not run off. Give either the level, as where water comes and goes, or
-        the volume.
+        It covers everything below its level where the membrane's outer side faces up (the upper
+        foil of a cushion), and its pressure grows with its depth. It does not run off over a rim
+        below the level. Give the level, if water can flow in and out, or else the volume.
 
         Parameters
         ----------
         weight
-            Weight of the water by volume (force / length cubed), positive: 10 kN / m^3.
+            Weight of the water by volume (force / length cubed), such as 10 kN / m^3.
         level
-            Height z of the water's surface (length).
+            Height z of the surface of the water (length).
         volume
             Amount of water (length cubed); its level follows.
         on
-            Parts of the mesh that it stands on, on the side that faces up; by default all cells
+            Parts of the mesh below the water, on the side that faces up; by default all cells
             whose outer side faces up when stress-free.
         name
-            What load steps and results know it by.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: a weight or volume that is not positive, neither level nor volume or both,
-            a part that does not exist, cells without an upper side or that face both ways, or a
-            taken name.
+            On all ranks: a weight or volume that is not positive, neither or both of level and
+            volume, an unknown part, cells that have no upper side or face both ways, or a name
+            that is taken.
 
         Notes
         -----
-        A load step that ends in an unstable equilibrium raises a `PondWarning`, one without
-        equilibrium a `ConvergenceError`. The rim of what is under water must be held, or slide in
-        planes of symmetry.
+        A load step to an unstable equilibrium raises a `PondWarning`, one without equilibrium a
+        `ConvergenceError`. The rim of the flooded cells must be held, or slide in planes of
+        symmetry.
 
         Examples
         --------
@@ -321,12 +318,12 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def remove_load(self, name: str) -> None:
-        """Take a load or a pond away; the next load step goes on without it. Collective.
+        """Remove a load or pond from the next load step on. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: there is no such load.
+            On all ranks: an unknown load.
         """
         checks.same(self.comm, "remove_load", name=name)
         factor = checks.named("load", self.factors, name)
@@ -337,7 +334,7 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def add(self, load: MembraneLoad) -> None:
-        """Add a load that has been made on the current shape; for the package alone."""
+        """Internal: add a load made on the current shape."""
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 

@@ -85,24 +85,24 @@ class Scene:
         The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
         roof, which has the same air on both sides.
     penalty
-        Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
-        locking from 1e-3 to 1.
+        Factor c of the penalty mu = c E t A that keeps unfolded cells flat triangles; stable and
+        free of locking from 1e-3 to 1.
     literal_penalty
-        The paper's coefficient mu = nu of (2.5-1) instead (force x length), the same everywhere.
+        The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
     frames : (n, 2, 3)
-        Of this rank's cells, where these have stress-free shapes of their own: what unit vectors
-        along their warp and weft have become in the mesh. `patterns.sew` makes them.
+        For cells with stress-free shapes of their own: images in the mesh of unit vectors along
+        their warp and weft, for this rank's cells. `patterns.sew` makes them.
 
     Raises
     ------
     InputError
-        A part that does not exist, cells without a material or with several, or step-wise strain
-        with a material that wrinkles.
+        An unknown part, cells without a material or with several, or step-wise strain with a
+        material that wrinkles.
 
     Warns
     -----
     PenaltyWarning
-        The penalty's factor lies outside the range in which folded cells are sound.
+        A penalty factor outside the range in which folded cells are sound.
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
@@ -223,7 +223,7 @@ class Scene:
 
     @property
     def state(self) -> SceneState:
-        """All that load steps, supports, loads and cables can change, as one value."""
+        """Everything that load steps, supports, loads and cables can change, as one value."""
         parts: dict[str, Any] = {name: getattr(self, name).state for name in PARTS}
         return SceneState(
             **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
@@ -246,7 +246,7 @@ class Scene:
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
     ) -> None:
-        """Internal: take over what load steps find besides the states of the parts."""
+        """Internal: take over results of a load step besides the states of the parts."""
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -277,9 +277,9 @@ class Scene:
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
-        A group of edges that is held in all directions is held over its whole length: its edges
-        stay straight, and cables that pass over them slide along them. Of points and marked
-        vertices only these are held; edges between them can fold.
+        A group of edges held in all directions is held over its whole length: its edges stay
+        straight, and cables that cross them slide along them. With points and marked vertices,
+        edges between them can fold.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class Scene:
         Raises
         ------
         InputError
-            No such vertices or directions, or edges that cables have been laid over already.
+            Unknown vertices or directions, or edges that cables already cross.
         """
         checks.same(self.comm, "fix", where=where, directions=directions)
         self.membrane.hold(where, directions, new_edges=not self.cables)
@@ -304,7 +304,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the membrane is below it now.
+            A membrane that is below it.
         """
         checks.same(self.comm, "floor", z=z)
         z = checks.finite("floor: z", z)
@@ -321,10 +321,10 @@ class Scene:
     @collective
     @changes_model
     def add_term(self, term: EnergyTerm) -> None:
-        """Add a term of your own to the potential energy; load steps minimise it with the rest.
+        """Add a user's term to the potential energy, which load steps minimise.
 
-        Its energy is in `energies` under its name, and its forces are loads: supports carry them.
-        Terms are no part of checkpoints. A script that goes on from one adds them again.
+        `energies` has its energy under its name; its forces are loads, which supports carry.
+        Checkpoints do not store terms: a script that resumes from one adds them again.
 
         Parameters
         ----------
@@ -334,8 +334,8 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: it is no `EnergyTerm`, its name is taken, or its sums, energy or forces
-            are not finite in the current state.
+            On all ranks: no `EnergyTerm`, a name that is taken, or sums, energy or forces that are
+            not finite in the current state.
         """
         checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
         self.membrane.check_finite("add_term")
@@ -345,12 +345,12 @@ class Scene:
         self.record(energies={**self.energies, term.name: energy})
 
     def cable(self, name: str) -> LaidCable:
-        """The cable with a name.
+        """Return the cable with a name.
 
         Raises
         ------
         InputError
-            There is none.
+            No cable has that name.
         """
         return self.net.cable(name)
 
@@ -453,7 +453,7 @@ class Scene:
     ) -> tuple[LaidCable, ...]:
         """Lay a cable on each line of a net, under the line's name. Collective.
 
-        Families that come later lie on top.
+        Later families lie on top.
 
         Parameters
         ----------
@@ -472,7 +472,7 @@ class Scene:
         Raises
         ------
         PathError, InputError
-            As for `lay_cable`; no cable has been laid then.
+            As for `lay_cable`; then no cable is laid.
 
         Examples
         --------
@@ -508,30 +508,29 @@ class Scene:
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
-        At a clamp the same points of both cables stay together. They slide over the membrane, lift
-        off and touch down together, and each cable has one tension from clamp to clamp,
-        `LaidCable.tensions`. The unstressed lengths between clamps are those at clamping; a load
-        step that changes a cable's L0 changes those of its parts alike. With friction along a cable
-        its tension varies between clamps, too. In an equilibrium clamping
-        changes nothing until the loads do.
+        A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
+        and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
+        unless friction along it varies that. The unstressed lengths between clamps are those at
+        clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
+        an equilibrium.
 
         Parameters
         ----------
         *cables
-            Two or more cables of this scene, or their names: all crossings between them.
+            Two or more cables of this scene, or their names.
         near
-            Points in space near which to clamp, (k, 3) (length): of each the nearest crossing; by
-            default all crossings.
+            Points in space, (k, 3) (length), whose nearest crossings are clamped; by default all
+            crossings are.
         slip
-            Grip of the clamps (force): where the tensions of a cable before and after a clamp would
-            differ by more, it slips through, and its unstressed length goes from one part to the
-            other; the work is heat, `dissipated`. The grip acts on the unstressed cable: on the
-            stretched one it is smaller by the strain. By default they hold whatever comes.
+            Grip of the clamps (force): a cable slips through where its tensions before and after
+            the clamp would differ by more, which moves unstressed length from one part to the
+            other; the work counts in `dissipated`. The grip acts on the unstressed cable: on the
+            stretched one it is smaller by the strain. By default clamps never slip.
 
         Returns
         -------
         tuple of Clamp
-            The new clamps; crossings that have one keep it.
+            The new clamps; existing ones stay.
 
         Raises
         ------
@@ -542,7 +541,7 @@ class Scene:
         Warns
         -----
         NetWarning
-            Some of more than two cables lie apart where they cross; these crossings stay open.
+            Some of three or more cables lie apart where they cross; these crossings stay open.
 
         Examples
         --------
@@ -557,19 +556,17 @@ class Scene:
     def unclamp(
         self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
     ) -> None:
-        """Open clamps; the next load step finds the equilibrium of the cables that slide.
-
-        Collective.
+        """Open clamps, so that the cables slide in the next load step. Collective.
 
         Parameters
         ----------
         *cables, near
-            As for `clamp`: all clamps between the cables, or those nearest to points.
+            As for `clamp`: all clamps between the cables, or those nearest to the points.
 
         Raises
         ------
         InputError
-            On all ranks: there is no such clamp.
+            On all ranks: an unknown clamp.
         """
         checks.same(self.comm, "unclamp", cables=cables, near=near)
         self.net.unclamp(cables, near)
@@ -577,11 +574,11 @@ class Scene:
     @collective
     @changes_model
     def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away; the next load step finds the equilibrium without it. Collective.
+        """Remove a cable from the next load step on. Collective.
 
-        What other cables had to do with it ends: where they crossed it they lie on the membrane,
-        or on the cables below. The energy that its friction has dissipated stays in `dissipated`,
-        and what it was before in tables and pictures. A new cable may have its name.
+        Cables that crossed it then lie on the membrane, or on the cables below. `dissipated` keeps
+        the energy of its friction; tables and pictures keep its history. A new cable may take its
+        name.
 
         Parameters
         ----------
@@ -591,7 +588,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: there is no such cable.
+            On all ranks: an unknown cable.
         """
         checks.same(self.comm, "remove", cable=cable)
         self.net.remove(cable)
@@ -599,9 +596,9 @@ class Scene:
     @collective
     @changes_model
     def remove_bar(self, bar: PlacedBar | str) -> None:
-        """Take a bar away, with the anchors that nothing else needs. Collective.
+        """Remove a bar, and anchors that nothing else needs, from the next load step on.
 
-        The next load step finds the equilibrium without it. Joints stay.
+        Collective. Joints stay.
 
         Parameters
         ----------
@@ -611,7 +608,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: there is no such bar.
+            On all ranks: an unknown bar.
         """
         checks.same(self.comm, "remove_bar", bar=bar)
         if isinstance(bar, str):
@@ -624,21 +621,21 @@ class Scene:
     @collective
     @changes_model
     def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
-        """Give the membrane's materials other numbers, for studies of parameters. Collective.
+        """Change the numbers of the membrane's materials from the next load step on. Collective.
 
-        The next load step goes to the equilibrium with them. No form is compiled anew.
+        For parameter studies: no form is compiled again.
 
         Parameters
         ----------
         material
-            One for all, or some of those that `Scene` was given, by their parts. Each is of the
-            same class as before, with the same warp and wrinkling.
+            One for all, or some of the materials by their parts as given to `Scene`, with the same
+            classes, warps and wrinkling.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, a material that differs by more than numbers,
-            or a scene with the paper's step-wise strain, whose stresses are those of the steps.
+            On all ranks: an unknown part, a material that differs by more than numbers, or the
+            paper's step-wise strain, whose stresses add up over the steps.
 
         Examples
         --------
@@ -657,9 +654,9 @@ class Scene:
     @collective
     @changes_model
     def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
-        """Give cables and bars another axial stiffness, for studies of parameters. Collective.
+        """Change the axial stiffness of cables and bars from the next load step on. Collective.
 
-        They keep their unstressed lengths; the next load step goes to the equilibrium with it.
+        They keep their unstressed lengths.
 
         Parameters
         ----------
@@ -669,8 +666,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: what is no cable or bar of this scene, or a stiffness that is not
-            positive.
+            On all ranks: no cable or bar of this scene, or a stiffness that is not positive.
 
         Examples
         --------
@@ -699,25 +695,24 @@ class Scene:
         *,
         factors: Mapping[str, float] | None = None,
     ) -> None:
-        """Give the fabric's strengths, for the utilisation in results, files and reports.
+        """Set the fabric's strengths, for the utilisation in results, files and reports.
 
-        They replace those given before. They change no equilibrium and are no part of checkpoints.
+        They replace earlier ones, do not change the equilibrium and are not in checkpoints.
 
         Parameters
         ----------
         strengths
-            In warp and weft, divided by the partial factors (force per length): one pair, or one
-            of each part by its name. Parts that are not named have no utilisation.
+            Design strengths in warp and weft, that is, divided by the partial factors (force per
+            length): one pair, or one for each named part; other parts have no utilisation.
         factors
-            By what the strengths are divided while loads act, for their duration and temperature,
-            by the names of loads and ponds that have been put before. Where several act, the
-            largest one counts; where none does, 1.
+            Divisors of the strengths for the duration and temperature of loads, by the names of
+            existing loads and ponds. The largest of those that act counts, 1 without any.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, parts with common cells, strengths or factors
-            that are not positive, or a load that does not exist.
+            On all ranks: an unknown part or load, overlapping parts, or strengths or factors that
+            are not positive.
 
         Examples
         --------
@@ -732,7 +727,7 @@ class Scene:
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
-        """Internal: by what the strengths are divided under the loads that act."""
+        """Internal: divisor of the strengths under the current loads."""
         acting = [name for name, factor in self.factors.items() if factor != 0.0]
         known = self.membrane.strength_factors
         return max((known[name] for name in acting if name in known), default=1.0)

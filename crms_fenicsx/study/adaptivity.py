@@ -29,10 +29,10 @@ def adapt(
     share: float = 0.5,
     project: Callable[[Array], Array] | None = None,
 ) -> Solver:
-    """Refine a mesh where the estimated error is, until it is small enough. Collective.
+    """Refine a mesh where its estimated error is large, down to a tolerance. Collective.
 
-    Each level is built anew by the user's own function, on the mesh of the level before with the
-    cells bisected that `marked_cells` finds.
+    The user's function builds and solves each level anew, on the mesh of the level before with the
+    cells of `marked_cells` bisected.
 
     Parameters
     ----------
@@ -41,25 +41,24 @@ def adapt(
     mesh
         The first mesh.
     tolerance
-        Estimated error of the energy, relative to the energy, at which to stop; see
-        `Solver.estimate_error`.
+        Estimated relative error of the energy at which to stop; see `Solver.estimate_error`.
     levels
-        Most meshes to solve on, this one included.
+        Largest number of meshes, this one included.
     share, project
         As for `marked_cells` and `meshes.refine`.
 
     Returns
     -------
     Solver
-        Of the last level; its mesh is ``solver.scene.mesh``.
+        Solver of the last level; its mesh is ``solver.scene.mesh``.
 
     Raises
     ------
     InputError
-        On all ranks: `build` is no such function, a share, tolerance or number of levels that
-        cannot be used, an estimate of no error at all, or a scene on another mesh than was given.
+        On all ranks: no such function, an invalid share, tolerance or number of levels, an
+        estimated error of zero, or a scene on another mesh than the given one.
     ConvergenceError, PathError
-        As `build` on one of the meshes.
+        From `build` on one of the meshes.
 
     Examples
     --------
@@ -88,29 +87,27 @@ def adapt(
 
 
 def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
-    """The fewest cells that have a given share of the estimated error. Collective.
+    """Find the fewest cells that have a given share of the estimated error. Collective.
 
-    Cells are marked in the order of their shares in `Solver.estimate_error`; cells with the same
-    share are marked together (W. Doerfler, A convergent adaptive algorithm for Poisson's equation,
-    1996).
+    Cells are marked by decreasing error in `Solver.estimate_error`, equal ones together
+    (W. Doerfler, A convergent adaptive algorithm for Poisson's equation, 1996).
 
     Parameters
     ----------
     solver
         A solver in equilibrium.
     share
-        Share of the estimated error, more than 0 and up to 1. With 1 nearly all cells that have an
-        error are marked.
+        Share of the estimated error, more than 0 and up to 1, which marks nearly all cells.
 
     Returns
     -------
     ndarray
-        Local numbers of this rank's cells (n,), the same cells on any number of ranks.
+        Local numbers of this rank's marked cells (n,), the same cells on any number of ranks.
 
     Raises
     ------
     InputError
-        On all ranks: another share, or an estimate of no error at all.
+        On all ranks: an invalid share, or an estimated error of zero.
 
     Examples
     --------

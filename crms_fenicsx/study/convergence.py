@@ -32,15 +32,15 @@ class Convergence:
     Attributes
     ----------
     cells
-        Number of cells on each level.
+        Number of cells of each level.
     seconds
-        Time that each level has taken.
+        Wall time of each level.
     quantities
-        The numbers that were compared, by their names.
+        Compared numbers, by names.
     finest
-        The solver of the last level.
+        Solver of the last level.
     comm
-        Ranks that have them.
+        Ranks of the mesh.
     """
 
     cells: tuple[int, ...]
@@ -54,7 +54,7 @@ class Convergence:
         return checks.named("quantity", dict(self.quantities), name)
 
     def table(self) -> str:
-        """The values on all levels, their limits with bars, orders, and what to know of them."""
+        """Values of all levels, limits with bars, orders and remarks, as text."""
         heads = [f"{n} cells" for n in self.cells]
         rows = [["", *heads, "limit", "+-", "order", ""]]
         for name, one in self.quantities.items():
@@ -81,28 +81,28 @@ class Convergence:
         title: str = "",
         width: float = 8.0,
     ) -> Figure | None:
-        """Plot how far the levels are from the limits, over the cells' size. Collective.
+        """Plot differences from the limits over the size of cells. Collective.
 
         Parameters
         ----------
         filename
-            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+            Picture to write, in the format of its suffix (.png, .pdf, .svg ...); None returns it.
         names
-            Of the quantities; all by default.
+            Quantities; all by default.
         title
-            Of the picture.
+            Title of the picture.
         width
-            In inches.
+            Width in inches.
 
         Returns
         -------
         matplotlib.figure.Figure
-            On the first rank, without a file; a notebook shows it. Else None.
+            On the first rank, without a file, for notebooks; else None.
 
         Raises
         ------
         InputError
-            On all ranks: a file that cannot be written, or a quantity that does not exist.
+            On all ranks: a file that cannot be written, or an unknown quantity.
         """
         series = {}
         for name in self.quantities if names is None else names:
@@ -131,48 +131,47 @@ def convergence(
 ) -> Convergence:
     """Solve a roof on finer and finer meshes; limits of its results, with error bars. Collective.
 
-    Each level is built anew by the user's own function, on the mesh of the level before with each
-    cell divided into four, so that everything is solved as on the first mesh: found forms, friction
-    with its history, step-wise laws, added terms. A level has four times the cells and takes about
-    four times as long. Two levels give an estimate; the third shows whether it can be trusted. The
-    energy and the cables' tensions are always compared. The error is that of the mesh, not that of
-    the model.
+    The user's function builds and solves each level anew, on the mesh of the level before with each
+    cell divided into four, including form finding, the history of friction, step-wise laws and
+    added terms. A level takes about four times as long as the one before. Two levels give an
+    estimate, a third shows whether to trust it. Energy and tensions are always compared. The bars
+    are for the error of the mesh, not of the model.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it, brings the loads on, and returns the
-        solver. Lengths that a cable gets from the mesh, as one laid just taut, it then gets from
-        each mesh. Give the solver no folder of results: all levels would write into it.
+        Function of a mesh that makes scene and solver, applies the loads, and returns the solver.
+        Cables laid just taut get their lengths from each mesh. Give the solver no folder for
+        results, as all levels would write into it.
     mesh
         The coarsest mesh.
     levels
         Number of meshes, this one included.
     points
-        Stress-free places (3,) by names, whose displacements are compared (length).
+        Stress-free places (3,), by names, for displacements (length).
     reactions
-        Groups of held vertices whose total reactions are compared (force).
+        Groups of held vertices, for total reactions (force).
     stresses
-        Parts of the mesh, or "membrane" for all of it, of which the mean and the largest true
-        section force are compared (force per length). At re-entrant corners and ends of supports
-        the largest one may have no limit; the table then says that differences grow.
+        Parts of the mesh, or "membrane" for all of it, for the mean and the largest true section
+        force (force per length). The largest one may have no limit at re-entrant corners and ends
+        of supports; the table then says that differences grow.
     quantities
-        Other numbers, functions of a solver, by names.
+        Functions of a solver that return further numbers, by names.
     project
-        Where new vertices belong, as for `meshes.refine`.
+        Projection of new vertices, as for `meshes.refine`.
 
     Returns
     -------
     Convergence
-        With a table (``print`` it) and a plot.
+        The results, with a table (``print``) and a plot.
 
     Raises
     ------
     InputError
-        On all ranks: `build` is no such function, a number of levels below 2, or a point, group,
-        part or function that cannot be used; the last three after the coarsest level.
+        On all ranks: no such function, fewer than 2 levels, or an invalid point, group, part or
+        function; the last three after the coarsest level.
     ConvergenceError, PathError
-        As `build` on one of the meshes.
+        From `build` on one of the meshes.
 
     Examples
     --------

@@ -29,42 +29,40 @@ def combine_in_groups(
     report: str | Path | None = None,
     **options: Any,
 ) -> dict[str, Case]:
-    """Bring on combinations of loads in groups of processes that work side by side. Collective.
+    """Solve combinations of loads in groups of processes side by side. Collective.
 
-    A scene of moderate size gains little from more processes; many combinations of it do. The
-    processes are divided into groups; each builds the scene on a copy of the mesh of its own and
-    takes every `groups`-th combination.
+    One scene of moderate size gains little from more processes, many combinations gain much. Each
+    group builds the scene on its own copy of the mesh and takes every `groups`-th combination.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it and returns the solver at the base
-        state. All groups must build the same. A folder for results cannot be shared: give `Solver`
-        none.
+        Function of a mesh that makes scene and solver and returns the solver in the base state,
+        the same in all groups. Give the solver no folder for results, which cannot be shared.
     mesh
-        The mesh, on all processes that are to be used.
+        The mesh, on all processes.
     combinations, steps
         As for `Solver.combine`.
     groups
-        How many groups, at most as many as processes.
+        Number of groups, at most that of processes.
     report
-        File of a report about all combinations, as for `Solver.report`; None writes none.
+        File for a report on all combinations, as for `Solver.report`; None writes none.
     **options
-        Of the report, as for `Solver.report`: ``title``, ``unit``, ``force``, ``pictures`` ...
+        Options of `Solver.report`: ``title``, ``unit``, ``force``, ``pictures`` ...
 
     Returns
     -------
     dict
-        Of each combination, in their order, a `Case` with its ``summary`` and its ``verification``,
-        the same on all processes.
+        A `Case` with ``summary`` and ``verification`` for each combination, in their order, the
+        same on all processes.
 
     Raises
     ------
     InputError
-        On all processes, and before a combination is computed: one that cannot be brought on, more
-        groups than processes, `build` returns no solver, or a report that cannot be written.
+        On all processes, before any combination is solved: an invalid combination, more groups
+        than processes, a `build` that returns no solver, or a report that cannot be written.
     ConvergenceError
-        On all processes: a combination has no equilibrium; it says which.
+        On all processes: a combination without equilibrium, which is named.
 
     Examples
     --------

@@ -46,23 +46,23 @@ SAME = 1e-7
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number on several meshes, and where it goes.
+    """A number on several meshes and its limit.
 
     Attributes
     ----------
     values
-        From the coarsest mesh to the finest.
+        Values from the coarsest mesh to the finest.
     limit, bar
-        The value extrapolated to fine meshes, and how far it may be from the truth of the model:
-        the bar held it in 19 of 20 cases with a known limit.
+        Value extrapolated to fine meshes, and its error bar: it held the exact value in 19 of 20
+        cases with a known limit.
     order
-        Order of convergence that the last three levels show; NaN where they show none.
+        Order of convergence on the last three levels; NaN without one.
     regular
-        Whether the order is one that the bar counts on; else the bar is as wide as levels scatter.
+        Whether the bar relies on the order; else it is as wide as the levels scatter.
     remark
-        What to know of it, in words.
+        Remark for the table.
     size
-        Size of the numbers of its kind, as of the whole vector that it is a component of.
+        Scale of the number, such as the length of the vector that it is a component of.
     """
 
     values: tuple[float, ...]
@@ -75,7 +75,7 @@ class Quantity:
 
     @property
     def error(self) -> float:
-        """How far the value on the first mesh may be from the truth."""
+        """Bound of the error on the first mesh."""
         return abs(self.values[0] - self.limit) + self.bar
 
 
