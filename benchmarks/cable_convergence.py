@@ -1,8 +1,8 @@
-"""What makes tensions of cables with little strain converge from far away: experiments.
+"""Convergence of the tensions of cables with little strain on coarse meshes: experiments.
 
 A ring just taut around an inflated sphere, a hoop around an inflated cylinder, both against an
 ordinary differential equation, and a great circle over the cap of `demos/cable_net.py`. Units: m,
-kN. What follows from the figures is in `docs/benchmarks/cable_accuracy.md`.
+kN. `docs/benchmarks/cable_accuracy.md` has the conclusions.
 
     ./run python benchmarks/cable_convergence.py
 """
