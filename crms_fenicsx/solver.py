@@ -275,7 +275,7 @@ class Solver:
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
-                jump = search.find(before, done, goal, balanced) if outcome.bent else None
+                jump = search.find(before, done, goal, balanced) if outcome.nonconvex else None
                 step = Step(
                     number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
                     found.verification, found.warnings if jump is None else (jump, *found.warnings),

@@ -168,7 +168,7 @@ def arrange(
     found.sort(key=lambda meeting: (meeting.first, meeting.along[0]))
     links, ends, along = _lower_first(found, plain, cables)
     at = positions[links] + along[..., None] * (positions[ends] - positions[links])
-    crossings = _gone_on(
+    crossings = _continued(
         zip(
             map(tuple, lists(plain.cable[links])), (one.point.support for one in found),
             map(tuple, lists(plain.place[links])), vectors((at[:, 0] + at[:, 1]) / 2),
@@ -216,7 +216,7 @@ def arrange(
     return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
 
 
-def _gone_on(
+def _continued(
     found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array]]
 ) -> list[Crossing]:
     """Crossings, continuing the nearest known ones of the same cables at their given places, or

@@ -123,7 +123,7 @@ class ActiveSet:
         """Whether a cable has not moved since the last load step."""
         return self._memory is not None and self._memory.has_rested(cable)
 
-    def restless(self) -> str:
+    def cycling_cable(self) -> str:
         """Name of a cable that keeps switching between slack and taut; "" if none does."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 

@@ -223,7 +223,7 @@ class Unknowns(LocalBlocks):
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
         """Pass forces `g` (n, 3) of tied points on to vertices, and of ghosts to their owners."""
-        self.hand_over(g)
+        self.transfer_tied_forces(g)
         self.add_ghosts(vector)
 
 

@@ -79,7 +79,7 @@ class LocalBlocks:
             np.einsum("ni,n->ni", self.directions, self._along, out=self._at_edge_sliders)
             values[self.edge_sliders] = self._at_edge_sliders
 
-    def hand_over(self, g: Array) -> None:
+    def transfer_tied_forces(self, g: Array) -> None:
         """Transfer the tied points' forces to their vertices."""
         if self.n_loaded:
             tied_points = self.tied_points[: self.n_loaded]
@@ -88,7 +88,7 @@ class LocalBlocks:
             np.add.at(g.reshape(-1), self._loaded_components, parts.ravel())
             g[tied_points] = 0.0
 
-    def carriers(self) -> tuple[Indices, Array]:
+    def tie_weights(self) -> tuple[Indices, Array]:
         """Blocks that carry each block, and their weights, (n_local, 3)."""
         blocks = np.zeros((self.n_local, 3), dtype=np.int32)
         shares = np.zeros((self.n_local, 3))
@@ -101,7 +101,7 @@ class LocalBlocks:
         Returns places (2, m): local rows and columns; sources, weights (m,): block and weight."""
         if self.n_tied_points == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))
-        blocks, share = self.carriers()
+        blocks, share = self.tie_weights()
         rides = np.zeros(self.n_local, dtype=bool)
         rides[self.tied_points] = True
         spreads = rides[rows] | rides[cols]

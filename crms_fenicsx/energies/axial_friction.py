@@ -82,7 +82,7 @@ class Chains:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _StuckRun:
     """Spans of a cable between two sticking nodes: they share one elongation."""
 
     first: int
@@ -109,7 +109,7 @@ class CapstanTension(EnergyTerm):
         self.slips, self.unstressed = grips.slips.copy(), np.zeros(self.n_spans)
         self._friction, self._force = np.zeros(len(c.EA)), np.zeros(self.n_nodes)
         self._solved: Array | None = None
-        self._runs: list[_Run] = []
+        self._runs: list[_StuckRun] = []
         self.pattern = SegmentPattern(c.segments)
         self._prepare_links()
         self.patterns = (self.pattern, self.span_pattern)
@@ -212,7 +212,7 @@ class CapstanTension(EnergyTerm):
         self.pattern.add(A)
         self._add_links(x, sums, A)
 
-    def _find_runs(self, sums: Array) -> list[_Run]:
+    def _find_runs(self, sums: Array) -> list[_StuckRun]:
         """Taut runs of spans between sticking nodes. A node sticks if its secant friction stiffness
         ``force / slip`` exceeds that of the cable beside it: many barely slip, and soon stick."""
         grips, lengths = self.grips, sums[: self.n_spans]
@@ -232,14 +232,14 @@ class CapstanTension(EnergyTerm):
                         nodes.start + int(b) if own.stop < spans.stop else -1,
                     )
                     stretch = float(length / unstressed)
-                    runs.append(_Run(own.start, own.stop - 1, ends, EA / unstressed, stretch))
+                    runs.append(_StuckRun(own.start, own.stop - 1, ends, EA / unstressed, stretch))
         return runs
 
     def dyads(self, sums: Array) -> Array:
         """Axial stiffness of the longest runs of spans (force/length)."""
-        return np.array([run.stiffness for run in self._dyad_runs(sums)])
+        return np.array([run.stiffness for run in self._longest_runs(sums)])
 
-    def _dyad_runs(self, sums: Array) -> list[_Run]:
+    def _longest_runs(self, sums: Array) -> list[_StuckRun]:
         self._solve(sums)
         several = [run for run in self._find_runs(sums) if run.last > run.first]
         several.sort(key=lambda run: run.first - run.last)
@@ -285,7 +285,7 @@ class CapstanTension(EnergyTerm):
         c, X = self.chains, self.unknowns.X
         stiffness, stretch = np.zeros(self.n_spans), np.ones(self.n_spans)
         EA = np.repeat(c.EA, np.diff(c.starts))
-        dyads = {run.first for run in self._dyad_runs(sums)}
+        dyads = {run.first for run in self._longest_runs(sums)}
         for run in self._find_runs(sums):
             if run.first not in dyads:
                 own = slice(run.first, run.last + 1)

@@ -264,7 +264,7 @@ class MembraneEnergy(EnergyTerm):
     def links(self) -> Indices:  # type: ignore[override]
         """Vertex pairs along the sides of cells, if cells can be relaxed separately."""
         none = np.zeros((0, 2), dtype=np.int32)
-        return none if self.twin is None else self.edges()
+        return none if self.elementwise is None else self.edges()
 
     def edges(self) -> Indices:
         """Blocks of the vertices of all local edges, (n, 2)."""

@@ -31,7 +31,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.runtime.arrays import EPSILON, Array
 
-TURNS = 200
+MAX_ITERATIONS = 200
 """Limit of Newton steps and bisections; about ten suffice from any start to the last digit."""
 
 
@@ -48,7 +48,7 @@ def find_level(
     (length cubed), volume (length cubed), level (length)."""
     low, high, step = -float("inf"), float("inf"), volume ** (1 / 3)
     total = sums.copy()
-    for _ in range(TURNS):
+    for _ in range(MAX_ITERATIONS):
         fill(level)
         comm.Allreduce(sums, total, op=MPI.SUM)
         smoothing_length, area = float(total[-2]) - volume, float(total[-1])

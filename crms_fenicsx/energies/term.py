@@ -21,7 +21,7 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 
 
 @dataclass(frozen=True)
-class CompiledCells:
+class ElementwiseTerms:
     """Creates element-wise terms in place of a term that is assembled by DOLFINx."""
 
     # elements_on, of_elements: as the term's methods
@@ -125,7 +125,7 @@ class EnergyTerm(ABC):
     patterns: Sequence[BlockPattern] = ()
     columns: ColumnPattern | None = None
     active: Booleans | None = None
-    twin: CompiledCells | None = None
+    elementwise: ElementwiseTerms | None = None
     unknowns: Unknowns
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -187,15 +187,15 @@ class EnergyTerm(ABC):
         """Return this rank's elements that depend on chosen blocks.
 
         Any rank can make a term of them by `of_elements`, in which these blocks move and others are
-        fixed. By default those of `twin`. With None, this term's forces are held, which is exact
-        for energies linear in these blocks.
+        fixed. By default those of `elementwise`. With None, this term's forces are held, which is
+        exact for energies linear in these blocks.
 
         Parameters
         ----------
         chosen : (n_local,)
             Whether a block moves, ghosts included. The state is that of the last `sums`.
         """
-        return None if self.twin is None else self.twin.elements_on(chosen)
+        return None if self.elementwise is None else self.elementwise.elements_on(chosen)
 
     def of_elements(self, table: Any, sums: Array) -> EnergyTerm:
         """Make a term of elements from this term on some rank, joined or renumbered.
@@ -207,8 +207,8 @@ class EnergyTerm(ABC):
         sums
             The global sums; the state is that of the last `sums`.
         """
-        assert self.twin is not None, f"{type(self).__name__} is not made of elements"
-        return self.twin.of_elements(table)
+        assert self.elementwise is not None, f"{type(self).__name__} is not made of elements"
+        return self.elementwise.of_elements(table)
 
     def dyad_columns(self, x: Array, sums: Array) -> None:
         """Put the dyads of a term that was `split` into its `columns`."""

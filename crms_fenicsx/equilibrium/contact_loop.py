@@ -97,8 +97,8 @@ class ContactLoop:
                 if not looked and look is not None:
                     look()
                 return total
-            if active.restless():
-                reason = f"{active.restless()} keeps turning from slack to taut and back"
+            if active.cycling_cable():
+                reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
 
     def _weakest(self) -> float:

@@ -48,7 +48,7 @@ class Contribution:
         """Correct the cable lengths for smoothing and return whether that changed them."""
         return False
 
-    def caught_nodes(self, limit: float) -> set[NodeId]:
+    def kinked_nodes(self, limit: float) -> set[NodeId]:
         """Fold points with an edge kink above a limit (rad). Collective."""
         return set()
 

@@ -18,7 +18,7 @@ from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEne
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure, FoldedWind
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
-from crms_fenicsx.energies.term import CompiledCells, EnergyTerm
+from crms_fenicsx.energies.term import ElementwiseTerms, EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.equilibrium.membrane_contribution import (
     MembraneContribution,
@@ -48,10 +48,10 @@ class PlainCells:
         rows: Integers = rows_on(*rows_of(self.blocks), chosen)
         return rows
 
-    def membrane(self) -> CompiledCells:
+    def membrane(self) -> ElementwiseTerms:
         """Compiled counterpart of their strain energy."""
         stiffening = self._energy.stiffening
-        return CompiledCells(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
+        return ElementwiseTerms(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
 
     def _cells(self, chosen: Booleans) -> FoldedCells | None:
         """The cells with any chosen vertex, (n_local,)."""
@@ -76,7 +76,7 @@ class PlainCells:
 
     def pressure(
         self, pressed: fem.Function, pressure: fem.Constant, origin: Array
-    ) -> CompiledCells:
+    ) -> ElementwiseTerms:
         """Compiled counterpart of the pressure on the pressed cells among them."""
 
         def facets(chosen: Booleans) -> Facets | None:
@@ -86,7 +86,9 @@ class PlainCells:
             table = Facets(self.blocks[rows], np.ones(len(rows)), none)
             return table if len(rows) else None
 
-        return CompiledCells(facets, lambda table: FoldedFollowerPressure(table, pressure, origin))
+        return ElementwiseTerms(
+            facets, lambda table: FoldedFollowerPressure(table, pressure, origin)
+        )
 
 
 class FoldContribution(Contribution):
@@ -139,10 +141,10 @@ class FoldContribution(Contribution):
         if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
             return
         cells = PlainCells(unknowns, energy)
-        energy.twin = cells.membrane()
+        energy.elementwise = cells.membrane()
         if isinstance(pressure.term, FollowerPressure):
             centre = self.scene.membrane.centre
-            pressure.term.twin = cells.pressure(pressure.cells, pressure.value, centre)
+            pressure.term.elementwise = cells.pressure(pressure.cells, pressure.value, centre)
 
     def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
         membrane = self.membrane
@@ -166,7 +168,7 @@ class FoldContribution(Contribution):
 
         return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
 
-    def caught_nodes(self, limit: float) -> set[NodeId]:
+    def kinked_nodes(self, limit: float) -> set[NodeId]:
         """As `Contribution`, at the last evaluated state; empty with the literal penalty."""
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()

@@ -91,7 +91,7 @@ class FrameStability:
 
     def of_joints(self) -> list[StateWarning]:
         """Warnings for a frame detached from the membrane."""
-        return [self._told(dict(zip(self.scene.joints, self._falling[0], strict=True)))] if len(
+        return [self._warning(dict(zip(self.scene.joints, self._falling[0], strict=True)))] if len(
             self._falling
         ) else []  # fmt: skip
 
@@ -108,9 +108,9 @@ class FrameStability:
     def of_ends(self, ends: Sequence[BarEnd], compliance: Array) -> StateWarning:
         """Warning from the compliance of bar ends, (3 n, 3 n)."""
         way = np.linalg.eigh(compliance)[1][:, 0].reshape(-1, 3)
-        return self._told(dict(zip(ends, way, strict=True)))
+        return self._warning(dict(zip(ends, way, strict=True)))
 
-    def _told(self, way: dict[BarEnd, Array]) -> StateWarning:
+    def _warning(self, way: dict[BarEnd, Array]) -> StateWarning:
         """Warning that names the bar or joint that moves in a mode."""
 
         def falls(bar: PlacedBar) -> float:

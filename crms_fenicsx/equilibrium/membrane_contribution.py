@@ -62,7 +62,7 @@ class MembraneContribution(Contribution):
     def unfold(self) -> None:
         """Make all cells plain."""
         self.energy.plain.x.array[:] = 1.0
-        self.energy.twin = None
+        self.energy.elementwise = None
         self.has_folds = False
 
     def fold(self, cells: Indices) -> None:
@@ -150,7 +150,7 @@ class PressureContribution(Contribution):
             if idle and self.scene.air.sealed is None:
                 return []
             self.term = self._make_term()
-        self.term.twin, self.sealed = None, None
+        self.term.elementwise, self.sealed = None, None
         if self._stepwise is not None:
             if not self.membrane.has_folds:
                 self._stepwise.volume_n += float(self.folded_volume[0])

@@ -71,7 +71,7 @@ class PathLoop:
             if not flips:
                 caught: set[int] = set()
                 if settled:
-                    caught, sunken = self._caught(CAUGHT), self._sunk()
+                    caught, sunken = self._kinked_cables(CAUGHT), self._sunk()
                     caught = self._sliding(caught | sunken) - laid_again
                     # A cable through the membrane is shorter: its energy is no bound.
                     energy = math.inf if sunken & caught else self.system.objective
@@ -128,7 +128,7 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = self.system.caught_cables(STUCK) | self._sunk()
+        caught = self.system.kinked_cables(STUCK) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh; make it finer there"
@@ -171,15 +171,15 @@ class PathLoop:
 
         from crms_fenicsx.paths.friction_release import straighten_kinks
 
-        return straighten_kinks(self.change, self.tried, self.system.caught_nodes(TENSE))
+        return straighten_kinks(self.change, self.tried, self.system.kinked_nodes(TENSE))
 
     def _scale(self) -> float:
         """Sum of the absolute energies of all kinds (force x length)."""
         return sum(map(abs, self.scene.energies.values()))
 
-    def _caught(self, limit: float) -> set[int]:
+    def _kinked_cables(self, limit: float) -> set[int]:
         """Numbers of the cables that kink edges beyond a limit (rad) or are tangled."""
-        return self.system.caught_cables(limit) | tangled(self.scene.net.crossings)
+        return self.system.kinked_cables(limit) | tangled(self.scene.net.crossings)
 
     def _sliding(self, numbers: set[int]) -> set[int]:
         """Those cables, by number, that slide sideways without friction."""

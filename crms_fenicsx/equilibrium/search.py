@@ -51,7 +51,7 @@ class FrictionLoop:
     def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Solve until the friction forces are consistent with the state. Collective. While these
         change much, states are only computed near their equilibrium."""
-        solve, lags = self._solve, self._lags()
+        solve, lags = self._solve, self._friction_iterations()
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
@@ -89,7 +89,7 @@ class FrictionLoop:
         reason = f"friction forces still change by {change:.1%} after {outcome.passes} passes"
         return replace(outcome, converged=False, reason=reason)
 
-    def _lags(self) -> list[LateralIteration | AxialIteration]:
+    def _friction_iterations(self) -> list[LateralIteration | AxialIteration]:
         """Iterations of the lateral and axial friction forces of all cables."""
         lags: list[LateralIteration | AxialIteration] = []
         for cable in self.scene.cables:

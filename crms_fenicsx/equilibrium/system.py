@@ -222,7 +222,7 @@ class System:
             raise
         self._solved = outcome.converged
         far = outcome.converged and self._moved(start) > FAR * self.scene.membrane.size
-        return replace(outcome, bent=far and not is_convex_from(self.potential, start))
+        return replace(outcome, nonconvex=far and not is_convex_from(self.potential, start))
 
     def _moved(self, start: Array) -> float:
         """Largest movement (length) of a vertex or joint since a start. Collective."""
@@ -234,13 +234,13 @@ class System:
         largest = float(squares.max(initial=0.0))
         return float(self.scene.comm.allreduce(largest, op=MPI.MAX)) ** 0.5
 
-    def caught_nodes(self, limit: float) -> set[NodeId]:
+    def kinked_nodes(self, limit: float) -> set[NodeId]:
         """Fold points with an edge kink above a limit (rad). Collective."""
-        return set().union(*(part.caught_nodes(limit) for part in self.contributions))
+        return set().union(*(part.kinked_nodes(limit) for part in self.contributions))
 
-    def caught_cables(self, limit: float) -> set[int]:
+    def kinked_cables(self, limit: float) -> set[int]:
         """Numbers of the cables with caught nodes."""
-        return {c for c, _ in self.caught_nodes(limit)}
+        return {c for c, _ in self.kinked_nodes(limit)}
 
     @property
     def has_history(self) -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import held_nodes, wrap_angles
 from crms_fenicsx.friction.slip import node_slips
-from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, LateralLaw
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -52,7 +52,7 @@ class Slip:
         return np.asarray(np.maximum(self.work - self.eps * elastic_part(share), 0.0))
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
-        """Law of these slips with the other ones fixed, as in `SidewaysLaw`."""
+        """Law of these slips with the other ones fixed, as in `LateralLaw`."""
         # Where this slip is small relative to the other, the force is share = work/other; the width
         # gives the law this slope.
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
@@ -108,7 +108,7 @@ def slips_sideways(
 
 def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
-) -> SidewaysLaw | None:
+) -> LateralLaw | None:
     """Lateral law reduced by axial friction at the nodes with friction; None if unchanged."""
     friction, axial = cable.cable.sideways, cable.axial
     assert friction is not None
@@ -128,10 +128,10 @@ def law_sideways(
     fixed = np.array([not cable.nodes[k].slides for k in nodes], dtype=bool)
     law[:, fixed] = 1.0
     law[0, fixed] = np.sqrt(1 - along.mobilised[fixed] ** 2)
-    return SidewaysLaw(*law)
+    return LateralLaw(*law)
 
 
 def law_along(sideways: Slip, along: Slip) -> tuple[Array, Array, Array]:
-    """Axial law reduced by lateral friction, as in `SidewaysLaw`."""
+    """Axial law reduced by lateral friction, as in `LateralLaw`."""
     u, v = shares(sideways, along)
     return along.law(v, sideways.plastic(u))

@@ -37,7 +37,7 @@ from crms_fenicsx.friction.slip import (
     succession,
 )
 from crms_fenicsx.meshes.triangles import norm
-from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, LateralLaw
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -127,7 +127,7 @@ def remap(cable: LaidCable) -> None:
         for gone, new in heirs:
             if gone.stop > gone.start and not set(new) & set(stays):
                 law[:, new] = old[:, gone].mean(axis=1, keepdims=True)
-        cone = SidewaysLaw(*law)
+        cone = LateralLaw(*law)
     cable.update(lateral=replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone))
 
 

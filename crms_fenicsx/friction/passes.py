@@ -68,10 +68,10 @@ SETTLED, NEARLY = 1e-3, 0.02
 LEAST_SHARE = 0.1
 """Least relaxation factor for the distribution of the bounds."""
 
-STEEPEST = 0.9
+MAX_SLOPE = 0.9
 """Upper limit of the slope of the fixed-point map of their sum."""
 
-AGAINST = 30.0
+MIN_SLOPE = 30.0
 """Limit of a negative slope, where the state responds to a larger sum with a smaller one."""
 
 
@@ -131,7 +131,7 @@ class LateralIteration:
         if self._sums is not None and here[0] != self._sums[0]:
             slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
         self._sums = here
-        step = (here[1] - here[0]) / (1 - min(max(slope, -AGAINST), STEEPEST))
+        step = (here[1] - here[0]) / (1 - min(max(slope, -MIN_SLOPE), MAX_SLOPE))
         return float(np.exp(here[0] + step))
 
 

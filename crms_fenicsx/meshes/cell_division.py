@@ -17,7 +17,7 @@ from dolfinx.mesh import refine as bisect
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, gathered, shared_out
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distribute, gathered
 from crms_fenicsx.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.meshes.surface import EMPTY, CheckedSurface, Projection, check_areas
 from crms_fenicsx.runtime import checks
@@ -96,7 +96,7 @@ def refine(
         if mesh.comm.rank == 0:
             division = division if bisected is None else _fitted(surface, *bisected)
             finer = _divided(surface, division, onto)
-    return shared_out(mesh.comm, finer, ranks[division.parents], onto)
+    return distribute(mesh.comm, finer, ranks[division.parents], onto)
 
 
 def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Division:

@@ -9,7 +9,7 @@ import dolfinx.mesh
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed, vertex_nodes
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, build_and_distribute, vertex_nodes
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
@@ -76,7 +76,7 @@ def from_dolfinx(
     owners = None
     if pieces is not None:
         owners = np.repeat(np.arange(len(pieces)), [len(piece["cells"]) for piece in pieces])
-    return distributed(mesh.comm, build, outside, owners)
+    return build_and_distribute(mesh.comm, build, outside, owners)
 
 
 def mesh_tags(

@@ -172,10 +172,10 @@ def from_arrays(
             point_groups or {},
         )
 
-    return distributed(comm, arrays, outside, ranks)
+    return build_and_distribute(comm, arrays, outside, ranks)
 
 
-def distributed(
+def build_and_distribute(
     comm: MPI.Intracomm,
     build: Callable[[], SurfaceArrays],
     outside: Outside = UPWARD,
@@ -188,10 +188,10 @@ def distributed(
             arrays = build()
             surface, project = checked_surface(arrays, outside), arrays.project
             given = None if ranks is None else checked_ranks(surface, ranks, comm.size)
-    return shared_out(comm, surface, given, project)
+    return distribute(comm, surface, given, project)
 
 
-def shared_out(
+def distribute(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None, project: Projection | None
 ) -> MembraneMesh:
     """Distribute a surface from rank 0, to given ranks of the cells if there are any."""
@@ -262,7 +262,7 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
         given.apply_defaults()
         comm, ranks = given.arguments.pop("comm"), given.arguments.pop("ranks")
         checks.same(comm, shape.__name__, **given.arguments)
-        return distributed(comm, lambda: shape(*args, **kwargs), ranks=ranks)
+        return build_and_distribute(comm, lambda: shape(*args, **kwargs), ranks=ranks)
 
     generate.__signature__ = signature.replace(  # type: ignore[attr-defined]
         return_annotation=MembraneMesh
@@ -277,7 +277,7 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
 
 
-def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
+def redistributed(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
     """Redistribute a mesh over a subset of its ranks. Collective on all of its ranks."""
     surface, _ = gathered(mesh)
     surface = dataclasses.replace(surface, seam_links=EdgeTable.of(surface.cells).seam_links())
@@ -290,7 +290,7 @@ def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
     elif comm.rank == 0:
         sent = mesh.comm.recv(source=0)
     own, project = sent if comm.rank == 0 else (EMPTY, None)
-    return shared_out(comm, own, None, mesh.project if everywhere else project)
+    return distribute(comm, own, None, mesh.project if everywhere else project)
 
 
 def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:

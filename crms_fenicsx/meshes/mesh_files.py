@@ -19,7 +19,7 @@ from crms_fenicsx.meshes.gmsh_model import (
     surface_of_model,
 )
 from crms_fenicsx.meshes.isolated_reader import read_isolated
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, Ranks, distributed
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, Ranks, build_and_distribute
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
@@ -66,7 +66,7 @@ def from_gmsh(
             )
         return read_model(gmsh)
 
-    return distributed(comm, build, outside, ranks)
+    return build_and_distribute(comm, build, outside, ranks)
 
 
 def from_file(
@@ -128,7 +128,7 @@ def from_file(
         content = read_isolated(file, "meshio")
         return _named(file, lambda: _surface_of(content))
 
-    return distributed(comm, build, outside, ranks)
+    return build_and_distribute(comm, build, outside, ranks)
 
 
 def from_step(
@@ -187,7 +187,7 @@ def from_step(
         model = read_isolated(file, "STEP", repr(float(size)), unit)
         return _named(file, lambda: surface_of_model(model))
 
-    return distributed(comm, build, outside, ranks)
+    return build_and_distribute(comm, build, outside, ranks)
 
 
 def _read_script(file: Path) -> SurfaceArrays:

@@ -76,8 +76,8 @@ class ClusterMatrix:
 
     def _find_columns(self, of: ColumnPattern) -> tuple[Integers, Integers, Integers, Array]:
         """Column and block of the dyads' entries at moving blocks, with sources and weights."""
-        carriers, shares = self.layout.whole.carriers()
-        number, weights = self.layout.number[carriers[of.blocks]], shares[of.blocks]
+        tie_weights, shares = self.layout.whole.tie_weights()
+        number, weights = self.layout.number[tie_weights[of.blocks]], shares[of.blocks]
         sources, k = np.nonzero((number >= 0) & (weights != 0.0))
         return of.columns[sources], number[sources, k], sources, weights[sources, k]
 

@@ -31,9 +31,9 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     MembraneMultigrid,
     block_traces,
     set_defaults,
+    set_near_null_space,
     shift_diagonal,
     stiffen_across_edge_sliders,
-    tell_rigid_motions,
 )
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
@@ -133,7 +133,7 @@ class InitialHessian:
         if self._membrane is not None:
             self._membrane.assemble(held)
         elif not self._exact:
-            tell_rigid_motions(self.matrix, self.potential)
+            set_near_null_space(self.matrix, self.potential)
         self._dyads, columns = self.potential.dyad_columns(held)
         augmentable = self._augmented is not None and len(self._dyads) > 0
         self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"

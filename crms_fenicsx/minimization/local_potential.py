@@ -99,7 +99,7 @@ class LocalPotential:
 
     def _take_forces(self) -> None:
         """Set `g` from the forces accumulated on all blocks."""
-        self.layout.whole.hand_over(self._forces)
+        self.layout.whole.transfer_tied_forces(self._forces)
         np.take(self._forces, self.blocks, axis=0, out=self.g)
         self.layout.project(self.g)
 

@@ -119,7 +119,7 @@ def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Arr
     return shift
 
 
-def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
+def set_near_null_space(matrix: PETSc.Mat, potential: Potential) -> None:
     """Attach the rigid body modes as near null space for the coarse levels; the matrix has all
     blocks, or the vertices, which come first."""
     unknowns, comm = potential.unknowns, potential.comm
@@ -197,4 +197,4 @@ class MembraneMultigrid:
         rows = np.flatnonzero(held[:n]) + M.getOwnershipRange()[0]
         M.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         M.setOption(PETSc.Mat.Option.SPD, True)
-        tell_rigid_motions(M, self.potential)
+        set_near_null_space(M, self.potential)

@@ -106,7 +106,7 @@ class Minimizer:
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._relaxation: LocalRelaxation | None = None
-        self._aged, self._worn = True, math.inf
+        self._h0_is_outdated, self._most_h0_iterations = True, math.inf
         self._interrupt: Interrupt | None = None
         self._looks: tuple[float, ...] = ()
         self._interrupted = False
@@ -189,8 +189,8 @@ class Minimizer:
             return False
         searches = self.potential.evaluations - self._evaluations0 - iterations
         slow = iterations >= self._length and self._is_slow(iterations, residual)
-        self._aged = self._uses_h0 and (slow or searches >= REBUILD)
-        return self._aged or (not self._close and residual <= self._near)
+        self._h0_is_outdated = self._uses_h0 and (slow or searches >= REBUILD)
+        return self._h0_is_outdated or (not self._close and residual <= self._near)
 
     def _is_slow(self, iterations: int, residual: float) -> bool:
         """Whether finishing takes longer than rebuilding H0 and going on with that."""
@@ -221,7 +221,7 @@ class Minimizer:
 
     def reset_h0(self) -> None:
         """Start the next solve with a new H0, as another process would."""
-        self._aged = True
+        self._h0_is_outdated = True
 
     def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
         """Rebuild H0 at the current state, and set it in TAO the first time. `renewals`: rebuilds
@@ -233,9 +233,9 @@ class Minimizer:
         for stiffening in self._stiffenings():
             stiffening.set(prestress, failures, least)
             if self._newton_method.active:
-                stiffening.floor.value = self._newton_method.restraint
+                stiffening.floor.value = self._newton_method.wrinkle_stiffness
         self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
-        self._worn = 2 * REBUILD if least > FLOOR else math.inf
+        self._most_h0_iterations = 2 * REBUILD if least > FLOOR else math.inf
         near = self._residual0 < EXACT * self._scale and self._newton_method.trusts_exact
         if not self.h0.rebuild(exact=near and prestress == 0.0 and failures == 0):
             self.h0.rebuild()
@@ -287,7 +287,7 @@ class Minimizer:
         local = 0 if self._relaxation is None else self._relaxation.steps
         reason = "too many stages"
         # H0 holds the components in contact with a floor.
-        self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
+        self._h0_is_outdated |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
@@ -306,7 +306,7 @@ class Minimizer:
             # A Newton iteration takes one or two evaluations, a stage 5 to 30.
             stages += 1 / 8 if self._newton_method.active else 1
             self._residual0, self._tolerance = residual, tolerance
-            if self._uses_h0 and self._aged:
+            if self._uses_h0 and self._h0_is_outdated:
                 self._renew_h0(h0_prestress, factorizations, failures)
                 factorizations, renewed = factorizations + 1, iterations
             potential.x_vector.copy(self._x)
@@ -320,11 +320,13 @@ class Minimizer:
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
             reason = "too many stages" if ended >= 0 else REASONS.get(ended, f"TAO reason {ended}")
-            self._aged |= ended < 0
+            self._h0_is_outdated |= ended < 0
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
-        self._aged |= reason != "converged" or iterations - renewed > self._worn
+        self._h0_is_outdated |= (
+            reason != "converged" or iterations - renewed > self._most_h0_iterations
+        )
         converged = reason in ("converged", "interrupted")
         if not converged and rounding > tolerance:
             reason += endings.DROWNED.format(rounding)
@@ -368,8 +370,8 @@ class Minimizer:
         newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
         if newton.is_quick(residual, self._scale):
-            self._aged = True
+            self._h0_is_outdated = True
         elif newton.active:
             newton.check_progress(residual)
-        elif possible and self._aged and stages >= PATIENCE:
+        elif possible and self._h0_is_outdated and stages >= PATIENCE:
             newton.take_over(residual, self._residual0, self._scale)

@@ -29,7 +29,7 @@ STUBBORN, PATIENCE = 0.1, 8
 """Reduction of the residual by a stage above which Newton's method takes over, and the stages
 before that: cables that pass vertices take a few, which no Newton step speeds up."""
 
-RESTRAINT = 1e-2
+WRINKLE_STIFFNESS = 1e-2
 """Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual/force scale)."""
 
 NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
@@ -54,7 +54,7 @@ class NewtonMethod:
     """Newton steps on a potential, with H0 as its Hessian.
 
     Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
-    second derivatives in this solve; `restraint`: stiffness added to wrinkled cells,
+    second derivatives in this solve; `wrinkle_stiffness`: stiffness added to wrinkled cells,
     relative to that of taut ones.
     """
 
@@ -66,7 +66,7 @@ class NewtonMethod:
 
     def begin(self) -> None:
         """Begin a solve, inactive."""
-        self.active, self.restraint = False, RESTRAINT
+        self.active, self.wrinkle_stiffness = False, WRINKLE_STIFFNESS
         self.trusts_exact = self.relaxation is not None
         self._quick, self._failed = False, 0
         self._count, self._mark = 0, 0.0
@@ -86,7 +86,7 @@ class NewtonMethod:
             if not self._quick:
                 self._count, self._mark = 0, residual
             self.active = self._quick = True
-            self.restraint = FLOOR
+            self.wrinkle_stiffness = FLOOR
         elif self._quick:
             self.active = self._quick = False
         return self._quick
@@ -94,7 +94,7 @@ class NewtonMethod:
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
         self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
-        self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
+        self.wrinkle_stiffness = WRINKLE_STIFFNESS * (residual / max(scale, residual)) ** 0.5
 
     def check_progress(self, residual: float) -> None:
         """Give up if the residual has not fallen enough in `NEWTON_STAGES` iterations."""
@@ -134,7 +134,7 @@ class NewtonMethod:
         else:
             factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
             factor = factor if part == 1.0 else 1.0
-        self.restraint = min(factor * self.restraint, 1.0)
+        self.wrinkle_stiffness = min(factor * self.wrinkle_stiffness, 1.0)
         self._failed = 0 if fallen else self._failed + 1
         return fallen
 

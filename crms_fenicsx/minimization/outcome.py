@@ -53,7 +53,7 @@ class Outcome:
     # force scale of the scene, to which the tolerance is relative unless rounding is larger
     scale: float = 0.0
     # whether the energy was not convex on the way of a minimisation: possible snap-through
-    bent: bool = False
+    nonconvex: bool = False
 
     def __repr__(self) -> str:
         """One line."""
@@ -79,5 +79,5 @@ class Outcome:
             self.passes + other.passes,
             other.unsettled,
             other.scale,
-            self.bent or other.bent,
+            self.nonconvex or other.nonconvex,
         )

@@ -48,24 +48,24 @@ class Potential:
         self._sums = np.zeros(int(ends[-1]) + 1)
         self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
-        self._asked = self.x_vector.duplicate()
-        self._is_asked = self._is_summed = False
+        self._last_x = self.x_vector.duplicate()
+        self._has_last_x = self._is_summed = False
         """Whether the state is that of the minimiser's last evaluation; whether sums are valid."""
         unknowns.add_to_vertices(self._u, self.x)
 
     def destroy(self) -> None:
         """Free the PETSc vectors."""
-        for vector in (self.x_vector, self.g_vector, self._asked):
+        for vector in (self.x_vector, self.g_vector, self._last_x):
             vector.destroy()
 
     def place(self, X: PETSc.Vec | None = None) -> None:
         """Make X (or the content of `x`) the current state, including ghosts and DOLFINx's
         function. If X was the minimiser's last evaluation, all computed values stay valid."""
-        if X is None or not (self._is_asked and X.equal(self._asked)):
+        if X is None or not (self._has_last_x and X.equal(self._last_x)):
             self._place(X)
 
     def _place(self, X: PETSc.Vec | None) -> None:
-        self._is_asked = self._is_summed = False
+        self._has_last_x = self._is_summed = False
         if X is not None:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
@@ -124,8 +124,8 @@ class Potential:
     def objective_gradient(self, tao: PETSc.TAO | None, X: PETSc.Vec, G: PETSc.Vec) -> float:
         """TAO's callback: energy at X, and in G its gradient with held components zero."""
         self._place(X)
-        X.copy(self._asked)
-        self._is_asked = True
+        X.copy(self._last_x)
+        self._has_last_x = True
         energy = self.evaluate()
         self.free_gradient(G)
         return energy

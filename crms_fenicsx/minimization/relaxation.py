@@ -68,7 +68,9 @@ class LocalRelaxation:
         self._points[unknowns.vertex_blocks()] = self._points[unknowns.far_vertex_blocks()] = False
         self._n_points = self._count(self._points)
         # Forms over all cells may have no counterpart for the cells around some vertices.
-        alone = all(term.integral is None or term.twin is not None for term in potential.terms)
+        alone = all(
+            term.integral is None or term.elementwise is not None for term in potential.terms
+        )
         self._all, self._stuck = free if alone else self._points, np.zeros_like(free)
         self._n_all = self._count(self._all)
         pairs = [term.links for term in potential.terms if term.links is not None]

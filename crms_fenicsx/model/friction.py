@@ -168,7 +168,7 @@ class MaterialCurve:
 
 
 @dataclass(frozen=True)
-class SidewaysLaw:
+class LateralLaw:
     """Factors by which the cone changes the box's sideways law at n nodes."""
 
     bound: Annotated[Array, "n"]  # largest friction force
@@ -186,7 +186,7 @@ class LateralFrictionState:
     moving: Annotated[Array, "n"]  # (n,) sliding in this step: 1 left, -1 right, 0 none
     dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)
     known: bool = False  # whether the bounds come from a solved state, not from a first guess
-    cone: SidewaysLaw | None = None  # reduction by friction along the cable; None: none
+    cone: LateralLaw | None = None  # reduction by friction along the cable; None: none
 
     def rows(self, supports: Iterable[Support]) -> list[int]:
         """Rows of nodes in the arrays."""

@@ -51,11 +51,11 @@ class MembraneLoad:
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
-    def blows(self) -> bool:
+    def is_active_wind(self) -> bool:
         """Whether it follows the normals, with a nonzero factor."""
         return self.suction is not None and self.factor != 0.0
 
-    def turned(self, membrane: Membrane) -> MembraneLoad:
+    def with_current_normals(self, membrane: Membrane) -> MembraneLoad:
         """The load with forces of the current shape; unchanged if of fixed direction."""
         if self.suction is None or self.factor == 0.0:
             return self

@@ -105,7 +105,7 @@ class TriedPaths:
         """Copy of the rejected paths, by cable."""
         return {name: set(ways) for name, ways in self.refused.items()}
 
-    def runs_left(self, cable: LaidCable) -> set[tuple[int, ...]]:
+    def tried_runs(self, cable: LaidCable) -> set[tuple[int, ...]]:
         """Tried runs of vertices of a cable, to which new ones may be added."""
         return self.left.setdefault(cable.name, set())
 

@@ -232,7 +232,7 @@ class VertexTrials:
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
-        return self.tried.runs_left(self.change.net.cables[c])
+        return self.tried.tried_runs(self.change.net.cables[c])
 
     def _note(self, trials: list[Trial]) -> None:
         """Exclude these trials while the cable does not move."""

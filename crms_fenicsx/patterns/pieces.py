@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.edge_table import EdgeTable
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, shared_out
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distribute
 from crms_fenicsx.meshes.orientation import connected_labels
 from crms_fenicsx.meshes.surface import BOUNDARY, EMPTY, CheckedSurface
 from crms_fenicsx.meshes.triangles import cross, double_areas, lists, norm
@@ -198,7 +198,7 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     named = replace(whole.surface, parts=parts)
     first = named if mesh.comm.rank == 0 else EMPTY
     return Pieces(
-        shared_out(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
+        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
     )
 
 

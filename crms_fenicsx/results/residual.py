@@ -97,5 +97,5 @@ def tangent(system: System) -> Tangent:
     potential.evaluate()
     whole, sparse = exact_matrix(potential)
     inexact = {term.name: None for term in potential.terms if not term.exact_hessian}
-    inexact |= {load.name: None for load in system.scene.loads if load.blows}
+    inexact |= {load.name: None for load in system.scene.loads if load.is_active_wind}
     return Tangent(whole, sparse, tuple(inexact))

@@ -166,7 +166,7 @@ class IncrementSolver:
         outcome, verification = self.search.find(h0_prestress), None
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._turn_pressure(outcome)
-        if outcome.converged and any(load.blows for load in self.scene.loads):
+        if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
             outcome = self._turn_wind(outcome)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:

@@ -61,7 +61,7 @@ class SnapThroughSearch:
         sizes = [self._way(before, end)[0]]
         try:
             while len(sizes) < LEAST or (len(sizes) < MOST and not self._is_fine(part)):
-                halves = self._bent_halves(part, LEFT * sizes[-1])
+                halves = self._nonconvex_halves(part, LEFT * sizes[-1])
                 if halves is None:  # no equilibrium in between to narrow the interval
                     break
                 if not halves:
@@ -77,7 +77,7 @@ class SnapThroughSearch:
             return None
         return self._warning(part)
 
-    def _bent_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
+    def _nonconvex_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
         """Halves with non-convex energy and their displacements. Collective."""
         # None if there is no equilibrium in the middle. While the second half's displacement stays
         # large, it is not solved: a jump takes the most iterations.
@@ -97,9 +97,9 @@ class SnapThroughSearch:
                 return [(left, _Part(start, part.end, low, high))]
             end = self.increments.snapshot()
             size = self._way(start, end)[0]
-            if outcome.bent:
+            if outcome.nonconvex:
                 found.append((size, _Part(start, end, low, high)))
-            if outcome.bent and size >= large:
+            if outcome.nonconvex and size >= large:
                 break
             start = end
         return found
@@ -110,7 +110,7 @@ class SnapThroughSearch:
         outcome = self.increments.solve(
             self.target, self.first, part.start, part.low, part.high, self.steps
         ).outcome
-        return outcome.converged and not outcome.bent
+        return outcome.converged and not outcome.nonconvex
 
     def _is_fine(self, part: _Part) -> bool:
         """Whether a part narrows every load down to `FINE`."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, copied
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, redistributed
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.steps.load_cases import check_combinations
@@ -99,7 +99,7 @@ def combine_in_groups(
         )
     number = comm.rank * groups // comm.size
     own: Any = comm.Split(number, comm.rank)
-    copy = copied(mesh, own)
+    copy = redistributed(mesh, own)
     with raised_together(comm):
         solver = built("combine_in_groups", build, copy)
         check_combinations(solver.scene, combinations)

@@ -375,7 +375,7 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     """Crude ones with a warning; if they are nothing at all the step has not converged."""
     _, solver, cable = anchored(comm, Friction(0.2))
     lags = [Circling(change)]
-    monkeypatch.setattr(search.FrictionLoop, "_lags", lambda self: lags)
+    monkeypatch.setattr(search.FrictionLoop, "_friction_iterations", lambda self: lags)
     if change > 0.1:
         with pytest.raises(ConvergenceError, match=r"friction forces still change by 50\.0% after"):
             solver.advance(L0={cable: 0.985 * cable.length})

@@ -135,11 +135,11 @@ def test_a_combination_without_equilibrium_ends_all_groups(
 
 def test_groups_know_the_surface_of_the_mesh(comm: MPI.Intracomm) -> None:
     """New vertices lie on the sphere of the generator, on the copy of each group."""
-    from crms_fenicsx.meshes.membrane_mesh import copied
+    from crms_fenicsx.meshes.membrane_mesh import redistributed
 
     mesh = meshes.spherical_cap(comm, 4.0, 2.0, 1.5)
     own = comm.Split(comm.rank % 2, comm.rank)
-    copy = copied(mesh, own)
+    copy = redistributed(mesh, own)
     cells = [one.mesh.topology.index_map(2).size_global for one in (copy, mesh)]
     assert cells[0] == cells[1]
     x = meshes.refine(copy).mesh.geometry.x
