@@ -355,7 +355,7 @@ class Solver:
 
         Parameters
         ----------
-        A snapshot of the same scene.
+        snapshot
             A state of the same scene.
 
         Raises

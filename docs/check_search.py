@@ -1,8 +1,8 @@
-"""Ask the search of the built site, in a browser without a network, which page comes first.
+"""Check which page the search of the built site ranks first, in an offline browser.
 
     ./run docs --quick && python3 docs/check_search.py
 
-It needs Chromium or Chrome; the variable CRMS_BROWSER may name it.
+It requires Chromium or Chrome; the variable CRMS_BROWSER may name it.
 """
 
 import os
@@ -40,7 +40,7 @@ def found(browser: str, words: str) -> list[str]:
 
 
 def main() -> None:
-    """Ask for all words, and fail where another page comes first."""
+    """Search for all words, and fail if another page ranks first."""
     browser = os.environ.get("CRMS_BROWSER") or next(filter(shutil.which, BROWSERS), None)
     if browser is None:
         sys.exit("There is no Chromium or Chrome; name a browser in CRMS_BROWSER.")

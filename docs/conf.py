@@ -1,4 +1,4 @@
-"""How Sphinx builds the documentation: `./run docs`."""
+"""Sphinx configuration for `./run docs`."""
 
 import shutil
 import sys
@@ -65,7 +65,7 @@ myst_dmath_double_inline = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # `typed` writes them into numpydoc's sections
 toc_object_entries_show_parents = "hide"
-add_module_names = False  # each page says where to import from
+add_module_names = False  # each page names the module to import from
 autosummary_generate = True
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
@@ -90,7 +90,7 @@ copybutton_prompt_is_regexp = True
 
 
 class Order(ExplicitOrder):
-    """The order of the tutorials: the simplest first."""
+    """Order of the tutorials, the simplest first."""
 
     def __init__(self, folder):
         super().__init__([f"{name}.py" for name in TUTORIALS])
@@ -101,7 +101,7 @@ seen = {path: path.stat().st_mtime for path in demos.rglob("*.png")}
 
 
 def pictures(block, block_vars, gallery_conf):
-    """Show the pictures that a block of a demo has written, but for those joined of others."""
+    """Show the pictures written by a block of a demo, except the parts of joined ones."""
     written = sorted(demos.rglob("*.png"), key=lambda path: path.stat().st_mtime)
     new = [path for path in written if seen.get(path) != path.stat().st_mtime]
     seen.update((path, path.stat().st_mtime) for path in new)

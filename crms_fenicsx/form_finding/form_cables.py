@@ -28,8 +28,8 @@ class FormCable:
 
     Parameters
     ----------
-    Edge group of the mesh: one continuous line of edges, along the rim or inside the membrane.
-        membrane or inside.
+    group
+        Edge group of the mesh: one continuous line of edges, along the rim or inside the membrane.
     tension
         Tension T (force).
     force_density

@@ -44,8 +44,8 @@ class Sensitivities:
     ----------
     values : (n, m)
         Derivatives of the n results by the m parameters, the same on all ranks.
-    Results and parameters, as given.
-        The results and the parameters, as they were given.
+    of, by
+        Results and parameters, as given.
     inexact
         Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided

@@ -1,4 +1,4 @@
-"""Formulas in a site without a network: Debian's MathJax goes into the site's static files."""
+"""Offline formulas: copy Debian's MathJax into the site's static files."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ NEEDED = [
     "jax/output/SVG",
     "localization/en",
 ]
-"""What formulas of TeX drawn as SVG need of MathJax 2.7."""
+"""Files of MathJax 2.7 needed to render TeX formulas as SVG."""
 
 
 def _choose(app: Sphinx, config: object) -> None:
-    """Take MathJax from Debian's package where there is one, else as Sphinx does, from the web."""
+    """Use MathJax from Debian's package if installed, else from the web, as Sphinx does."""
     if DEBIAN.is_dir():
         app.config.mathjax_path = "mathjax.js"
         app.config.myst_update_mathjax = False
@@ -32,7 +32,7 @@ def _choose(app: Sphinx, config: object) -> None:
 
 
 def _copy(app: Sphinx, error: Exception | None) -> None:
-    """Copy what is needed of MathJax, with its licence."""
+    """Copy the needed files of MathJax, with its licence."""
     if error or app.builder.format != "html" or not DEBIAN.is_dir():
         return
     folder = Path(app.outdir, "_static", "mathjax")
@@ -50,7 +50,7 @@ def _copy(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Take part in the build."""
+    """Register the extension."""
     app.connect("config-inited", _choose, priority=100)
     app.connect("build-finished", _copy)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Plots of the tables on the pages of benchmarks: the table is the only place of a figure.
+"""Plots of the tables on benchmark pages, so that each figure is written only in its table.
 
     ```{plot}
     :x: h
@@ -8,11 +8,12 @@
     What the plot shows, as its alternative text.
     ```
 
-draws columns of the table above it over the column `x`. With `rows` the series are rows of the
-table, over the numbers in its head, or over those of the row named `x`: `:rows: T | W`, each the
-beginning of a row, with another name after "=". `split` makes a series of the rows with one word in
-that column; `log` names the logarithmic axes, `from` is where a linear axis begins, `slope` draws a
-line of that order. The directive `bars` draws the columns `y` as bars, a group for each row.
+draws columns of the table above it over the column `x`. With `rows`, rows of the table are drawn
+over the numbers in its header, or over those of the row named `x`: `:rows: T | W`, each the
+beginning of a row, optionally renamed after "=". `split` makes a series of the rows with one word
+in that column; `log` names the logarithmic axes, `from` the start of a linear axis, and `slope`
+draws a line of that order. The directive `bars` draws the columns `y` as bars, a group for each
+row.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ Series = tuple[str, list[float], list[float]]
 
 
 def number(cell: str) -> float | None:
-    """The number that a cell begins with, if any: 10 092, 0.63 to 0.70, -2e-5, 1.4 s."""
+    """The number at the beginning of a cell, if any: 10 092, 0.63 to 0.70, -2e-5, 1.4 s."""
     found = re.match(r"(-?(?:\d{1,3}(?: \d{3})+|\d*\.?\d+)(?:e[+-]?\d+)?)", cell.strip())
     return float(found[1].replace(" ", "")) if found else None
 
 
 def table_above(source: str, line: int) -> list[list[str]]:
-    """Cells of the last table before a line of a page; the first row is its head."""
+    """Cells of the last table above a line of a page; the first row is its header."""
     rows: list[list[str]] = []
     for text in reversed(source.splitlines()[:line]):
         if text.lstrip().startswith("|"):
@@ -69,7 +70,7 @@ def columns(table: list[list[str]], x: str, ys: list[str], split: str) -> Iterat
 
 
 def filled(rows: list[list[str]]) -> list[list[str]]:
-    """Rows whose empty first cells have what stands above them."""
+    """Rows whose empty first cells repeat the cell above."""
     found: list[list[str]] = []
     for row in rows:
         above = found[-1] if found and not row[0] else row
@@ -78,7 +79,7 @@ def filled(rows: list[list[str]]) -> list[list[str]]:
 
 
 def rows_of(table: list[list[str]], x: str, ys: list[str]) -> Iterator[Series]:
-    """Rows over the head or over the row `x`, by the beginnings of the rows."""
+    """Rows over the header or over the row `x`, selected by their beginnings."""
     known = {" ".join(cell for cell in row if cell): row for row in filled(table)}
     over = next((row for key, row in known.items() if x and key.startswith(x)), table[0])
     for name, label in map(named, ys):
@@ -89,20 +90,20 @@ def rows_of(table: list[list[str]], x: str, ys: list[str]) -> Iterator[Series]:
 
 
 def named(word: str) -> tuple[str, str]:
-    """The name of a row or column and what to call it, of "name" or "name = label"."""
+    """Name and label of a row or column, from "name" or "name = label"."""
     name, equals, label = word.rpartition(" = ")
     return (name.strip(), label.strip()) if equals else (word.strip(), word.strip())
 
 
 def series(name: str, pairs: list[tuple[str, str]]) -> Series:
-    """A series of the pairs of cells that are both numbers."""
+    """A series of those pairs of cells in which both are numbers."""
     numbers = [(number(a), number(b)) for a, b in pairs]
     kept = [(a, abs(b)) for a, b in numbers if a is not None and b is not None]
     return name.strip(), [a for a, _ in kept], [b for _, b in kept]
 
 
 def bars_of(table: list[list[str]], ys: list[str]) -> Iterator[Series]:
-    """Columns over the numbers of the rows; `draw_bars` has their names."""
+    """Columns over the row numbers; `draw_bars` has the row names."""
     head, *rows = table
     for y in ys:
         j = head.index(y.strip())
@@ -122,7 +123,7 @@ class Plot(SphinxDirective):
     }
 
     def run(self) -> list[nodes.Node]:
-        """The picture, with its alternative text."""
+        """The picture with its alternative text."""
         page = Path(self.env.doc2path(self.env.docname))
         table = table_above(page.read_text(), self.lineno)
         options = {"log": "xy", "x": "", "split": "", **self.options}
@@ -143,7 +144,7 @@ class Plot(SphinxDirective):
 
 
 def ticks(axis: Any, values: list[float], named: bool) -> None:
-    """Label a logarithmic axis: with the values if these are few and apart, else with 1, 2, 5."""
+    """Label a logarithmic axis with the values if few and well apart, else with 1, 2, 5."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     pairs = itertools.pairwise(values)
@@ -217,7 +218,7 @@ def draw_bars(lines: list[Series], options: dict[str, Any], path: Path) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Add the directive."""
+    """Register the directives."""
     app.add_directive("plot", Plot)
     app.add_directive("bars", Plot)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,7 +1,6 @@
-"""Types of arguments and attributes on the pages of the reference, from the annotations.
+"""Types of arguments and attributes in the reference, taken from the annotations.
 
-The docstrings do not repeat what the annotations say; here they become words: "sequence of str",
-"float or None".
+Docstrings do not repeat the annotations, which appear in words: "sequence of str", "float or None".
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ SEQUENCES = ("Sequence", "Iterable", "list", "frozenset", "set", "Iterator", "Co
 
 
 def words(node: ast.expr, names: dict[str, Any]) -> str:
-    """An annotation in words; aliases are those of the module with these names."""
+    """An annotation in words; `names` resolves aliases of its module."""
     match node:
         case ast.BinOp(left=left, op=ast.BitOr(), right=right):
             parts = [words(left, names), words(right, names)]
@@ -68,7 +67,7 @@ def generic(name: str, inner: ast.expr, names: dict[str, Any]) -> str:
 
 
 def alias(name: str, names: dict[str, Any]) -> str:
-    """A name in words: a class as it is called, another name as what it stands for."""
+    """A name in words: a class by its name, an alias by its meaning."""
     value = names.get(name)
     if value is None or (inspect.isclass(value) and not typing.get_args(value)):
         return name
@@ -81,7 +80,7 @@ def alias(name: str, names: dict[str, Any]) -> str:
 
 
 def annotations(obj: Any, owner: Any) -> dict[str, str]:
-    """Types of the arguments of a function or class and of a class's attributes, in words."""
+    """Types of a callable's arguments and of a class's attributes, in words."""
     names = vars(sys.modules.get(getattr(obj, "__module__", ""), owner))
     found: dict[str, Any] = {}
     if inspect.isclass(obj):
@@ -104,7 +103,7 @@ def annotations(obj: Any, owner: Any) -> dict[str, str]:
 
 
 def drop_internal(lines: list[str]) -> None:
-    """Leave out attributes that are said to be internal."""
+    """Omit attributes marked internal."""
     kept: list[str] = []
     within = False
     for i, line in enumerate(lines):
@@ -116,7 +115,7 @@ def drop_internal(lines: list[str]) -> None:
 
 
 def tell(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
-    """Write types behind the names in the sections of a docstring."""
+    """Add types to the names in a docstring's sections."""
     if what not in ("class", "exception", "function", "method") or not lines:
         return
     drop_internal(lines)
@@ -134,13 +133,13 @@ def tell(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: li
 def without_arguments(
     app: Sphinx, what: str, name: str, obj: Any, options: object, signature: object, returns: object
 ) -> tuple[str, None] | None:
-    """Leave out the arguments of classes whose objects the package makes."""
+    """Omit the arguments of classes that only the package instantiates."""
     made = what == "class" and "Parameters\n" not in inspect.cleandoc(obj.__doc__ or "")
     return ("", None) if made else None
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Listen before numpydoc reads the docstrings."""
+    """Register the hook that runs before numpydoc."""
     app.connect("autodoc-process-docstring", tell, priority=100)
     app.connect("autodoc-process-signature", without_arguments, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
