@@ -1,4 +1,4 @@
-"""Compensation adjusted until the sewn roof has the wanted section forces, or the wanted form."""
+"""Compensation adjusted until the sewn roof reaches the wanted section forces or form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.solver import Solver
 
 Build = Callable[[Pattern], Solver]
-"""Makes scene and solver of a pattern, brings the loads on, and returns the solver."""
+"""Function that sews a pattern, applies supports and loads and returns the solver."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Adjusted:
     Attributes
     ----------
     pattern
-        The pattern.
+        The adjusted pattern.
     solver
-        The solver of the roof that is sewn of it.
+        Solver of the roof sewn from it.
     comparisons
-        What was got before each update, and in the end.
+        Comparison with the wanted roof before each update and at the end.
     errors
-        Largest difference from what was wanted, relative to it, each time.
+        Largest relative error of each comparison.
     """
 
     pattern: Pattern
@@ -57,39 +57,39 @@ def adjust(
     tolerance: float = 1e-4,
     updates: int = 10,
 ) -> Adjusted:
-    """Change compensation until the sewn roof is the wanted one. Collective.
+    """Adjust the compensation until the sewn roof is as wanted. Collective.
 
-    With `forces` the roof gets the compensation with which its mean section forces are the wanted
-    ones. On a pneumatic roof these follow from pressure and shape, and compensation changes the
-    shape: leave `forces` out there, and the roof gets the compensation with which its mean lengths
-    along warp and weft are those of the wanted form.
+    With `forces`, the mean section forces are adjusted; without, the mean lengths along warp and
+    weft, to those of the wanted form. Leave `forces` out for a pneumatic roof: its section forces
+    follow from pressure and shape, and compensation changes the shape.
 
     Parameters
     ----------
     pattern
-        The pattern to begin with.
+        The initial pattern.
     build
-        A function of a pattern that sews it, brings supports and loads on and returns the solver.
+        Function that sews a pattern, applies supports and loads and returns the solver.
     forces
-        Wanted section forces along warp and weft, or one for both (force per length).
+        Wanted section forces along warp and weft, or one value for both (force per length).
     each
-        Whether each piece gets a compensation of its own, for its own means.
+        Whether to adjust each piece individually, by its own means.
     tolerance
-        Largest difference of the means, relative to the larger wanted force, or of lengths.
+        Largest error of the means: of section forces relative to the larger wanted one, or of
+        stretches.
     updates
-        Most of them.
+        Maximum number of updates.
 
     Returns
     -------
     Adjusted
-        The pattern, its solver, and what was got on the way.
+        The pattern, its solver, and the comparisons of all updates.
 
     Raises
     ------
     InputError
-        On all ranks: arguments that cannot be used, or a `build` that returns another roof.
+        On all ranks: an invalid argument, or a `build` that returns another roof.
     ConvergenceError
-        On all ranks: the roof is not the wanted one after all updates.
+        On all ranks: the error exceeds `tolerance` after all updates.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def adjust(
     found: list[Comparison] = []
     errors: list[float] = []
     names = [one.name for one in pattern.flat]
-    # logarithms of further stretches, and the changes that are called for there
+    # logarithms of the additional stretches, and the changes required at each iterate
     places: list[Array] = [np.zeros(2 * len(names) if each else 2)]
     changes: list[Array] = []
     while True:
@@ -140,8 +140,8 @@ def adjust(
 
 
 def _accelerated(places: list[Array], changes: list[Array]) -> Array:
-    """The next step of a fixed-point iteration by D. G. Anderson (J. ACM 12, 1965), which learns
-    how far the roof's edges give way."""
+    """Next step of the fixed-point iteration with Anderson acceleration (D. G. Anderson, J. ACM 12,
+    1965), which learns how flexible the roof's edges are."""
     depth = min(len(places) - 1, len(changes[-1]), 3)
     if depth == 0:
         return changes[-1]
@@ -151,8 +151,8 @@ def _accelerated(places: list[Array], changes: list[Array]) -> Array:
 
 
 def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[float, float]:
-    """Logarithms of further stretches along warp and weft, were the edges rigid."""
-    stretch = got.stretch  # what is too short is cut longer, and stretched less
+    """Logarithms of the additional stretches along warp and weft if the edges were rigid."""
+    stretch = got.stretch  # a piece that is too short is cut longer, hence stretched less
     if wanted is not None:
         assert isinstance(material, MembraneMaterial)
         stretch = 1.0 + np.linalg.solve(material.stiffness[:2, :2], wanted - got.mean)
@@ -161,7 +161,7 @@ def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[flo
 
 
 def _error(wanted: Array | None, got: SewnPiece) -> float:
-    """Largest difference from what is wanted."""
+    """Largest relative error of the section forces, or of the lengths."""
     if wanted is None:
         return float(np.abs(got.stretch - 1.0).max())
     return float(np.abs(got.mean - wanted).max() / np.abs(wanted).max())

@@ -1,4 +1,4 @@
-"""Compensation: how much shorter than the form the fabric is cut, so that it is stretched there."""
+"""Compensation: how much shorter than the form the fabric is cut, to be stretched into it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 MOST = 0.5
-"""No fabric is cut shorter, or longer, by this part."""
+"""Bound of the compensation, as a fraction: a larger one is an input error."""
 
 Profile = float | Sequence[tuple[float, float]]
-"""A number, or numbers at places along a piece, from 0 at its start to 1 at its end."""
+"""A number, or pairs of position along a piece (0 at its start, 1 at its end) and number."""
 
 
 @dataclass(frozen=True)
 class Shrink:
-    """Compensation of a piece: by which part it is cut shorter along warp and weft.
+    """Compensation of a piece: the fraction by which it is cut shorter along warp and weft.
 
     Parameters
     ----------
     warp, weft
-        Parts, .01 for 1 %: one each, or by section pairs of place and part, the place from 0 at
-        one end of the piece to 1 at the other along its warp; linear between them.
+        Fractions, .01 for 1 %: one value, or pairs of position along the warp (0 at one end of the
+        piece, 1 at the other) and fraction, interpolated linearly.
 
     Raises
     ------
     InputError
-        A part of 50 % or more, or places that do not ascend.
+        A fraction of 50 % or more, or positions that do not increase.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class Shrink:
                 raise InputError(f"Shrink: the places of {name} = {given!r} must ascend.")
 
     def at(self, places: Array) -> Array:
-        """Parts along warp and weft at places along a piece, (n, 2)."""
+        """Compensations along warp and weft at positions along a piece, (n, 2)."""
         found = [np.array(_stations("", given)) for given in (self.warp, self.weft)]
         return np.stack([np.interp(places, *one.T) for one in found], axis=1)
 
@@ -72,7 +72,7 @@ def _stations(what: str, given: object) -> list[tuple[float, float]]:
 
 
 def checked_part(what: str, value: object) -> float:
-    """A part by which fabric can be cut shorter."""
+    """A checked compensation."""
     part = checks.finite(what, value)
     if not -MOST < part < MOST:
         raise InputError(
@@ -84,16 +84,16 @@ def checked_part(what: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class EdgeShrink:
-    """De-compensation: what an edge has along itself instead of its piece's compensation.
+    """De-compensation: compensation along an edge, instead of its piece's.
 
     Parameters
     ----------
     part
-        By which part the piece is cut shorter along the edge; 0 where a clamping profile, which
+        Fraction by which the piece is cut shorter along the edge; 0 where a clamping profile, which
         cannot be stretched, has the length of the form.
     band
-        Width (length) of the strip along the edge over which this passes over, linearly, to the
-        piece's own compensation.
+        Width (length) of the strip along the edge over which the compensation changes linearly to
+        the piece's own.
     """
 
     part: float = 0.0
@@ -105,17 +105,17 @@ class EdgeShrink:
 
 
 def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) -> Shrink:
-    """Compensation with which a fabric has section forces in its form.
+    """Compensation that gives a fabric the wanted section forces in its form.
 
-    Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, where l are the
-    stretches and S = D E the law's forces.
+    Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, with stretches l
+    and second Piola-Kirchhoff forces S = D E.
 
     Parameters
     ----------
     material
         The fabric.
     forces
-        Section forces along warp and weft, or one for both (force per length).
+        Section forces along warp and weft, or one value for both (force per length).
 
     Returns
     -------
@@ -125,7 +125,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
     Raises
     ------
     InputError
-        Forces in compression, forces that the law does not have, or a `UflMembrane`.
+        Compressive forces, forces that the law cannot reach, or a `UflMembrane`.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
 def stretches_for(
     call: str, material: MembraneMaterial, forces: float | tuple[float, float]
 ) -> Array:
-    """Stretches (2,) along warp and weft with these forces per current length."""
+    """Stretches (2,) along warp and weft at the given section forces per current length."""
     if not isinstance(material, MembraneMaterial) or material.law == UFL_LAW:
         raise InputError(
             f"{call}: material = {material!r} has no linear law; give an IsotropicMembrane or "
@@ -167,11 +167,11 @@ def stretches_for(
 
 
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
-    """Width of strips up to which a double-curved roof has no compression along the warp.
+    """Largest strip width without compression along the warp in a doubly curved roof.
 
-    A strip of width W that takes the form is strained by ``K W**2 / 24`` in its middle and by
-    ``-K W**2 / 12`` at its edges, beside what compensation wants: on a dome the seams are slacker
-    than the middle, on a saddle the other way round and by half as much.
+    Besides the compensation strain, a strip of width W in its form has the strain ``K W**2 / 24``
+    in its middle and ``-K W**2 / 12`` at its edges: on a dome the seams are slacker than the
+    middle, on a saddle vice versa and by half as much.
 
     Parameters
     ----------
@@ -185,20 +185,19 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     Returns
     -------
     float
-        ``sqrt(12 n / (E t |K|))`` (length), on the safe side on a saddle; infinite without
-        curvature.
+        ``sqrt(12 n / (E t |K|))`` (length), conservative on a saddle; infinite without curvature.
     """
     K = checks.finite("largest_width: curvature", curvature)
     return width_in_tension(float(warp_moduli(material.stiffness)), force, K)
 
 
 def warp_moduli(stiffness: Array) -> Array:
-    """E t along the warp (...) of stiffness matrices (..., 3, 3)."""
+    """Moduli E t along the warp (...) of stiffness matrices (..., 3, 3)."""
     return np.asarray(1.0 / np.linalg.inv(stiffness)[..., 0, 0])
 
 
 def width_in_tension(modulus: float, force: float, curvature: float) -> float:
-    """`largest_width` of a fabric with a modulus E t along the warp."""
+    """`largest_width` of a fabric with the modulus E t along the warp."""
     n, K = checks.positive("largest_width: force", force), abs(curvature)
     return float(np.sqrt(12.0 * n / (modulus * K))) if K > 0.0 else float("inf")
 
@@ -206,7 +205,7 @@ def width_in_tension(modulus: float, force: float, curvature: float) -> float:
 def shrinks_of(
     call: str, given: Shrink | Mapping[str, Shrink] | None, known: Iterable[str]
 ) -> dict[str, Shrink]:
-    """Compensations by names of pieces and parts; "" is that of all."""
+    """Compensations by names of pieces and parts; "" stands for all."""
     if given is None:
         return {}
     found = dict(given) if isinstance(given, Mapping) else {"": given}

@@ -16,27 +16,27 @@ from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
 
 LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
-"""Layers and their colours."""
+"""DXF layers and their colour numbers."""
 UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
-"""Units by the codes of the format."""
+"""DXF codes of the units of length."""
 TEXT = 0.04
-"""Height of a piece's name, relative to the roll; others have half of it."""
+"""Height of piece names relative to the roll's width; other texts are smaller."""
 
 
 @collective
 def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str = "m") -> None:
-    """Write the pieces as they lie on the roll to a DXF file. Collective.
+    """Write the nested pieces to a DXF file. Collective.
 
-    Layers: CUT, the edge of the fabric with allowances; SEAM, where pieces are sewn; OVERLAP, where
-    the other piece's allowance ends; MARK, match marks with their numbers along the seam; WARP,
-    arrows; TEXT, names of pieces and edges; ROLL. Needs ezdxf.
+    Layers: CUT, cut lines, with allowances; SEAM, seam lines; OVERLAP, ends of the adjacent pieces'
+    allowances; MARK, match marks, numbered along the seam; WARP, arrows; TEXT, names of pieces and
+    edges; ROLL, outline of the roll. Needs ezdxf.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        Of the file, ending in .dxf. One that is there is replaced when the new one is complete.
+        File name, ending in .dxf. An existing file is replaced once the new one is complete.
     sheet
         Roll, allowances and marks.
     unit
@@ -45,10 +45,10 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
     Raises
     ------
     InputError
-        On all ranks, with nothing written: an argument that cannot be used, pieces wider than the
-        roll, or a file that cannot be written.
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
     ImportError
-        On all ranks: there is no ezdxf.
+        On all ranks: ezdxf is not installed.
     """
     if not isinstance(pattern, Pattern):
         raise InputError(f"write_dxf: pattern = {pattern!r}; give what patterns.flatten returned.")
@@ -69,7 +69,7 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
 
 
 def _document(nesting: Nesting, unit: str) -> Any:
-    """The drawing as a document of ezdxf."""
+    """The drawing, an ezdxf document."""
     try:
         import ezdxf
     except ImportError:
@@ -89,7 +89,7 @@ def _document(nesting: Nesting, unit: str) -> Any:
 
 
 def _draw(space: Any, one: Drawing, height: float) -> None:
-    """Put a piece into a drawing."""
+    """Add a piece to the drawing."""
     _polyline(space, one.cut_line, "CUT", closed=True)
     _polyline(space, one.seam_line, "SEAM", closed=True)
     for line in one.overlaps:

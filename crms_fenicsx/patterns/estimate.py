@@ -1,4 +1,4 @@
-"""How far pieces are from lying flat, estimated before they are laid flat."""
+"""Estimates of the distortion of pieces, before flattening."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 
 STATIONS = 64
-"""Sections at which the width of a piece is measured."""
+"""Number of sections at which a piece's width is measured."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a piece takes to lie flat.
+    """Estimated distortion of a piece when it is flattened.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Estimate:
     curvature
         Mean Gaussian curvature (1 / length squared).
     strain
-        Largest strain, ``|K| W**2 / 12``.
+        Largest strain, ``|K| W**2 / 12``, with the largest width W.
     energy
         Energy per area, ``E t K**2 W**4 / 1440`` with E t along the warp and the mean of W**4 over
         the piece (force per length).
@@ -47,24 +47,24 @@ class Estimate:
 def estimates(
     pieces: Pieces, material: Materials, *, warp: Warp | None = None
 ) -> dict[str, Estimate]:
-    """Tell before pieces are laid flat how much they will be strained. Collective.
+    """Estimate the distortion of pieces before flattening. Collective.
 
     Parameters
     ----------
     pieces
-        What `cut` returned.
+        The pieces from `cut`.
     material, warp
-        As of `flatten`.
+        As for `flatten`.
 
     Returns
     -------
     dict of str to Estimate
-        By the pieces' names.
+        Estimates by piece names.
 
     Raises
     ------
     InputError
-        On all ranks: arguments that cannot be used.
+        On all ranks: an invalid argument.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def estimates(
 
 
 def _widths(outline: Array) -> Array:
-    """Widths (STATIONS,) of a closed outline (n, 2) at places along x."""
+    """Widths (STATIONS,) of a closed outline (n, 2) at equidistant sections across x."""
     low, high = outline[:, 0].min(), outline[:, 0].max()
     stations = low + (high - low) * (np.arange(STATIONS) + 0.5) / STATIONS
     least, most = np.full(STATIONS, np.inf), np.full(STATIONS, -np.inf)

@@ -1,4 +1,4 @@
-"""Pieces laid on the roll, side by side in strips across it."""
+"""Nesting: pieces laid on the roll, in rows across it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from crms_fenicsx.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class Nesting:
-    """Pieces on the roll, x along it.
+    """Nested pieces; x runs along the roll.
 
     Attributes
     ----------
     roll
         Width of the roll (length).
     length
-        What is used of it (length).
+        Length of the roll used (length).
     waste
-        Part of that which is not of pieces, with their allowances.
+        Fraction of the used roll outside the pieces and their allowances.
     drawings
-        The pieces where they lie.
+        The pieces at their positions.
     rows
-        Where along the roll each row of pieces across it begins.
+        Start of each row of pieces along the roll (length).
     """
 
     roll: float
@@ -37,9 +37,10 @@ class Nesting:
 
 
 def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
-    """Lay pieces on the roll with their warp along it, the longest first.
+    """Nest pieces on the roll, warp along it, the longest first.
 
-    Pieces lie side by side while the roll is wide enough; what follows lies beyond the longest.
+    A row takes pieces side by side as long as the roll is wide enough; the next row starts behind
+    its longest piece.
 
     Parameters
     ----------
@@ -51,12 +52,12 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     Returns
     -------
     Nesting
-        Where pieces lie, and the waste.
+        Positions of the pieces, and the waste.
 
     Raises
     ------
     InputError
-        A piece that is wider than the roll, or allowances of edges that are not there.
+        A piece wider than the roll, or an allowance for an unknown edge.
     """
     if not isinstance(pattern, Pattern) or not isinstance(sheet, Sheet):
         raise InputError("nest: give a pattern of patterns.flatten and a Sheet(roll=...).")
@@ -69,7 +70,7 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
             "narrower strips, or take a wider roll."
         )
     placed: dict[str, Drawing] = {}
-    rows: list[list[float]] = []  # where each begins, and what of the width is taken
+    rows: list[list[float]] = []  # start, and width used
     length = 0.0
     for one in sorted(pieces, key=lambda one: -one.extent[0]):
         along, across = map(float, one.extent)
@@ -86,6 +87,6 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
 
 
 def _area(one: Drawing) -> float:
-    """Area within the cut line (length squared)."""
+    """Area enclosed by the cut line (length squared)."""
     x, y = one.cut_line.T
     return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2

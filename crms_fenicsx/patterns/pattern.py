@@ -1,4 +1,4 @@
-"""The cutting pattern: flat pieces of a roof."""
+"""The cutting pattern: the flat pieces of a roof."""
 
 from __future__ import annotations
 
@@ -35,26 +35,25 @@ Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 
 TURNS = 2
-"""How often a flat piece is turned back to its warp."""
+"""Realignments of a flat piece with its warp."""
 TOLD = 1e-3
-"""Strain of a flat piece, as estimated, from which on few columns of cells are told."""
+"""Estimated strain of a piece above which too few columns of cells are warned of."""
 
 
 @dataclass(frozen=True)
 class FlatPiece:
-    """A piece as it is cut.
+    """A flat piece, as it is cut.
 
     Attributes
     ----------
     piece
         The piece in space.
     shape
-        Flat places (n, 2) of its vertices (length): x along the warp, seen from outside.
+        Flat coordinates (n, 2) of its vertices (length): x along the warp, seen from outside.
     shrink
         Mean compensation (2,) along warp and weft.
     strains
-        What the strains (E11, E22, 2 E12) of its cells (m, 3) have beside the wanted ones when it
-        takes the form: the distortion.
+        Distortion (m, 3): strains (E11, E22, 2 E12) of its cells in the form, less the wanted ones.
     """
 
     piece: Piece
@@ -65,8 +64,8 @@ class FlatPiece:
 
     @cached_property
     def energy(self) -> float:
-        """Energy of the distortion per area of the form (force per length), extrapolated to
-        infinitely fine cells: found when it is first asked for."""
+        """Distortion energy per area of the form (force per length), extrapolated to infinitely
+        fine cells; computed at first access."""
         own = self.problem_of(self.piece, self.shape).energy(self.shape)
         found = fine_energies(self.piece, self.shape, self.problem_of)
         return max(own - found[0] + limit_of(found), 0.0) / self.piece.area
@@ -78,7 +77,7 @@ class FlatPiece:
 
     @property
     def area(self) -> float:
-        """Area as it is cut (length squared)."""
+        """Area of the flat piece (length squared)."""
         return float(double_areas_in_plane(self.shape, self.piece.triangles).sum()) / 2
 
     @property
@@ -88,29 +87,29 @@ class FlatPiece:
 
     @property
     def width(self) -> float:
-        """Extent across the warp (length): what it needs of the roll's width."""
+        """Width (length) required of the roll, across the warp, without allowances."""
         return float(np.ptp(self.shape[:, 1]))
 
     @property
     def distortion(self) -> float:
-        """Largest strain beside the wanted ones."""
+        """Largest absolute distortion."""
         return float(np.abs(self.strains).max())
 
     def largest_width(self, force: float) -> float:
-        """Width (length) up to which it has no compression along its warp with a section force
-        (force per length), as `patterns.largest_width` with its mean curvature."""
+        """Largest width (length) without compression along the warp at a section force (force per
+        length): `patterns.largest_width` at the mean curvature."""
         moduli = warp_moduli(self.problem_of(self.piece, self.shape).stiffness)
         modulus = float(self.piece.areas @ moduli) / self.piece.area
         return width_in_tension(modulus, force, self.piece.curvature)
 
     def edge_length(self, edge: PieceEdge) -> float:
-        """Length of one of its edges (length)."""
+        """Length of one of its edges when flat (length)."""
         return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
 
 
 @dataclass(frozen=True)
 class CutOptions:
-    """How a pattern is made; see `flatten`."""
+    """Options of a pattern; see `flatten`."""
 
     warp: Warp | None = None
     shrink: Shrink | Mapping[str, Shrink] | None = None
@@ -118,7 +117,7 @@ class CutOptions:
     equal: bool = True
     limit: float | None = None
     factors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Further stretches along warp and weft by pieces, as `adjust` finds them."""
+    """Additional stretches along warp and weft by pieces, as found by `adjust`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,13 +127,13 @@ class Pattern:
     Attributes
     ----------
     pieces
-        The pieces in space and how they are sewn together.
+        The pieces in space and their joints.
     material
         The fabric.
     flat
-        The pieces as they are cut.
+        The flat pieces.
     made
-        With which options.
+        Options of the pattern.
     """
 
     pieces: Pieces
@@ -143,7 +142,7 @@ class Pattern:
     made: CutOptions
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         worst = max(self.flat, key=lambda one: one.distortion)
         return (
             f"Pattern({len(self.flat)} pieces, area {self.area:.6g}, strained up to "
@@ -157,7 +156,7 @@ class Pattern:
 
     @property
     def area(self) -> float:
-        """Area of all pieces as they are cut (length squared)."""
+        """Area of all flat pieces (length squared)."""
         return sum(one.area for one in self.flat)
 
     def flat_piece(self, name: str) -> FlatPiece:
@@ -165,7 +164,7 @@ class Pattern:
         return checks.named("piece", {one.name: one for one in self.flat}, name)
 
     def seam_lengths(self) -> dict[str, Array]:
-        """Lengths (k, 2) of the segments of each seam on both its sides (length)."""
+        """Lengths (k, 2) of each seam's segments, on both sides (length)."""
         joints = self.pieces.joints
         lengths = np.zeros(joints.pieces.shape)
         for k, one in enumerate(self.flat):
@@ -177,17 +176,17 @@ class Pattern:
 
     @collective
     def adjusted(self, factors: Mapping[str, tuple[float, float]]) -> Pattern:
-        """The pattern with further stretches of pieces, cut anew. Collective.
+        """The pattern with additional stretches, flattened again. Collective.
 
         Parameters
         ----------
         factors
-            Stretches along warp and weft by which pieces are stretched more, 1.01 for 1 %.
+            Additional stretches along warp and weft by piece names, 1.01 for 1 %.
 
         Returns
         -------
         Pattern
-            Another pattern of the same pieces.
+            New pattern of the same pieces.
         """
         both = {
             one.name: tuple(np.multiply(self.made.factors.get(one.name, (1.0, 1.0)),
@@ -208,32 +207,31 @@ def flatten(
     equal: bool = True,
     limit: float | None = None,
 ) -> Pattern:
-    """Lay pieces flat with the least strain energy, and compensate them. Collective.
+    """Flatten pieces with the least strain energy, and compensate them. Collective.
 
-    Each piece gets the flat shape from which it takes the form with the strain that compensation
-    wants and, where the form is curved in two directions, as little energy beside it as there can
-    be (J. Linhard, R. Wuechner, K.-U. Bletzinger, Introducing cutting patterns in form finding and
-    structural analysis, 2008), started by a conformal map. The warp lies along x of all flat
-    pieces.
+    From its flat shape each piece takes the form with the strain of its compensation and, where the
+    form is doubly curved, the least additional strain energy (J. Linhard, R. Wuechner, K.-U.
+    Bletzinger, Introducing cutting patterns in form finding and structural analysis, 2008). The
+    initial shape is a conformal map. The warp lies along x.
 
     Parameters
     ----------
     pieces
-        What `cut` returned.
+        The pieces from `cut`.
     material
-        The fabric, or that of each part of the mesh.
+        The fabric, or fabrics by parts of the mesh.
     warp
         "seams": along the seams of each piece; or a direction in space (3,), or a function of
-        points (3, n) that gives directions (3, n), of which the mean over each piece counts. By
-        default an orthotropic material's own, and of others "seams".
+        points (3, n) that returns directions (3, n), averaged over each piece. By default an
+        orthotropic material's warp, otherwise "seams".
     shrink
-        Compensation of all pieces, or by names of pieces or parts of the mesh; by default none.
+        Compensation of all pieces, or by names of pieces or mesh parts; none by default.
     edges
         De-compensation, by names of edge groups.
     equal
-        Whether both sides of seams are equally long when cut; it costs .02 % of the energy.
+        Whether both sides of a seam are cut equally long; costs .02 % of energy.
     limit
-        Largest strain beside the wanted ones that is accepted.
+        Largest accepted distortion (strain).
 
     Returns
     -------
@@ -243,23 +241,23 @@ def flatten(
     Raises
     ------
     InputError
-        On all ranks: an argument that cannot be used, or a piece that is strained beyond `limit`,
-        with the number of strips that would do.
+        On all ranks: an invalid argument, or a piece distorted beyond `limit`, with the number of
+        strips that would suffice.
     ConvergenceError
-        On all ranks: a piece that does not lie flat.
+        On all ranks: a piece that cannot be flattened.
 
     Warns
     -----
     PatternWarning
-        Fewer than 8 columns of cells across a piece that is curved in two directions: strains, and
-        the scatter of section forces in the sewn roof, are found too large.
+        Fewer than 8 columns of cells across a doubly curved piece: its strains, and the scatter of
+        section forces in the sewn roof, are overestimated.
 
     Notes
     -----
-    A strip of width W on a surface of Gaussian curvature K is strained by ``|K| W**2 / 12`` and has
+    A strip of width W on a surface of Gaussian curvature K has strains up to ``|K| W**2 / 12`` and
     the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. The pieces' energies are
-    found on their cells and on finer ones, and extrapolated: to 1 % with 8 columns of cells across
-    a piece, to 6 % with 4.
+    extrapolated from their cells and refinements: to 1 % with 8 columns of cells across a piece, to
+    6 % with 4.
 
     Examples
     --------
@@ -283,7 +281,7 @@ def flatten(
 
 
 def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
-    """A pattern with checked options. Collective."""
+    """The pattern of checked options. Collective."""
     comm = pieces.comm
     stiffness, warps = of_cells(pieces, material, made)
     problem_of = partial(_problem, pieces, stiffness, made)
@@ -296,7 +294,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
             start = aligned(piece, conformal(piece.points, piece.triangles), own)
             problems[k] = problem = problem_of(piece, start)
             start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
-            for _ in range(TURNS):  # the conformal map turns its ends
+            for _ in range(TURNS):  # the conformal map rotates its ends
                 start = aligned(piece, problem.solve(start), own)
             starts[k], sides[k] = start, _sides(pieces, k)
     joints = len(pieces.joints.seams) if made.equal else 0
@@ -317,7 +315,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
 
 
 def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Array, Array | None]:
-    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; no warp where it goes along seams."""
+    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; None as the warp if along seams."""
     surface = pieces.surface
     m, centres = len(surface.cells), surface.points[surface.cells].mean(axis=1)
     given: list[tuple[Integers, object]] = [(np.arange(m), material)]
@@ -348,14 +346,14 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
 
 
 def norm_rows(vectors: Array) -> Array:
-    """Lengths of vectors in the plane, (n,)."""
+    """Lengths (n,) of plane vectors."""
     return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
 
 
 def _problem(
     pieces: Pieces, stiffness: Array, made: CutOptions, piece: Piece, flat: Array
 ) -> FlatProblem:
-    """The problem of laying a piece flat, near flat places (n, 2)."""
+    """The flattening problem of a piece near flat coordinates (n, 2)."""
     first, last = int(flat[:, 0].argmin()), int(flat[:, 0].argmax())
     return FlatProblem(
         piece.name, piece.points, piece.triangles, stiffness[piece.cells],
@@ -364,7 +362,7 @@ def _problem(
 
 
 def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Array:
-    """Wanted strains (m, 3) of the cells of a piece, from its flat shape to the form."""
+    """Wanted strains (m, 3) of a piece's cells, from its flat shape to the form."""
     centres = start[piece.triangles].mean(axis=1)
     along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])
     parts = np.zeros((len(along), 2))
@@ -385,7 +383,7 @@ def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Arr
 def _edge_strains(
     piece: Piece, run: Integers, start: Array, wanted: Array, edge: EdgeShrink
 ) -> Array:
-    """What an edge changes of the wanted strains (m, 3) near it."""
+    """Change of the wanted strains (m, 3) by the de-compensation of an edge."""
     a, b, places = piece.points[run[:-1]], piece.points[run[1:]], piece.points
     segments = np.stack([a, b, b], axis=1)
     gaps = np.stack([closest(np.broadcast_to(s, (len(places), 3, 3)), places)[2]
@@ -402,18 +400,18 @@ def _edge_strains(
 
 
 def _mean(piece: Piece, values: Array) -> Array:
-    """Mean over a piece of numbers of its cells (m, k)."""
+    """Area-weighted mean of a piece's cell values (m, k)."""
     return np.asarray(piece.areas @ values / piece.area)
 
 
 def _sides(pieces: Pieces, k: int) -> Sides:
-    """The sides of seams that a piece has."""
+    """The seam segments of a piece."""
     row, side = np.nonzero(pieces.joints.pieces == k)
     return Sides(row, pieces.joints.ends[row, side], np.where(side == 0, 1.0, -1.0))
 
 
 def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
-    """Refuse pieces that are strained too much."""
+    """Raise an error for pieces distorted beyond the limit."""
     bad = [one for one in flat if limit is not None and one.distortion > limit]
     if bad and limit is not None:
         told = "; ".join(
@@ -427,7 +425,7 @@ def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
 
 
 def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
-    """Warn on rank 0 of too few columns of cells in curved pieces."""
+    """Warn on rank 0 of too few columns of cells across curved pieces."""
     if comm.rank > 0:
         return
     few = {}

@@ -1,4 +1,4 @@
-"""The pieces that seams cut a surface into, and which edges of them are sewn together."""
+"""Pieces into which seams divide a surface, and their joints."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from crms_fenicsx.runtime.errors import InputError, PathError, as_text, collecti
 from crms_fenicsx.surface.points import Edge, edge_of
 
 COLUMNS = 16
-"""Columns of cells across a piece with which it is laid flat well: its own energy is 13 to 16 % too
-large then, and the error falls with the square of their number."""
+"""Columns of cells recommended across a piece: its energy is then 13 to 16 % too large, an error
+that falls with their number squared."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class PieceEdge:
     Attributes
     ----------
     name
-        The seam, or the group of boundary edges, along which it runs.
+        Its seam or group of boundary edges.
     sewn
-        Whether it is a side of a seam.
+        Whether it is a seam.
     vertices
-        Vertices of the piece (k,) along it, counter-clockwise seen from outside.
+        Vertices (k,) of the piece along it, counter-clockwise seen from outside.
     """
 
     name: str
@@ -57,12 +57,12 @@ class Piece:
     cells
         Its cells (m,) of the cut surface.
     triangles
-        Vertices of the piece at their corners, (m, 3).
+        Corners (m, 3) of its cells, as its own vertex numbers.
     vertices
-        Numbers (n,) of its vertices in the cut surface; where a seam runs inside of it, both its
-        sides have their own.
+        Numbers (n,) of its vertices in the cut surface. Vertices of a seam inside the piece are
+        doubled, one for each side.
     points
-        Places of its vertices (n, 3) (length).
+        Coordinates (n, 3) of its vertices (length).
     edges
         Its edges, counter-clockwise seen from outside.
     """
@@ -86,12 +86,13 @@ class Piece:
 
     @property
     def outline(self) -> Integers:
-        """Its vertices (k,) around it, counter-clockwise seen from outside."""
+        """Vertices (k,) along its boundary, counter-clockwise seen from outside."""
         return np.concatenate([edge.vertices[:-1] for edge in self.edges])
 
     @property
     def curvature(self) -> float:
-        """Its mean Gaussian curvature (1 / length squared): angles missing at inner vertices."""
+        """Mean Gaussian curvature (1 / length squared): angle defects of inner vertices per
+        area."""
         x, t = self.points[self.triangles], self.triangles
         a, b = np.roll(x, -1, axis=1) - x, np.roll(x, -2, axis=1) - x
         angles = np.arctan2(norm(cross(a, b)), np.einsum("nki,nki->nk", a, b))
@@ -103,32 +104,32 @@ class Piece:
 
 @dataclass(frozen=True)
 class Joints:
-    """The segments at which pieces are sewn together: two sides each."""
+    """Seam segments, each joining two pieces."""
 
-    seams: tuple[str, ...]  # of each segment
+    seams: tuple[str, ...]  # seam name of each segment
     pieces: Integers  # (k, 2) pieces on both sides
-    ends: Integers  # (k, 2, 2) their vertices at both ends, which lie together
+    ends: Integers  # (k, 2, 2) end vertices on both sides, in matching order
 
 
 @dataclass(frozen=True, repr=False)
 class Pieces:
-    """A surface that is cut into pieces.
+    """A surface divided into pieces.
 
     Attributes
     ----------
     mesh
-        The surface with its cells divided along the seams, with all groups of the one that was
-        cut, the seams as groups of edges, and the pieces as parts.
+        The surface with its cells divided along the seams, all groups of the original mesh, the
+        seams as edge groups, and the pieces as parts.
     seams
         The seams.
     pieces
         The pieces, the same on all ranks.
     joints
-        Which segments of their edges belong together.
+        Seam segments joining the pieces.
     surface
         The cut surface with all groups, on all ranks.
     lines
-        Vertices (k,) of the cut surface along each seam, by its name.
+        Vertices (k,) of the cut surface along each seam, by seam name.
     """
 
     mesh: MembraneMesh
@@ -139,7 +140,7 @@ class Pieces:
     lines: Mapping[str, Integers]
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         seams, pieces = counted(len(self.seams), "seam"), counted(len(self.pieces), "piece")
         return f"Pieces({pieces}, {seams}, area {self.area:.6g})"
 
@@ -162,17 +163,17 @@ class Pieces:
 def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     """Cut a surface along seams. Collective.
 
-    Cells that seams cross are divided. Vertices nearer to a crossing than a fifth of the edge are
-    moved to it, along the edge, so that no slivers are cut off: the pieces are those of a surface
-    that differs from the mesh by no more than the smooth one does.
+    Cells crossed by seams are divided. To avoid slivers, vertices closer to a crossing than a fifth
+    of the edge are moved to it along the edge; this changes the surface by no more than its
+    faceting.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     seams
-        Seams on it; none where the surface is one piece. They may meet and cross at vertices of the
-        mesh, and where they cross an edge at the same point.
+        Seams on it; an empty list for a surface of one piece. Seams may meet and cross at mesh
+        vertices, and at one point of an edge.
 
     Returns
     -------
@@ -182,10 +183,10 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     Raises
     ------
     InputError
-        On all ranks: what are no seams, or two of one name.
+        On all ranks: objects that are no seams, or a duplicate name.
     PathError
-        On all ranks: seams that end inside the surface, run along its boundary or along each
-        other, or cross inside of cells; a piece with a hole, or a closed one.
+        On all ranks: seams that end inside the surface, run along its boundary or along each other,
+        or cross inside a cell; a piece that is closed or has a hole.
 
     Examples
     --------
@@ -219,7 +220,7 @@ def _checked(seams: Sequence[Seam]) -> list[Seam]:
 
 
 def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
-    """The pieces of a surface, and where they are sewn together."""
+    """The pieces of a cut surface and their joints."""
     points, cells, seam_of = cut.surface.points, cut.surface.cells, cut.seam_of
     table = EdgeTable.of(cells)
     edges = [(a, b) for a, b in lists(table.vertices)]
@@ -232,13 +233,13 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     joined = (table.counts == 2) & ~sewn
     s, t = table.linked_sides(joined)
     labels = connected_labels(len(cells), s // 3, t // 3)
-    # corners that are one vertex of a piece: those at both ends of sides that are not cut
+    # corners at one vertex of a piece: both ends of sides that are not cut
     following = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     corner = connected_labels(
         cells.size, np.concatenate([s, following[s]]), np.concatenate([following[t], t])
     )
     rim_sides = np.setdiff1d(np.arange(cells.size), np.concatenate([s, t]))
-    number = np.empty(cells.size, dtype=np.int64)  # of a corner's vertex in its piece
+    number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
     names = _names(cut)
@@ -270,7 +271,7 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
 
 
 def _in_order(cut: CutSurface, labels: Integers) -> Integers:
-    """The labels of pieces, in order across the surface in the sense of the seams."""
+    """Piece labels in order across the surface, in the seams' sense."""
     points, cells = cut.surface.points, cut.surface.cells
     area = norm(double_areas(points[cells]))
     centres = (
@@ -288,7 +289,7 @@ def _in_order(cut: CutSurface, labels: Integers) -> Integers:
 
 
 def _names(cut: CutSurface) -> dict[Edge, str]:
-    """What each edge at the rim of a piece is called: seams before groups, the boundary last."""
+    """Names of the edges at the rims of pieces: seams before groups, the boundary last."""
     found: dict[Edge, str] = dict.fromkeys(edges_of(cut.surface.edges[BOUNDARY]), BOUNDARY)
     for name, keys in cut.surface.edges.items():
         if name != BOUNDARY:
@@ -297,7 +298,7 @@ def _names(cut: CutSurface) -> dict[Edge, str]:
 
 
 def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
-    """The sides of a piece around it, from the first of them."""
+    """The sides around a piece, starting at its lowest vertex."""
     if not rim:
         return []
     start = min(rim)
@@ -308,7 +309,7 @@ def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
 
 
 def _stretches(starts: Integers, kinds: list[tuple[str, bool]]) -> tuple[PieceEdge, ...]:
-    """The edges of a piece: runs of sides, by the vertices where these start, of one kind."""
+    """The edges of a piece: runs of equal kind, from the start vertices of its sides."""
     n = len(starts)
     breaks = [k for k in range(n) if kinds[k] != kinds[k - 1]] or [0]
     ring = np.concatenate([starts, starts, starts[:1]])
@@ -320,7 +321,7 @@ def _joints(
     table: EdgeTable, sewn: Array, cells: Integers, labels: Integers, number: Integers,
     following: Integers, place: dict[int, int], seam_of: dict[Edge, str],
 ) -> Joints:  # fmt: skip
-    """The segments of seams with two sides."""
+    """The seam segments between two sides."""
     s, t = table.linked_sides(sewn & (table.counts == 2))
     names, pieces, ends = [], [], []
     for one, other in zip(integers(s), integers(t), strict=True):

@@ -1,4 +1,4 @@
-"""Seams: lines over the surface along which it is cut."""
+"""Seams: lines along which the surface is cut."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 from crms_fenicsx.surface.trace import checked_route, trace
 
 SNAP = 1e-3
-"""Part of the mesh size within which the points of a seam are moved to vertices and edges."""
+"""Distance, relative to the mesh size, within which a seam's points snap to vertices and edges."""
 
 
 @dataclass(frozen=True)
 class Seam:
-    """A line over the surface, from rim to rim or closed.
+    """A line on the surface, from rim to rim or closed.
 
     Attributes
     ----------
     name
-        Its name, which edges of pieces on both its sides have.
+        Its name, also of the piece edges on both sides.
     points
-        Where it meets vertices and crosses edges of the mesh.
+        Its vertices and edge crossings on the mesh.
     path
-        Places of these points (k, 3) (length).
+        Coordinates (k, 3) of these points (length).
     """
 
     name: str
@@ -54,35 +54,35 @@ class Seam:
 
 
 Line = Seam | str
-"""A seam, or the name of a group of edges."""
+"""A seam, or the name of an edge group."""
 
 
 def seam_of(surface: PatternSurface, name: str, points: Sequence[SurfacePoint]) -> Seam:
-    """A seam through points of a surface."""
+    """A seam through surface points."""
     if not isinstance(name, str) or not name.strip():
         raise PathError(f"a seam with the name {name!r}; give one that is not empty.")
     return Seam(name, tuple(points), surface.places(tuple(points)))
 
 
 def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePoint, ...]:
-    """The points of a seam or of a group of edges."""
+    """The points of a seam or an edge group."""
     return line.points if isinstance(line, Seam) else surface.line_of_group(call, line)
 
 
 @collective
 def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
-    """A seam along the shortest lines between points. Collective.
+    """A seam along geodesics between points. Collective.
 
-    Between each two points the seam is laid as cables with ``shortest=True`` are: it begins with
-    the plane section through both points and slides over the vertices of the mesh until it is
-    straight within the surface, and so on the flat piece.
+    Between two points the seam is laid like a cable with ``shortest=True``: it starts as the plane
+    section through both points and is shortened over the mesh vertices until it is straight within
+    the surface, and hence on the flat piece.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     points
-        Two or more places in plan (k, 2) or in space (k, 3) (length).
+        Two or more points in plan (k, 2) or in space (k, 3) (length).
     name
         Name of the seam.
 
@@ -94,7 +94,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     Raises
     ------
     PathError
-        On all ranks: points off the surface, or between which no plane section leads.
+        On all ranks: points off the surface, or not connected by a plane section.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
 
 
 def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ...]:
-    """The plane section between two places, which must lie on the surface."""
+    """The plane section between two points, which must lie on the surface."""
     ids = surface.target.ids
     path = trace(ids, surface.points, surface.cells, route, snap=SNAP)
     for anchor in (path.start_anchor, path.end_anchor):
@@ -127,19 +127,19 @@ def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ..
 def geodesic_along(
     mesh: MembraneMesh, start: ArrayLike, direction: ArrayLike, *, name: str
 ) -> Seam:
-    """A seam straight on from a place in a direction, to the rim on both sides. Collective.
+    """A seam along the straightest line through a point, to the rim on both sides. Collective.
 
-    Within the surface it turns neither left nor right: where the direction is that of the warp the
-    seam follows the fabric.
+    Within the surface it turns neither left nor right: started along the warp, it follows the
+    fabric.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     start
-        A place on the surface (3,) (length).
+        A point on the surface (3,) (length).
     direction
-        Direction there (3,); its projection on the surface counts.
+        Direction (3,) at `start`, projected onto the surface.
     name
         Name of the seam.
 
@@ -151,8 +151,8 @@ def geodesic_along(
     Raises
     ------
     PathError
-        On all ranks: a place off the surface, a direction normal to it, or a line that does not
-        come to a rim.
+        On all ranks: a point off the surface, a direction normal to it, or a line that does not
+        reach the rim.
     """
     surface = PatternSurface.of("geodesic_along", mesh, start=start, direction=direction, name=name)
     place = checks.vector("geodesic_along: start", start)
@@ -170,14 +170,14 @@ def geodesic_along(
 
 @collective
 def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, name: str) -> Seam:
-    """A seam along the section of the surface with a plane. Collective.
+    """A seam along the intersection of the surface with a plane. Collective.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     origin
-        A point of the plane (3,) (length). Of several lines the one nearest to it is taken.
+        A point of the plane (3,) (length). Of several lines, the nearest to it is taken.
     normal
         Normal of the plane (3,).
     name
@@ -210,7 +210,7 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
 def nearest(
     surface: PatternSurface, lines: Sequence[tuple[SurfacePoint, ...]], point: Array
 ) -> tuple[SurfacePoint, ...]:
-    """The line that comes nearest to a point."""
+    """The line nearest to a point."""
     gaps = [np.linalg.norm(surface.places(line) - point, axis=1).min() for line in lines]
     return lines[int(np.argmin(gaps))]
 
@@ -224,9 +224,9 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     mesh
         The surface, such as `FoundForm.mesh`.
     group
-        Name of a group of edges, which is a single line from end to end or around.
+        Name of an edge group that is a single open or closed line.
     name
-        Name of the seam, by default that of the group.
+        Name of the seam; by default the group's.
 
     Returns
     -------
@@ -236,7 +236,7 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     Raises
     ------
     InputError
-        On all ranks: no such group.
+        On all ranks: an unknown group.
     PathError
         On all ranks: a group that is no single line.
     """
@@ -251,19 +251,19 @@ def parallel(
 ) -> Seam:
     """A seam at a distance from a line, such as the width of the fabric. Collective.
 
-    The distance is that over the surface (see `PatternSurface.distances`), linear between vertices.
+    Distances are geodesic (see `PatternSurface.distances`), linear between vertices.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     line
-        A seam, or the name of a group of edges, such as a side of the roof.
+        A seam, or the name of an edge group, such as a side of the roof.
     distance
         Distance (length).
     toward
-        A point (3,) (length) on the side where the seam is to be: of several lines the one nearest
-        to it is taken.
+        A point (3,) (length) on the seam's side of the line: of several lines, the nearest to it is
+        taken.
     name
         Name of the seam.
 
@@ -275,7 +275,7 @@ def parallel(
     Raises
     ------
     PathError
-        On all ranks: nothing of the surface is so far from the line.
+        On all ranks: the surface ends closer to the line than `distance`.
     """
     surface = PatternSurface.of(
         "parallel", mesh, line=line, distance=distance, toward=toward, name=name

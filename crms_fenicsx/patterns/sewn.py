@@ -1,4 +1,4 @@
-"""The roof sewn of the pieces of a cutting pattern, and how it differs from the wanted form."""
+"""The roof sewn from the pieces of a cutting pattern, compared with the wanted form."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 
 SLOPE = 1e-12
-"""Strain whose forces are no prestress."""
+"""Prestress of a `UflMembrane`, relative to its reference modulus, that counts as none."""
 
 
 @collective
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
-    """Make a scene of the pieces of a pattern, sewn together along the seams. Collective.
+    """Make a scene of a pattern's pieces, sewn together along the seams. Collective.
 
-    The stress-free shape of each cell is its flat one. The scene starts in the wanted form, where
-    the fabric has the strains that the cut gives it, without supports, loads and cables. Its mesh
-    is that of the form, with its groups, the seams as groups of edges and the pieces as parts.
+    The stress-free shape of each cell is its flat shape. The scene starts in the wanted form, with
+    the strains due to the cut, without supports, loads and cables. Its mesh is the form's, with its
+    groups, the seams as edge groups and the pieces as parts.
 
     Parameters
     ----------
     pattern
         The pattern.
     material
-        The fabric, or that of each part; by default the pattern's. Its warp is that of the pieces,
-        and its prestress is left out, as it comes from the cut.
+        The fabric, or fabrics by parts; by default the pattern's. Its warp is the pieces'; its
+        prestress is omitted, as the cut provides it.
     **options
-        For `Scene`.
+        Options of `Scene`.
 
     Returns
     -------
@@ -49,8 +49,8 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     Raises
     ------
     InputError
-        On all ranks: what is no pattern, a material with a step-wise strain, or a `UflMembrane`
-        with a prestress in its density.
+        On all ranks: an object that is no pattern, a material with a step-wise strain, or a
+        `UflMembrane` whose density contains a prestress.
 
     Examples
     --------
@@ -79,15 +79,15 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
 
 
 def relaxed(material: MembraneMaterial) -> MembraneMaterial:
-    """A material without prestress."""
+    """The material without its prestress."""
     if isinstance(material, IsotropicMembrane | OrthotropicMembrane):
         return replace(material, prestress=0.0)
     return material
 
 
 def frames_of(pattern: Pattern) -> Array:
-    """What unit vectors along warp and weft of the flat pieces are in this rank's cells, (n, 2, 3):
-    the columns of the gradient from the flat shape to the form."""
+    """Images (n, 2, 3) of the flat pieces' unit vectors along warp and weft in this rank's cells:
+    columns of the deformation gradient from flat shape to form."""
     surface, mesh = pattern.pieces.surface, pattern.pieces.mesh.mesh
     frames = np.zeros((len(surface.cells), 2, 3))
     for one in pattern.flat:
@@ -103,7 +103,7 @@ def frames_of(pattern: Pattern) -> Array:
 
 @dataclass(frozen=True)
 class SewnPiece:
-    """A piece of the roof as it stands.
+    """Results of a piece of the sewn roof.
 
     Attributes
     ----------
@@ -111,13 +111,13 @@ class SewnPiece:
         Name of the piece.
     mean, spread, least, largest
         Section forces (2,) along warp and weft: mean and standard deviation over the current area,
-        least and largest of a cell (force per length).
+        minimum and maximum of the cells (force per length).
     deviation
-        Largest distance of its vertices from the wanted form along its normal (length).
+        Largest distance of its vertices from the wanted form, along the form's normal (length).
     wrinkled
-        Part of its area that is wrinkled or slack.
+        Fraction of its area that is wrinkled or slack.
     stretch
-        Mean stretches (2,) along warp and weft from the wanted form, 1 where it has its lengths.
+        Mean stretches (2,) along warp and weft, relative to the wanted form.
     """
 
     name: str
@@ -132,19 +132,19 @@ class SewnPiece:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the cut does to the roof.
+    """Comparison of the sewn roof with the wanted one.
 
     Attributes
     ----------
     wanted
-        Section forces (2,) along warp and weft that were wanted (force per length), or None.
+        Wanted section forces (2,) along warp and weft (force per length), or None.
     pieces
-        What each piece has got.
+        Results of each piece.
     whole
-        What all together have got.
+        Results of the whole roof.
     cells
-        Of each cell of the cut surface (m, 4): section forces along warp and weft, distance from
-        the form, and whether it is wrinkled or slack.
+        Values (m, 4) of each cell of the cut surface: section forces along warp and weft, distance
+        from the form, and 1 if wrinkled or slack.
     """
 
     wanted: Array | None
@@ -153,7 +153,7 @@ class Comparison:
     cells: Array = field(repr=False)
 
     def __str__(self) -> str:
-        """A table."""
+        """Table of all pieces."""
         head = f"{'':12} {'warp mean':>10} {'sd':>8} {'least':>8} {'weft mean':>10} {'sd':>8} "
         head += f"{'least':>8} {'off form':>9} {'wrinkled':>9}"
         rows = [head]
@@ -175,16 +175,16 @@ def compare(
     Parameters
     ----------
     solver
-        Solver of the scene that `sew` made of the pattern, in the state to compare.
+        Solver of the scene from `sew`, in the state to compare.
     pattern
         The pattern.
     forces
-        Wanted section forces along warp and weft, or one for both (force per length).
+        Wanted section forces along warp and weft, or one value for both (force per length).
 
     Returns
     -------
     Comparison
-        Section forces, deviation from the form and wrinkles, by pieces and in all.
+        Section forces, deviation from the form and wrinkles, of each piece and the whole roof.
 
     Raises
     ------
@@ -206,8 +206,8 @@ def compare(
 
 
 def _cells(solver: Solver) -> Array:
-    """Of all cells of the cut surface (m, 8) on all ranks: area, section forces, deviation, whether
-    it is wrinkled, stretches from the form, and the form's area. Collective."""
+    """Values (m, 8) of all cells of the cut surface, on all ranks: area, section forces along warp
+    and weft, deviation, 1 if wrinkled, stretches from the form, and the form's area. Collective."""
     results, scene = solver.results(), solver.scene
     membrane = scene.membrane
     assert membrane.frames is not None
@@ -236,7 +236,7 @@ def _cells(solver: Solver) -> Array:
 
 
 def _got(name: str, values: Array) -> SewnPiece:
-    """What a piece has got, of the numbers of its cells."""
+    """Results of a piece, from its cell values (m, 8)."""
     share, forces, form = values[:, 0] / values[:, 0].sum(), values[:, 1:3], values[:, 7]
     mean = share @ forces
     return SewnPiece(

@@ -1,4 +1,4 @@
-"""Cutting patterns as pictures for people: pieces on the roll, and each on a page of its own."""
+"""Pictures of cutting patterns: the nested pieces, and one page per piece."""
 
 from __future__ import annotations
 
@@ -24,41 +24,40 @@ if TYPE_CHECKING:
 
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
 WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
-"""Size of a sheet, and of a row of the roll on one, in inches."""
+"""Width and largest height of a figure, and height of a row of the roll (inches)."""
 
 
 @collective
 def draw_sheets(
     pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
 ) -> Figure | None:
-    """Draw the pieces as they lie on the roll. Collective.
+    """Draw the nested pieces. Collective.
 
-    Red is the edge of the fabric with allowances, blue where pieces are sewn, grey where the other
-    piece's allowance ends, green the match marks. A PDF has a further page for each piece, with its
-    sizes.
+    Red: cut lines, with allowances; blue: seam lines; grey: ends of the adjacent pieces'
+    allowances; green: match marks. A PDF also has a page for each piece with its sizes.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        Of the picture, in a format of matplotlib, such as .svg, .pdf or .png; None returns the
-        figure of the roll on the first rank.
+        Picture file in a format of matplotlib, such as .svg, .pdf or .png; None returns the figure
+        of the roll on the first rank.
     sheet
         Roll, allowances and marks.
     unit
-        Name of the unit of length.
+        Unit of length, for labels.
 
     Returns
     -------
     matplotlib.figure.Figure or None
-        The figure, without `filename`.
+        The figure, on the first rank and without `filename`.
 
     Raises
     ------
     InputError
-        On all ranks, with nothing written: an argument that cannot be used, pieces wider than the
-        roll, or a file that cannot be written.
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
     """
     if not isinstance(pattern, Pattern):
         raise InputError(f"draw_sheets: pattern = {pattern!r}; give one of patterns.flatten.")
@@ -89,7 +88,7 @@ def _write_pages(path: Path, pages: Sequence[Figure]) -> None:
 
 
 def _axes(figure: Figure, length: float, width: float) -> Any:
-    """Axes for a drawing of a size, in its own scale."""
+    """Axes of equal scale for a drawing of a size."""
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_xlim(-0.02 * length, 1.02 * length)
@@ -104,7 +103,7 @@ def _name_axis(axis: Any, name: str, unit: str) -> None:
 
 
 def roll_figure(nesting: Nesting, unit: str) -> Figure:
-    """Figure of the roll with all pieces, row by row from the top."""
+    """Figure of the nested pieces, row by row from the top."""
     starts = np.array([*nesting.rows, nesting.length])
     x, y = float(np.diff(starts).max()), nesting.roll
     step, last = 1.1 * y, len(nesting.rows) - 1
@@ -132,7 +131,7 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
 
 
 def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str) -> Figure:
-    """Figure of what the pieces have got in the sewn roof, on their flat shapes."""
+    """Figure of the sewn roof's results on the flat pieces."""
     from matplotlib.collections import PolyCollection
 
     names = [f"{side}: section force{stress}" for side in ("Warp", "Weft")]
@@ -187,7 +186,7 @@ def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
 
 
 def _draw(axes: Any, one: Drawing, names: bool) -> None:
-    """Put a piece into axes."""
+    """Draw a piece into axes."""
     for line, kind in ((one.cut_line, "cut"), (one.seam_line, "seam")):
         axes.fill(*line.T, facecolor="#f3f6f9" if kind == "cut" else "none",
                   edgecolor=COLOURS[kind], linewidth=0.8)  # fmt: skip

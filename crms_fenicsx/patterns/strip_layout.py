@@ -1,4 +1,4 @@
-"""Automatic layout: strips between two lines, each at most as wide as the fabric allows."""
+"""Automatic strip layout between two lines, each strip at most as wide as the fabric allows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.points import SurfacePoint
 
 MOST_STRIPS = 1000
-"""More strips between two lines than these are none that anybody would sew."""
+"""Maximum number of strips between two lines."""
 
 Points = tuple[SurfacePoint, ...]
 
@@ -39,44 +39,45 @@ def strips(
     allowance: float = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
-    """Seams between two lines that make the fewest strips of a largest width. Collective.
+    """Seams that divide the surface between two lines into the fewest strips of a given width.
+    Collective.
 
-    The seams divide the distance between the lines evenly. Geodesic ones are then pulled straight
+    The seams divide the distance between the lines evenly. Geodesic ones are then straightened
     between their ends, which saves fabric, as pieces have nearly straight edges. The number of
-    strips grows until all are narrow enough over the surface: the distance of each seam from the
-    one before. What pieces really need of the roll is told, and checked, when they lie flat.
+    strips is raised until the distance of each seam from the previous one, over the surface, fits.
+    The exact widths are known, and checked, when the pieces are nested.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     first, last
-        Two lines, seams or names of groups of edges, such as two opposite sides of a hall.
+        Seams or names of edge groups, such as two opposite sides of a hall.
     width
         Width of the roll (length).
     kind
-        "geodesic", or "parallel": the lines of even distances themselves.
+        "geodesic", or "parallel": the lines of equal distance shares themselves.
     warp
-        Direction of the fabric (3,), or a function of points (3, n) that gives directions (3, n):
-        the seams follow it, each from the middle of its line of even distances to the rim on both
-        sides.
+        Warp direction (3,), or a function of points (3, n) that returns directions (3, n): the
+        seams follow it, each from the middle of its line of equal distance shares to the rim on
+        both sides.
     allowance
-        What seams take of the width on each side of a strip (length).
+        Seam allowance on each side of a strip (length).
     name
-        The seams are this with their numbers from `first` on: "seam 1", "seam 2" ...
+        Prefix of the seams' names, numbered from `first` on: "seam 1", "seam 2" ...
 
     Returns
     -------
     list of Seam
-        The seams in order, without `first` and `last`; none where one strip is enough.
+        The seams in order, without `first` and `last`; empty if one strip suffices.
 
     Raises
     ------
     InputError
-        On all ranks: a roll narrower than both allowances, or an argument that cannot be used.
+        On all ranks: a roll narrower than both allowances, or an invalid argument.
     PathError
-        On all ranks: lines between which there are no such seams, or a warp that leads from one to
-        the other.
+        On all ranks: no seams possible between the lines, or a warp that leads from one to the
+        other.
 
     Examples
     --------
@@ -120,7 +121,7 @@ def strips(
 
 
 def usable_width(call: str, width: float, allowance: float) -> float:
-    """The width of a roll without the allowances of both sides (length)."""
+    """Width of the roll less the allowances of both sides (length)."""
     roll = checks.positive(f"{call}: width", width)
     taken = checks.finite(f"{call}: allowance", allowance)
     if not 0.0 <= 2.0 * taken < roll:
@@ -134,8 +135,8 @@ def usable_width(call: str, width: float, allowance: float) -> float:
 def _line(
     surface: PatternSurface, values: Array, whole: Array, kind: str, warp: Direction | None
 ) -> Points:
-    """The line on which values are zero, where the two lines are nearest to each other, or that
-    along the warp through its middle."""
+    """The zero line of `values`, where `first` and `last` are closest, straightened as `kind`
+    requires or replaced by the line along the warp through its middle."""
     lines = surface.crossings(values)
     if not lines:
         raise PathError("strips: no line between first and last divides the surface there.")
@@ -152,7 +153,7 @@ def _line(
 
 
 def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Points:
-    """The line along the warp through the middle of another one, from rim to rim."""
+    """The line along the warp through the middle of another line, from rim to rim."""
     lengths = arc_lengths(surface.places(line))
     middle = line[int(np.abs(lengths - lengths[-1] / 2).argmin())]
 
@@ -169,13 +170,13 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
 
 
 def _crosses(surface: PatternSurface, line: Points, share: Array) -> bool:
-    """Whether a line goes from where shares of the way are 0 to where they are 1."""
+    """Whether a line leads from distance share 0 to 1, from `first` to `last`."""
     start, end = (np.dot(p.weights, share[list(p.support)]) for p in (line[0], line[-1]))
     return bool(abs(start - end) > 1.0 - 1e-9)
 
 
 def _largest_width(surface: PatternSurface, lines: list[Points]) -> float:
-    """Largest distance of a line's points from the line before."""
+    """Largest distance of a line's points from the previous line."""
     return max(
         float(np.dot(p.weights, away[list(p.support)]))
         for before, line in pairwise(lines)
