@@ -1,4 +1,4 @@
-"""The numbers of a run, one row per load step, in memory and in a CSV file."""
+"""History of a run: one row of values per load step, in memory and in a CSV file."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
 
 MARK = "'"
-"""What comes before a text that spreadsheets would calculate, or that begins with it itself."""
+"""Prefix of a text that a spreadsheet would take for a formula, or that starts with the prefix."""
 CALCULATED = ("=", "+", "-", "@", "\t", "\r", "\n", MARK)
 
 
 def escaped(cell: object) -> object:
-    """A cell for a file; numbers stay as they are."""
+    """A cell for the file; numbers stay unchanged."""
     return MARK + cell if isinstance(cell, str) and cell.startswith(CALCULATED) else cell
 
 
 def unescaped(text: str) -> str:
-    """The text that a file has for a cell."""
+    """The text of a file's cell."""
     return text.removeprefix(MARK)
 
 
 Value = int | float | str
 
 MOST_SHOWN = 20
-"""Rows that a notebook shows, the last ones."""
+"""Number of last rows shown in a notebook."""
 
 
 class History:
-    """Rows of named values; the file is complete after each row.
+    """Table of named values; its file is complete after each row.
 
-    A row may bring new columns (a cable that is laid later); rows without them hold NaN there, or
-    "" in a column of text. Floats are written with all their digits, and texts that a spreadsheet
-    would take for a formula with an apostrophe before them, which `read` takes away.
+    A row may add columns (a cable laid later); rows without them hold NaN there, or "" in a text
+    column. Floats are written with all digits, and texts that a spreadsheet would take for a
+    formula with a leading apostrophe, which `read` removes.
 
     Parameters
     ----------
     path : str, Path or None
-        The CSV file, replaced when the first row is appended; None keeps the rows in memory.
+        CSV file, replaced when the first row is appended; None keeps the rows in memory only.
     comm : MPI communicator
-        All of its ranks append the same rows; rank 0 writes.
+        All ranks append the same rows; rank 0 writes.
 
     Raises
     ------
     InputError
-        On all ranks, when the file's folder cannot be written.
+        On all ranks: the file's folder cannot be written.
     """
 
     def __init__(self, path: str | Path | None, comm: MPI.Intracomm) -> None:
@@ -76,7 +76,7 @@ class History:
         return tuple(self._columns)
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         return f"History({counted(len(self), 'row')}; {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str:
@@ -95,7 +95,8 @@ class History:
         return (dict(row) for row in self._rows)
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return a column: integers, floats with NaN where absent, or text with "" there."""
+        """Values of a column: integers, floats with NaN where missing, or texts with "" where
+        missing."""
         if column not in self._columns:
             raise InputError(f"no column {column!r}; there are {self._columns}")
         given = [row[column] for row in self._rows if column in row]
@@ -106,18 +107,18 @@ class History:
         return np.array([row.get(column, np.nan) for row in self._rows], dtype=np.float64)
 
     def append(self, row: Mapping[str, Value | np.generic]) -> None:
-        """Add a row, and bring the file up to date. Collective.
+        """Add a row and update the file. Collective.
 
         Parameters
         ----------
         row : dict of int, float or str
-            Values by column, the same on all ranks; numpy scalars will do.
+            Values by column, the same on all ranks; numpy scalars are accepted.
 
         Raises
         ------
         InputError
-            On all ranks: a value that is no number or text, text in a column of numbers or the
-            reverse, or a file that cannot be written. The history is then as it was before.
+            On all ranks: a value that is neither number nor text, text in a numeric column or vice
+            versa, or a file that cannot be written. The history is unchanged then.
         """
         with raised_together(self.comm):
             plain = {_name(column): _plain(column, value) for column, value in row.items()}
@@ -143,12 +144,12 @@ class History:
         self._columns, self._rows = columns, rows
 
     def resume(self, rows: Iterable[Mapping[str, Value]]) -> None:
-        """Replace all rows by those of an earlier run; the file follows with the next row.
+        """Replace all rows by those of an earlier run; the file is updated with the next row.
 
         Parameters
         ----------
         rows
-            As of an iteration over a history, the same on all ranks.
+            Rows as iterated from a history, the same on all ranks.
 
         Raises
         ------
@@ -163,14 +164,14 @@ class History:
 
     @classmethod
     def read(cls, path: str | Path) -> History:
-        """Return the history in a CSV file, kept in memory; not collective.
+        """Read a history from a CSV file into memory. Not collective.
 
-        A column whose values all read as integers, or as numbers, is one; the others are text.
+        Columns are integers or floats if all their values are, else texts.
 
         Raises
         ------
         InputError
-            When the file is missing, empty or has a row of another length.
+            The file is missing or empty, or has rows of different lengths.
         """
         with readable(f"the history {path}", "give the CSV file that a run has written"):
             content = read_text(Path(path))
@@ -208,7 +209,7 @@ def _name(column: object) -> str:
 
 
 def _short(value: Value | None) -> str:
-    """A value as a table in a notebook shows it; nothing where there is none."""
+    """A value as shown in a notebook's table; "" for None."""
     if value is None:
         return ""
     return f"{value:.5g}" if isinstance(value, float) else escape(str(value))

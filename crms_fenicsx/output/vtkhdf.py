@@ -1,7 +1,7 @@
-"""States of a structure as one VTKHDF file, with the combinations as its steps.
+"""States of a structure in one VTKHDF file, one step per combination.
 
-The file is an unstructured grid: triangles of the surface, then segments of cables and bars. Arrays
-of all steps follow each other, and the group Steps says where each begins (VTKHDF 2.2).
+The file is an unstructured grid: surface triangles, then segments of cables and bars. The arrays of
+all steps are concatenated; the group Steps holds their offsets (VTKHDF 2.2).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from crms_fenicsx.views.view_data import (
 )
 
 TRIANGLE, SEGMENT = 5, 3
-"""VTK's numbers of the cells."""
+"""VTK cell types."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -46,11 +46,11 @@ class Grid:
     geometry: Arrays  # "Points", "Connectivity", "Offsets" and "Types"
     on_points: Arrays
     on_cells: Arrays
-    lines: list[str]  # names
+    lines: list[str]  # line names
 
 
 class Solved(HasStates, Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is imported above this module."""
 
     comm: MPI.Intracomm
 
@@ -65,27 +65,27 @@ def write_vtkhdf(
 ) -> None:
     """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
 
-    One file has all: a step for each combination, with the surface, cables and bars and the arrays
-    of `Solver.to_pyvista`. Those that a cell does not have are NaN. "line" is -1 on the surface and
-    the number of the cable or bar otherwise; the texts of each step are "case", the combination's
-    name, and "names" of cables and bars in the order of "line".
+    The file has a step for each combination, with surface, cables and bars and the arrays of
+    `Solver.to_pyvista`, NaN where undefined. "line" is the number of the cable or bar, and -1 on
+    the surface. Each step has the texts "case", the combination's name, and "names", those of
+    cables and bars in the order of "line".
 
     Parameters
     ----------
     solver
-        Whose scene it is; its state is restored.
+        Solver of the scene; its state is restored.
     filename
-        Ending in .vtkhdf. One that is there is replaced when the new one is complete.
+        File name, ending in .vtkhdf. An existing file is replaced once the new one is complete.
     combinations
-        What `Solver.combine` returned; by default the current state alone.
+        Result of `Solver.combine`; by default the current state alone.
 
     Raises
     ------
     InputError
-        On all ranks, with nothing written: another suffix, no combinations of this solver, or a
+        On all ranks, with nothing written: another suffix, combinations of another solver, or a
         file that cannot be written.
     ImportError
-        On all ranks: there is no h5py.
+        On all ranks: h5py is not installed.
 
     Examples
     --------
@@ -147,7 +147,7 @@ def _grid(name: str, surface: Surface, lines: list[Line]) -> Grid:
 
 
 def _together(first: Mapping[str, Any], second: Mapping[str, Any], n: int, m: int) -> Arrays:
-    """Data of two meshes with n and m rows as one, NaN where a mesh has none."""
+    """Data of two meshes with n and m rows concatenated, NaN where undefined."""
     found: Arrays = {}
     for name in dict.fromkeys((*first, *second)):
         lacking = np.shape(first[name] if name in first else second[name])[1:]
@@ -197,7 +197,7 @@ def _write_texts(root: Any, name: str, of_steps: Sequence[Sequence[str]]) -> Non
     counts = np.array([len(some) for some in of_steps])
     if counts.any():
         texts = [text.encode() for some in of_steps for text in some]
-        # VTK takes bytes called ASCII only, and reads them as UTF-8
+        # VTK accepts only strings marked ASCII, but reads them as UTF-8
         kind = _h5py().string_dtype("ascii")
         root.create_dataset(f"FieldData/{name}", data=texts, dtype=kind)
         root[f"Steps/FieldDataOffsets/{name}"] = np.cumsum(counts) - counts
