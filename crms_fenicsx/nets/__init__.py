@@ -1,5 +1,5 @@
-"""Layout of cable nets on the current shape of a membrane: where their cables lie, how long they
-are, and where they cross; lengths to order.
+"""Layout of cable nets on the current shape of a membrane, with lengths and crossings of the
+cables; lengths to order.
 
 `Scene.lay_net` lays the cables of a net.
 """

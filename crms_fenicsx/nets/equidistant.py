@@ -1,9 +1,9 @@
-"""Equidistant nets: all meshes have sides of one length, as those of nets made in a workshop.
+"""Equidistant nets: all meshes have sides of equal length, like nets made in a workshop.
 
-Also called Chebyshev nets (P. L. Chebyshev, Sur la coupe des vêtements, 1878). Node by node each
-new one is found by the compass: at one distance from two neighbours. On a surface of Gaussian
-curvature K the angle w between the families changes by w_uv = -K sin w, so that far from the two
-first lines the meshes fold.
+Also called Chebyshev nets (P. L. Chebyshev, Sur la coupe des vêtements, 1878). Each new node is
+found by the compass method, at one distance from two neighbours. On a surface of Gaussian curvature
+K the angle w between the families changes by w_uv = -K sin w, so the meshes fold far from the two
+first lines.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from crms_fenicsx.scene import Scene
 Node = tuple[int, int]
 
 AXES: tuple[Node, ...] = ((1, 0), (-1, 0), (0, 1), (0, -1))
-"""Ways from the origin along the two first lines."""
+"""Directions from the origin along the two first lines, in node numbers."""
 
 APART = 0.51
-"""Distance, in widths, from any other node below which a line has come around a tube. The diagonals
-of meshes with angles of 30 degrees are longer."""
+"""Distance from other nodes, relative to the width, below which a line has come around a tube; the
+diagonals of meshes with angles of 30 degrees are longer."""
 
 
 @collective
@@ -42,29 +42,29 @@ def equidistant(
     *,
     least_angle: float = 30.0,
 ) -> Net:
-    """Lay out a net whose meshes all have sides of one length. Collective.
+    """Lay out a net whose meshes have sides of equal length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
-    two others. Where a mesh would have an angle of less than `least_angle` the net ends. All lines
-    run straight on from their last node to the rim. Where a geodesic ends at the rim before the
-    membrane does, the next line of its family starts from one that goes on.
+    two others. The net ends where a mesh would have an angle below `least_angle`; all lines
+    continue straight from their last node to the rim. Where a geodesic meets the rim before the
+    membrane ends, the next line of its family continues straight in its place.
 
-    The lines turn within the surface: cables that slide freely do not stay on them. Clamp their
-    crossings, or let friction hold them.
+    The lines are curved within the surface, so freely sliding cables do not stay on them: clamp
+    their crossings, or hold them by friction.
 
     Parameters
     ----------
     scene
-        A scene, on whose current shape the net is laid out.
+        Scene on whose current shape the net is laid out.
     width
-        Distance of neighbouring nodes, in a straight line (length).
+        Straight distance between neighbouring nodes (length).
     origin
-        A node, in plan, (2,), or in space, (3,) (length).
+        First node, in plan (2,) or in space (3,) (length).
     directions
-        Directions of both geodesics at the origin, in plan, (2,), or in space, (3,), any angle
-        between them.
+        Directions of the two geodesics at the origin, in plan (2,) or in space (3,), at any angle
+        to each other.
     least_angle
-        Least angle of a mesh (degrees).
+        Smallest angle of a mesh (degrees).
 
     Returns
     -------
@@ -74,14 +74,14 @@ def equidistant(
     Raises
     ------
     InputError
-        On all ranks: a width for which no mesh has room, or directions that are parallel.
+        On all ranks: a width too large for any mesh, or parallel directions.
     PathError
-        An origin off the membrane, or a line that cannot be laid.
+        On all ranks: an origin off the membrane, or a line that cannot be laid.
 
     Warns
     -----
     NetWarning
-        The net ends where it would fold; it says where.
+        The net ends where it would fold, at the place given.
 
     Examples
     --------
@@ -131,17 +131,17 @@ def equidistant(
 
 
 class Chart:
-    """The nodes of a net by their numbers in both families."""
+    """The nodes of a net, numbered along both families."""
 
     def __init__(self, surface: WholeSurface, width: float, least_angle: float) -> None:
         self.surface, self.width, self.least_angle = surface, width, least_angle
         self.nodes: dict[Node, Array] = {}
-        # where meshes would fold: number of meshes from the origin, angle (degrees), place
+        # folds: number of meshes from the origin, angle (degrees), place
         self.folds: list[tuple[int, float, tuple[float, ...]]] = []
         self._folded: set[Node] = set()
 
     def grow(self, origin: Array, ways: Sequence[Array]) -> None:
-        """Find the nodes along the two first lines, and then those between them."""
+        """Find the nodes along the two first lines, then those between."""
         self.nodes[0, 0] = origin
         for (i, j), way in zip(AXES, ways, strict=True):
             self._grow_axis(i, j, origin, way)
@@ -150,7 +150,7 @@ class Chart:
                 self._fill(p, q)
 
     def _grow_axis(self, i: int, j: int, point: Array, way: Array) -> None:
-        """Go on from the origin, until the rim or until the line comes back to itself."""
+        """Extend a line from the origin to the rim, or until it closes."""
         first = self.surface.step(point, way, self.width)
         if first is None:
             return
@@ -160,7 +160,7 @@ class Chart:
                 self.nodes[k * i, k * j] = new
 
     def _fill(self, p: int, q: int) -> None:
-        """Find the nodes of a quadrant, in the order of their distance from the origin."""
+        """Find the nodes of a quadrant, in order of their distance from the origin."""
         reach = max(p * i + q * j for i, j in self.nodes)
         level = 1
         while level < max(reach, 2) + 1:
@@ -173,7 +173,7 @@ class Chart:
                     reach = max(reach, level)
 
     def _node(self, p: int, q: int, i: int, j: int) -> Array | None:
-        """A node from its neighbours nearer to the origin; None where there is none."""
+        """A node from its neighbours closer to the origin; None if it cannot be found."""
         nodes, beside, below = self.nodes, (i - p, j), (i, j - q)
         if {beside, below, (i - p, j - q)} & self._folded:
             self._folded.add((i, j))
@@ -187,7 +187,7 @@ class Chart:
         return None
 
     def _by_compass(self, node: Node, a: Array, b: Array, corner: Array) -> Array | None:
-        """The node opposite to a mesh's corner; None where there is the rim, or meshes fold."""
+        """The fourth node of a mesh; None beyond the rim or where meshes fold."""
         found = self.surface.compass(a, b, self.width)
         found = found[norm(found - corner) > SAME_POINT * self.width]
         if not len(found):
@@ -201,7 +201,8 @@ class Chart:
         return np.asarray(new)
 
     def _straight_on(self, node: Node, last: Node, before: Node) -> Array | None:
-        """The node after the last two of a line whose neighbour ends at the rim."""
+        """The next node straight on from a line's last two, where the adjacent line has ended at
+        the rim."""
         if before not in self.nodes:
             return None
         point = self.nodes[last]
@@ -212,7 +213,7 @@ class Chart:
         return new
 
     def table(self) -> Array:
-        """The nodes by number, from the lowest ones on, (n, m, 3); NaN where there is none."""
+        """Nodes by number from the lowest on, (n, m, 3); NaN where missing."""
         numbers = np.array(list(self.nodes))
         low, high = numbers.min(axis=0), numbers.max(axis=0)
         table = np.full((*(high - low + 1), 3), np.nan)
@@ -224,7 +225,7 @@ class Chart:
         return [self._family(0), self._family(1)]
 
     def _family(self, along: Literal[0, 1]) -> list[Array]:
-        """Routes of the lines on which one of the two numbers grows."""
+        """Routes of the lines along which one of the node numbers increases."""
         found = []
         for other in sorted({node[1 - along] for node in self.nodes}):
             own = sorted(node[along] for node in self.nodes if node[1 - along] == other)
@@ -245,7 +246,7 @@ def _angle(corner: Array, a: Array, b: Array) -> float:
 
 
 def _vector(what: str, value: object) -> Array:
-    """Two or three finite numbers, (2,) or (3,)."""
+    """A vector of two or three finite numbers, (2,) or (3,)."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Nets of shortest paths, on which cables without friction stay where they are laid."""
+"""Nets of geodesics, along which frictionless cables stay in place."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from crms_fenicsx.scene import Scene
 def geodesics_between(
     scene: Scene, edges: Sequence[tuple[str, str]], n: int | Sequence[int]
 ) -> Net:
-    """Lay out a net of shortest paths between pairs of edges. Collective.
+    """Lay out a net of geodesics between pairs of edges. Collective.
 
-    Each family divides both of its edges into equal parts, n + 1 for n lines, and joins their ends
-    by the path that is shortest near the straight line in plan.
+    For n lines, both edges of a family are divided into n + 1 equal parts; division points are
+    joined by the shortest path near the straight line in plan.
 
     Parameters
     ----------
     scene
-        A scene, on whose current shape the net is laid out.
+        Scene on whose current shape the net is laid out.
     edges
-        For each family the groups of edges between which its lines run, such as
-        ``[("left", "right"), ("front", "back")]``. A group is one line with two ends.
+        For each family the two edge groups between which its lines run, such as
+        ``[("left", "right"), ("front", "back")]``. A group must be one open line.
     n
-        Number of lines of each family, or one number for all.
+        Number of lines per family, or one number for all.
 
     Returns
     -------
@@ -46,9 +46,9 @@ def geodesics_between(
     Raises
     ------
     InputError
-        On all ranks: groups that do not exist, are closed or in pieces, or a number that is none.
+        On all ranks: an unknown, closed or divided group, or an invalid number.
     PathError
-        A line that cannot be laid on the membrane.
+        On all ranks: a line that cannot be laid on the membrane.
 
     Examples
     --------
@@ -82,19 +82,18 @@ def geodesics_across(
 ) -> Net:
     """Lay out a net of geodesics that cross given lines at right angles. Collective.
 
-    Each family starts from its line at equal distances, those of the first and last to the line's
-    ends being equal, goes straight on to the rim on both sides, and is then pulled taut between
-    its ends. Away from the line the distances change with the surface's curvature: on a sphere of
-    radius R as cos(s / R).
+    The geodesics of a family start from its line at equal spacing, centred on the line, run
+    straight to the rim on both sides, and are then pulled taut between their ends. Away from the
+    line the spacing changes with the surface's curvature: on a sphere of radius R as cos(s / R).
 
     Parameters
     ----------
     scene
-        A scene, on whose current shape the net is laid out.
+        Scene on whose current shape the net is laid out.
     lines
-        For each family the points of its line, in plan, (k, 2), or in space, (k, 3) (length).
+        For each family the points of its line, in plan (k, 2) or in space (k, 3) (length).
     spacing
-        Distance of the family's lines along its line (length).
+        Spacing of the geodesics along the given line (length).
 
     Returns
     -------
@@ -104,9 +103,9 @@ def geodesics_across(
     Raises
     ------
     InputError
-        On all ranks: a spacing that is larger than a line.
+        On all ranks: a spacing longer than a line.
     PathError
-        A line that leaves the membrane.
+        On all ranks: a line that leaves the membrane.
 
     Examples
     --------
@@ -143,7 +142,7 @@ def geodesics_across(
 
 
 def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> Array:
-    """Points (k, 3) of the line straight on from rim to rim, through a point in a direction."""
+    """Points (k, 3) of the straight line through a point in a direction, from rim to rim."""
     halves = []
     for sign in (-1.0, 1.0):
         first = surface.step(start, sign * way, step)
@@ -156,7 +155,7 @@ def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> 
 
 
 def _checked_pairs(edges: object) -> list[tuple[str, str]]:
-    """Pairs of names of groups."""
+    """Checked pairs of group names."""
     pairs = list(edges) if isinstance(edges, list | tuple) else []
     for pair in pairs:
         if not isinstance(pair, list | tuple) or len(pair) != 2:
@@ -171,7 +170,7 @@ def _checked_pairs(edges: object) -> list[tuple[str, str]]:
 
 
 def _chain(surface: WholeSurface, name: str) -> Array:
-    """Places of the vertices of a group of edges from end to end, (k, 3). Collective."""
+    """Vertices of an edge group from end to end, (k, 3). Collective."""
     membrane = surface.membrane
     groups = membrane.mesh.edges
     if name not in groups:
@@ -192,7 +191,7 @@ def _chain(surface: WholeSurface, name: str) -> Array:
 
 
 def _divided(points: Array, n: int) -> Array:
-    """The n points that divide a polyline into equal parts, (n, 3)."""
+    """The n points that divide a polyline into n + 1 equal parts, (n, 3)."""
     along = arc_lengths(points)
     at = along[-1] * np.arange(1, n + 1) / (n + 1)
     return np.column_stack([np.interp(at, along, points[:, i]) for i in range(3)])

@@ -1,4 +1,4 @@
-"""Nets of plane sections, great circles, and paths of one's own."""
+"""Nets of plane sections, great circles and user-defined paths."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def sections(
     center: Sequence[float] = (0.0, 0.0),
     shortest: bool = False,
 ) -> Net:
-    """Lay out a net that is straight in plan: sections of the membrane with vertical planes.
+    """Lay out a net of plane vertical sections, straight in plan. Collective.
 
-    Collective. On an air hall the cables of such a net are longer than the shortest paths between
-    their ends, and slide towards these unless friction or clamps hold them.
+    On an air hall such cables are longer than the geodesics between their ends, and slide towards
+    these unless held by friction or clamps.
 
     Parameters
     ----------
     scene
-        A scene, on whose current shape the net is laid out.
+        Scene on whose current shape the net is laid out.
     angles
-        For each family the direction of its lines in plan, from the x axis (rad).
+        Direction of each family's lines in plan, from the x axis (rad).
     offsets
-        Distances of the lines of each family from `center`, to the left of its direction (length).
+        Distances of each family's lines from `center`, to the left of its direction (length).
     center
         A point in plan, (2,) (length).
     shortest
@@ -52,9 +52,9 @@ def sections(
     Raises
     ------
     InputError
-        On all ranks: arguments that are not finite, or a plane that does not meet the rim twice.
+        On all ranks: a non-finite argument, or a plane that does not cross the rim twice.
     PathError
-        A line that cannot be laid on the membrane.
+        On all ranks: a line that cannot be laid on the membrane.
 
     Examples
     --------
@@ -92,15 +92,14 @@ def sections(
 
 @collective
 def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: bool = False) -> Net:
-    """Make a net of paths of your own. Collective.
+    """Make a net of given paths. Collective.
 
     Parameters
     ----------
     scene
-        A scene, on whose current shape the net is laid out.
+        Scene on whose current shape the net is laid out.
     families
-        For each family the paths of its lines, as `Scene.lay_cable` takes them, (k, 2) or (k, 3)
-        (length).
+        For each family the paths of its lines, as for `Scene.lay_cable`, (k, 2) or (k, 3) (length).
     shortest
         Whether to pull the lines taut between their ends.
 
@@ -130,16 +129,16 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
 
 
 def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
-    """Make a cable's path over a spherical cap: the shortest one between two points of its rim.
+    """Geodesic between two rim points of a spherical cap, as a cable's path.
 
     Parameters
     ----------
     radius, height
-        As for `meshes.spherical_cap`; the cap is less than a hemisphere. Its centre is the origin.
+        As for `meshes.spherical_cap`, less than a hemisphere, centred at the origin.
     angle
-        Direction in plan of the line between the two points of the rim, from the x axis (rad).
+        Direction in plan of the line between the two rim points, from the x axis (rad).
     offset
-        Distance of that line from the rim's centre, to its left (length).
+        Distance of this line from the rim's centre, to its left (length).
 
     Returns
     -------
@@ -149,7 +148,7 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> A
     Raises
     ------
     InputError
-        If an argument is not finite, a length not positive, the cap too high or the line beyond it.
+        A non-finite argument, a length that is not positive, a cap too high, or a line beyond it.
     """
     check_positive("the great circle", radius=radius, height=height)
     angle, offset = (

@@ -1,4 +1,4 @@
-"""Lengths of cables for prescribed tensions."""
+"""Unstressed lengths of cables for prescribed tensions."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from crms_fenicsx.scene.state import SceneState
 
 
 class _Reached(Exception):  # noqa: N818 - no error: the end of a search
-    """The tensions are those that are wanted."""
+    """The wanted tensions are reached."""
 
 
 class Tuned(Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is imported above this module."""
 
     scene: ReadOnly[Scene]
     comm: MPI.Intracomm
 
     def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
-        """Go to other lengths."""
+        """Solve at other unstressed lengths."""
 
     def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
         """Derivatives of tensions."""
@@ -39,39 +39,39 @@ class Tuned(Protocol):
         """The current state."""
 
     def restore(self, snapshot: SceneState) -> None:
-        """Bring the scene back to a state."""
+        """Restore a state of the scene."""
 
 
 @collective
 def tune(
     solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
 ) -> dict[LaidCable, float]:
-    """Find the unstressed lengths of cables for prescribed tensions under the present loads.
+    """Find the unstressed lengths of cables for prescribed tensions under the current loads.
 
-    Collective. `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`: each
-    of its evaluations is a load step of the solver, whose last one has the tensions.
+    Collective. Uses `scipy.optimize.least_squares` with derivatives from `Solver.sensitivities`;
+    each evaluation is a load step, and the last one has the wanted tensions.
 
     Parameters
     ----------
     solver
-        A `Solver` at an equilibrium in which the cables are in tension.
+        Solver in equilibrium, with the cables in tension.
     tensions
-        Tensions by cables (force); of a cable with clamps its mean tension.
+        Wanted tensions by cables (force); the mean tension for a cable with clamps.
     rtol
-        Largest difference from them, relative.
+        Largest relative error of the tensions.
     most
-        Largest number of load steps.
+        Maximum number of load steps.
 
     Returns
     -------
     dict
-        The unstressed lengths by cables (length), which these have now.
+        Unstressed lengths by cables (length), as set in the scene.
 
     Raises
     ------
     InputError
-        On all ranks: what is no cable of the scene, a tension that is not positive, a slack cable,
-        or tensions that no lengths give; the scene is as it was.
+        On all ranks: an unknown cable, a tension that is not positive, a slack cable, or
+        unattainable tensions. The scene is unchanged then.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def tune(
         return found
 
     def slopes(shares: Array) -> Array:
-        errors(shares)  # where the last step was none to keep
+        errors(shares)  # in case the last step was not at these lengths
         return solver.sensitivities(cables, cables).values * first / wanted[:, None]
 
     try:
