@@ -1,4 +1,4 @@
-"""Meshes that are finer where the estimated error is."""
+"""Adaptive mesh refinement by the estimated error."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from crms_fenicsx.solver import Solver
 from crms_fenicsx.study.build import Build, built, comm_of
 
 SAME = 1e-4
-"""Relative difference of shares that count as equal, as of cells that mirror each other: the
-solver's tolerance and the order of sums on several ranks make such differences."""
+"""Relative difference below which shares are equal, such as those of mirrored cells: solver
+tolerance and summation order on several ranks cause such differences."""
 
 
 def adapt(
@@ -29,37 +29,36 @@ def adapt(
     share: float = 0.5,
     project: Callable[[Array], Array] | None = None,
 ) -> Solver:
-    """Refine a mesh where the estimated error is, until it is small enough. Collective.
+    """Refine a mesh adaptively until the estimated error is small enough. Collective.
 
-    Each level is built anew by the user's own function, on the mesh of the level before with the
-    cells bisected that `marked_cells` finds.
+    Each level is built by the user's function on the previous mesh, refined by bisection of the
+    cells from `marked_cells`.
 
     Parameters
     ----------
     build
         As for `convergence`.
     mesh
-        The first mesh.
+        The initial mesh.
     tolerance
-        Estimated error of the energy, relative to the energy, at which to stop; see
-        `Solver.estimate_error`.
+        Relative error of the energy at which to stop, as estimated by `Solver.estimate_error`.
     levels
-        Most meshes to solve on, this one included.
+        Maximum number of meshes, including the initial one.
     share, project
         As for `marked_cells` and `meshes.refine`.
 
     Returns
     -------
     Solver
-        Of the last level; its mesh is ``solver.scene.mesh``.
+        Solver of the last level; its mesh is ``solver.scene.mesh``.
 
     Raises
     ------
     InputError
-        On all ranks: `build` is no such function, a share, tolerance or number of levels that
-        cannot be used, an estimate of no error at all, or a scene on another mesh than was given.
+        On all ranks: an invalid `build`, share, tolerance or number of levels, an estimated error
+        of zero, or a scene on another mesh than the given one.
     ConvergenceError, PathError
-        As `build` on one of the meshes.
+        As raised by `build` on one of the meshes.
 
     Examples
     --------
@@ -88,29 +87,28 @@ def adapt(
 
 
 def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
-    """The fewest cells that have a given share of the estimated error. Collective.
+    """The fewest cells with a given share of the estimated error. Collective.
 
-    Cells are marked in the order of their shares in `Solver.estimate_error`; cells with the same
-    share are marked together (W. Doerfler, A convergent adaptive algorithm for Poisson's equation,
-    1996).
+    Cells are marked in descending order of their errors from `Solver.estimate_error`; cells of
+    equal error are marked together (W. Doerfler, A convergent adaptive algorithm for Poisson's
+    equation, 1996).
 
     Parameters
     ----------
     solver
         A solver in equilibrium.
     share
-        Share of the estimated error, more than 0 and up to 1. With 1 nearly all cells that have an
-        error are marked.
+        Share of the estimated error, in (0, 1]; 1 marks nearly all cells with an error.
 
     Returns
     -------
     ndarray
-        Local numbers of this rank's cells (n,), the same cells on any number of ranks.
+        Local indices (n,) of this rank's marked cells; the same cells for any number of ranks.
 
     Raises
     ------
     InputError
-        On all ranks: another share, or an estimate of no error at all.
+        On all ranks: an invalid share, or an estimated error of zero.
 
     Examples
     --------
@@ -128,7 +126,7 @@ def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
 
 
 def _fewest(comm: MPI.Intracomm, shares: Array, share: float) -> Indices:
-    """Local numbers of the fewest cells (n,) that have a share of the sum of shares (m,)."""
+    """Local indices of the fewest cells (n,) with a share of the sum of `shares` (m,)."""
     gathered = comm.gather(shares)
     least = 0.0
     if gathered is not None:

@@ -1,4 +1,4 @@
-"""Error bars: the same roof on finer and finer meshes, and where its results go."""
+"""Error bars by mesh refinement: results on successively finer meshes, and their limits."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Convergence:
-    """Results on finer and finer meshes; ``print`` shows the table.
+    """Results on successively finer meshes; ``print`` shows the table.
 
     Attributes
     ----------
     cells
         Number of cells on each level.
     seconds
-        Time that each level has taken.
+        Computing time of each level (s).
     quantities
-        The numbers that were compared, by their names.
+        The compared quantities, by name.
     finest
-        The solver of the last level.
+        Solver of the last level.
     comm
-        Ranks that have them.
+        Communicator of the mesh.
     """
 
     cells: tuple[int, ...]
@@ -54,7 +54,7 @@ class Convergence:
         return checks.named("quantity", dict(self.quantities), name)
 
     def table(self) -> str:
-        """The values on all levels, their limits with bars, orders, and what to know of them."""
+        """Table of values on all levels, limits with error bars, orders and remarks."""
         heads = [f"{n} cells" for n in self.cells]
         rows = [["", *heads, "limit", "+-", "order", ""]]
         for name, one in self.quantities.items():
@@ -81,28 +81,29 @@ class Convergence:
         title: str = "",
         width: float = 8.0,
     ) -> Figure | None:
-        """Plot how far the levels are from the limits, over the cells' size. Collective.
+        """Plot the distances from the limits over the cell size. Collective.
 
         Parameters
         ----------
         filename
-            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+            Picture file; its suffix (.png, .pdf, .svg ...) gives the format. None returns the
+            figure.
         names
-            Of the quantities; all by default.
+            Names of the quantities; all by default.
         title
-            Of the picture.
+            Heading of the picture.
         width
-            In inches.
+            Width of the picture (inches).
 
         Returns
         -------
         matplotlib.figure.Figure
-            On the first rank, without a file; a notebook shows it. Else None.
+            The figure, shown by notebooks, on the first rank if there is no file; else None.
 
         Raises
         ------
         InputError
-            On all ranks: a file that cannot be written, or a quantity that does not exist.
+            On all ranks: a file that cannot be written, or an unknown quantity.
         """
         series = {}
         for name in self.quantities if names is None else names:
@@ -112,7 +113,7 @@ class Convergence:
 
 
 def _digits(limit: float, bar: float) -> int:
-    """Digits that show a value to a tenth of its bar."""
+    """Number of digits that shows a value to a tenth of its error bar."""
     if bar <= 0.0 or limit == 0.0:
         return 8
     return min(max(math.ceil(math.log10(abs(limit) / bar)) + 2, 4), 10)
@@ -129,50 +130,51 @@ def convergence(
     quantities: Mapping[str, Callable[[Solver], float]] | None = None,
     project: Callable[[Array], Array] | None = None,
 ) -> Convergence:
-    """Solve a roof on finer and finer meshes; limits of its results, with error bars. Collective.
+    """Solve a roof on successively finer meshes and extrapolate its results, with error bars.
+    Collective.
 
-    Each level is built anew by the user's own function, on the mesh of the level before with each
-    cell divided into four, so that everything is solved as on the first mesh: found forms, friction
-    with its history, step-wise laws, added terms. A level has four times the cells and takes about
-    four times as long. Two levels give an estimate; the third shows whether it can be trusted. The
-    energy and the cables' tensions are always compared. The error is that of the mesh, not that of
-    the model.
+    Each level is built by the user's function on the previous mesh with each cell divided into
+    four, so everything is solved again: form finding, friction with its history, step-wise laws,
+    added terms. A level takes about four times as long as the previous one. Two levels give an
+    estimate; the third shows whether it is reliable. The energy and the cables' tensions are always
+    compared. The error is the discretisation error, not that of the model.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it, brings the loads on, and returns the
-        solver. Lengths that a cable gets from the mesh, as one laid just taut, it then gets from
-        each mesh. Give the solver no folder of results: all levels would write into it.
+        Function of a mesh that makes scene and solver on it, applies the loads and returns the
+        solver. A cable's length that follows from the mesh, such as that of one laid just taut,
+        then differs between meshes. Give the solver no results folder: all levels would write into
+        it.
     mesh
         The coarsest mesh.
     levels
-        Number of meshes, this one included.
+        Number of meshes, including this one.
     points
-        Stress-free places (3,) by names, whose displacements are compared (length).
+        Named points (3,) on the stress-free surface whose displacements are compared (length).
     reactions
         Groups of held vertices whose total reactions are compared (force).
     stresses
-        Parts of the mesh, or "membrane" for all of it, of which the mean and the largest true
-        section force are compared (force per length). At re-entrant corners and ends of supports
-        the largest one may have no limit; the table then says that differences grow.
+        Parts of the mesh, or "membrane" for the whole, whose mean and largest true section forces
+        are compared (force per length). The largest may have no limit, at re-entrant corners and
+        ends of supports; the table then remarks that differences grow.
     quantities
-        Other numbers, functions of a solver, by names.
+        Other quantities: functions of a solver, by name.
     project
-        Where new vertices belong, as for `meshes.refine`.
+        Projection of new vertices, as for `meshes.refine`.
 
     Returns
     -------
     Convergence
-        With a table (``print`` it) and a plot.
+        Results with a table (``print`` it) and a plot.
 
     Raises
     ------
     InputError
-        On all ranks: `build` is no such function, a number of levels below 2, or a point, group,
-        part or function that cannot be used; the last three after the coarsest level.
+        On all ranks: an invalid `build`, fewer than 2 levels, or an invalid point, group, part or
+        function; the last three are checked on the coarsest level.
     ConvergenceError, PathError
-        As `build` on one of the meshes.
+        As raised by `build` on one of the meshes.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Combinations of loads that groups of processes share, each with a scene of its own."""
+"""Load combinations shared out to groups of processes, each with its own scene."""
 
 from __future__ import annotations
 
@@ -29,42 +29,42 @@ def combine_in_groups(
     report: str | Path | None = None,
     **options: Any,
 ) -> dict[str, Case]:
-    """Bring on combinations of loads in groups of processes that work side by side. Collective.
+    """Solve load combinations in parallel groups of processes. Collective.
 
-    A scene of moderate size gains little from more processes; many combinations of it do. The
-    processes are divided into groups; each builds the scene on a copy of the mesh of its own and
-    takes every `groups`-th combination.
+    More processes hardly speed up a scene of moderate size, but many combinations of it. Each group
+    of processes builds the scene on its own copy of the mesh and solves every `groups`-th
+    combination.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it and returns the solver at the base
-        state. All groups must build the same. A folder for results cannot be shared: give `Solver`
-        none.
+        Function of a mesh that makes scene and solver on it and returns the solver in the base
+        state, the same in all groups. Give `Solver` no results folder, as groups cannot share one.
     mesh
-        The mesh, on all processes that are to be used.
+        The mesh, on all processes to be used.
     combinations, steps
         As for `Solver.combine`.
     groups
-        How many groups, at most as many as processes.
+        Number of groups, at most the number of processes.
     report
-        File of a report about all combinations, as for `Solver.report`; None writes none.
+        Report file on all combinations, as for `Solver.report`; None writes none.
     **options
-        Of the report, as for `Solver.report`: ``title``, ``unit``, ``force``, ``pictures`` ...
+        Options of the report, as for `Solver.report`: ``title``, ``unit``, ``force``, ``pictures``
+        ...
 
     Returns
     -------
     dict
-        Of each combination, in their order, a `Case` with its ``summary`` and its ``verification``,
-        the same on all processes.
+        For each combination, in their order, a `Case` with ``summary`` and ``verification``, the
+        same on all processes.
 
     Raises
     ------
     InputError
-        On all processes, and before a combination is computed: one that cannot be brought on, more
-        groups than processes, `build` returns no solver, or a report that cannot be written.
+        On all processes, before any combination is solved: an invalid combination, more groups than
+        processes, a `build` that returns no solver, or a report that cannot be written.
     ConvergenceError
-        On all processes: a combination has no equilibrium; it says which.
+        On all processes: no equilibrium of a combination, which the message names.
 
     Examples
     --------
@@ -131,7 +131,8 @@ def combine_in_groups(
 def _joined(
     comm: MPI.Intracomm, own: MPI.Intracomm, cases: list[Case], names: list[str]
 ) -> dict[str, Case]:
-    """The cases of all groups in an order; pictures are on the first process only. Collective."""
+    """The cases of all groups in the order of `names`; pictures only on the first process.
+    Collective."""
     sent = cases if own.rank == 0 else []
     plain = comm.allgather([replace(case, pictures=(), view="") for case in sent])
     found = {case.name: case for part in plain for case in part}
