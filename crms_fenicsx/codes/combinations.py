@@ -1,4 +1,4 @@
-"""Combinations of loads by EN 1990 and ASCE 7, as the table that `Solver.combine` takes."""
+"""Load combinations by EN 1990 and ASCE 7, as tables for `Solver.combine`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 Psi = tuple[float, float, float]
-"""The factors psi_0, psi_1 and psi_2 of a variable action."""
+"""Combination factors psi_0, psi_1 and psi_2 of a variable action."""
 
 PSI: dict[str, Psi] = {
     "imposed A": (0.7, 0.5, 0.3),
@@ -24,21 +24,21 @@ PSI: dict[str, Psi] = {
     "wind": (0.6, 0.2, 0.0),
     "temperature": (0.6, 0.5, 0.0),
 }
-"""EN 1990, table A1.1; "imposed H": roofs, "snow": up to 1000 m above the sea."""
+"""EN 1990, table A1.1; "imposed H": roofs, "snow": up to 1000 m above sea level."""
 
 
 @dataclass(frozen=True)
 class CombinationRules:
-    """Combinations of a standard.
+    """Combination rules of a standard.
 
     Attributes
     ----------
     name
-        Of the standard.
+        Name of the standard.
     kinds
-        Kinds of variable loads that it knows; of EN 1990 with their factors psi.
+        Kinds of variable loads; for EN 1990 with their factors psi.
     states
-        Design situations, as "ULS" or "strength", the first one by default.
+        Design situations, such as "ULS" or "strength"; the first one is the default.
     """
 
     name: str
@@ -59,20 +59,20 @@ en1990 = CombinationRules(
 
 _ASCE_KINDS: dict[str, None] = dict.fromkeys(("live", "roof live", "snow", "rain", "wind"))
 asce7_16 = CombinationRules("ASCE 7-16", _ASCE_KINDS, ("strength", "allowable stress"))
-"""ASCE 7-16: sections 2.3.1 and 2.4.1, without earthquakes."""
+"""ASCE 7-16: sections 2.3.1 and 2.4.1, without seismic loads."""
 asce7_22 = CombinationRules("ASCE 7-22", _ASCE_KINDS, ("strength", "allowable stress"))
-"""ASCE 7-22: sections 2.3.1 and 2.4.1, without earthquakes."""
+"""ASCE 7-22: sections 2.3.1 and 2.4.1, without seismic loads."""
 asce7 = asce7_22
-"""The newest ASCE 7 that is known."""
+"""The latest edition of ASCE 7 included."""
 
 STRENGTH = {
     "ASCE 7-16": {"snow": 1.6, "rain": 1.6, "with snow": 0.5},
     "ASCE 7-22": {"snow": 1.0, "rain": 1.6, "with snow": 0.3},
 }
-"""Factors of snow and rain in 2.3.1, leading and not."""
+"""Load factors of snow and rain in 2.3.1, leading; and of snow as an accompanying load."""
 
 ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7, "rain": 0.6}}
-"""Factors of snow and rain in 2.4.1."""
+"""Load factors of snow and rain in 2.4.1."""
 
 
 def combinations(
@@ -83,39 +83,38 @@ def combinations(
     state: str | None = None,
     also: Mapping[str, object] | None = None,
 ) -> dict[str, dict[str, object]]:
-    """The table of load combinations of a standard, for `Solver.combine`.
+    """Table of load combinations of a standard, for `Solver.combine`.
 
-    Permanent loads have one factor together, the unfavourable one and the favourable one in turn.
-    Of the variable loads of a kind one acts at a time, as wind comes from one direction; each
-    set of kinds acts with each of them leading. Every load is named in each combination, those
-    that do not act with the factor 0.
+    All permanent loads have one common factor, once unfavourable and once favourable. Of the
+    variable loads of a kind one acts at a time, as wind has one direction; every set of kinds is
+    combined with each of them leading. Each combination lists all loads, those not acting with the
+    factor 0.
 
     Parameters
     ----------
     rules
-        `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the newest one.
+        `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the latest edition.
     permanent
-        Names of permanent loads. Prestress and inner pressure, which EN 1990 takes with the factor
-        1, belong to the state that combinations begin in.
+        Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
+        to the base state of the combinations.
     variable
-        Names of variable loads, which begin with their kind ("snow", "snow drifted", "wind x"), or
-        a mapping of names to kinds. The kinds are ``rules.kinds``.
+        Names of variable loads that begin with their kind ("snow", "snow drifted", "wind x"), or a
+        mapping of names to kinds; see ``rules.kinds``.
     state
         One of ``rules.states``; by default the first, the ultimate limit state.
     also
-        What all combinations have besides, as ``{"pressure": 0.6}``.
+        Further entries of all combinations, such as ``{"pressure": 0.6}``.
 
     Returns
     -------
     dict
-        Factors of the loads by the combination's name, which tells them:
+        Load factors by combination name, which spells them out:
         "ULS: 1.35 weight + 1.5 snow + 0.9 wind x".
 
     Raises
     ------
     InputError
-        No rules, a state or a kind that they do not have, no loads at all, or a name that comes
-        twice.
+        Invalid rules, an unknown state or kind, no loads, or a duplicate name.
 
     Examples
     --------
@@ -142,7 +141,7 @@ def combinations(
 def _kinds(
     rules: CombinationRules, permanent: Sequence[str], variable: Sequence[str] | Mapping[str, str]
 ) -> dict[str, str]:
-    """The kind of each variable load, of names that are all different."""
+    """The kind of each variable load; names must be unique."""
     checks.collection("combinations: permanent", permanent, Sequence, 'permanent=["weight"]')
     if not isinstance(variable, Mapping):
         checks.collection("combinations: variable", variable, Sequence, 'variable=["snow"]')
@@ -170,7 +169,7 @@ def _kinds(
 
 
 def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
-    """All sets of loads that act together: of each kind one or none."""
+    """All sets of loads that act together: at most one of each kind."""
     groups: dict[str, list[str | None]] = {}
     for name, kind in kinds.items():
         groups.setdefault(kind, [None]).append(name)
@@ -179,8 +178,8 @@ def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
 
 
 def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
-    """Factors of the permanent and the variable loads of each combination, EN 1990, 6.4.3, 6.5.3
-    and table A1.2(B)."""
+    """Factors of permanent and variable loads of each combination, EN 1990, 6.4.3, 6.5.3 and table
+    A1.2(B)."""
     found: list[tuple[float, dict[str, float]]] = []
     steady: tuple[float, ...]
     psi = {name: PSI[kind] for name, kind in kinds.items()}
@@ -207,7 +206,7 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
 def _american(
     edition: str, state: str, kinds: Mapping[str, str]
 ) -> list[tuple[float, dict[str, float]]]:
-    """Factors of the permanent and the variable loads of each combination, ASCE 7, 2.3.1, 2.4.1."""
+    """Factors of permanent and variable loads of each combination, ASCE 7, 2.3.1 and 2.4.1."""
     roof = ("roof live", "snow", "rain")
     found: list[tuple[float, dict[str, float]]] = []
     if state == "strength":
@@ -240,7 +239,7 @@ def _american(
 def _add(
     found: list[tuple[float, dict[str, float]]], steady: float, factors: dict[str, float]
 ) -> None:
-    """Add a combination that is not there yet; loads with the factor 0 do not act."""
+    """Add a combination without duplicates; loads with the factor 0 do not act."""
     acting = {name: round(factor, 12) for name, factor in factors.items() if factor}
     if (one := (round(steady, 12), acting)) not in found:
         found.append(one)

@@ -1,7 +1,7 @@
 """Snow on roofs by EN 1991-1-3:2003, section 5.3, as functions for `Scene.put_load`.
 
-A shape gives the coefficient mu at places of the roof, from the slope that the surface has there
-or from one pitch of the whole roof. `snow_load` makes it a load on the plan.
+A shape gives the coefficient mu on the roof, from the local slope or from one pitch of the whole
+roof. `snow_load` turns it into a load on plan.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 FLAT, STEEP = 30.0, 60.0
-"""Pitches (degrees) up to which all snow stays and from which on none does, Table 5.2."""
+"""Pitches (degrees) up to which all snow stays and from which none does, Table 5.2."""
 
 MU_1 = 0.8
 """Coefficient mu_1 of flat roofs, Table 5.2."""
@@ -33,32 +33,31 @@ SHORTEST, LONGEST = 5.0, 15.0
 """Recommended range of the drift's length l_s (m), 5.3.6(1), note 2."""
 
 SLIDES = 15.0
-"""Pitch (degrees) of the upper roof from which on its snow slides off, 5.3.6(1)."""
+"""Pitch (degrees) of the upper roof above which its snow slides off, 5.3.6(1)."""
 
 Shape = Callable[[Array, Array], Array]
-"""A function of points and unit normals, both (3, n), that gives coefficients mu, (n,)."""
+"""Function of points and unit normals, both (3, n), that returns coefficients mu, (n,)."""
 
 
 def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
-    """Coefficient mu_1 of a pitch, EN 1991-1-3, Table 5.2.
+    """Coefficient mu_1 for a pitch, EN 1991-1-3, Table 5.2.
 
     Parameters
     ----------
     pitch
         Pitches, 0 to 90 degrees.
     retained
-        Whether snow guards or parapets keep the snow from sliding off; mu is then 0.8 at least,
-        5.3.2(2).
+        Whether snow guards or parapets prevent sliding; mu is then at least 0.8, 5.3.2(2).
 
     Returns
     -------
     numpy.ndarray
-        0.8 up to 30 degrees, then linear to 0 at 60 degrees; in the shape of `pitch`.
+        0.8 up to 30 degrees, then linear to 0 at 60 degrees; same shape as `pitch`.
 
     Raises
     ------
     InputError
-        A pitch that is not between 0 and 90 degrees.
+        A pitch outside 0 to 90 degrees.
 
     Examples
     --------
@@ -73,7 +72,7 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
 
 
 def _slopes(pitch: float | None, normals: Array) -> Array:
-    """Pitches (degrees) at places, of the roof or of the surface there."""
+    """Pitches (degrees): the roof's, or the local slopes."""
     if pitch is not None:
         return np.full(normals.shape[1], pitch)
     return np.degrees(np.arccos(np.clip(np.abs(normals[2]), 0.0, 1.0)))
@@ -86,19 +85,19 @@ def _checked_pitch(call: str, pitch: float | None) -> None:
 
 @dataclass(frozen=True)
 class PitchedSnow:
-    """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, and on any surface by its own slope.
+    """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, or on any surface by its local slope.
 
     Parameters
     ----------
     pitch
-        Of the whole roof (degrees); None, the default, takes the slope at each place.
+        Pitch of the whole roof (degrees); None takes the local slope.
     retained
         As for `snow_on_pitch`.
 
     Raises
     ------
     InputError
-        A pitch that is not between 0 and 90 degrees.
+        A pitch outside 0 to 90 degrees.
     """
 
     pitch: float | None = None
@@ -130,7 +129,7 @@ class DuopitchSnow:
     Raises
     ------
     InputError
-        A case that is not known, a direction without length, or a pitch out of range.
+        An unknown case, a zero direction, or a pitch out of range.
     """
 
     ridge: Sequence[float]
@@ -171,14 +170,14 @@ class CylindricalSnow:
     Attributes
     ----------
     width : float
-        Width l_s in plan on which the tangent is not steeper than 60 degrees (length), of an arc
-        of a circle. Beyond it there is no snow.
+        Width l_s in plan (length) over which the tangent of a circular arc is at most 60 degrees
+        steep. Beyond it there is no snow.
 
     Raises
     ------
     InputError
-        A case that is not known, a direction without length, a span or rise that is not positive,
-        or a rise beyond half of the span, for which there is no figure.
+        An unknown case, a zero direction, a span or rise that is not positive, or a rise above half
+        the span, which the figure does not cover.
     """
 
     crown: Sequence[float]
@@ -221,36 +220,35 @@ class DriftedSnow:
     Parameters
     ----------
     wall
-        A point (x, y) of the taller works' wall (length).
+        A point (x, y) on the taller works' wall (length).
     away
-        Direction (x, y) in plan from the wall over the roof.
+        Direction (x, y) in plan from the wall across the roof.
     height
-        h from the roof to the top of the taller works (m).
+        Height h from the roof to the top of the taller works (m).
     upper, lower
         Widths b_1 of the taller works and b_2 of this roof (m).
     s_k
         Characteristic snow load on the ground (kN/m^2).
     upper_pitch, upper_slope
-        Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof. From
-        15 degrees on half of the largest snow load on it slides down.
+        Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof.
+        Above 15 degrees half of the largest snow load on it slides down.
     weight
-        Weight of snow by volume gamma (kN/m^3).
+        Weight density gamma of snow (kN/m^3).
 
     Attributes
     ----------
     length, mu_w, mu_s : float
-        Length l_s of the drift (m), and its coefficients by wind and by sliding.
+        Length l_s of the drift (m), and its coefficients due to wind and to sliding.
 
     Raises
     ------
     InputError
-        A size that is not positive, a pitch out of range, or a steep upper roof without
+        A dimension that is not positive, a pitch out of range, or a steep upper roof without
         `upper_slope`.
 
     Notes
     -----
-    The bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m are recommended in m and kN/m^2, so that
-    sizes have to be given in these.
+    The recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m require input in m and kN/m^2.
     """
 
     wall: Sequence[float]
@@ -278,14 +276,14 @@ class DriftedSnow:
 
     @property
     def mu_w(self) -> float:
-        """Coefficient mu_w by wind, expression (5.8)."""
+        """Coefficient mu_w due to wind, expression (5.8)."""
         drift = min((self.upper + self.lower) / (2 * self.height),
                     self.weight * self.height / self.s_k)  # fmt: skip
         return min(max(drift, LEAST_DRIFT), MOST_DRIFT)
 
     @property
     def mu_s(self) -> float:
-        """Coefficient mu_s by sliding: half of the upper slope's snow, as a triangle."""
+        """Coefficient mu_s due to sliding: half of the upper slope's snow, as a triangle."""
         if self.upper_pitch <= SLIDES:
             return 0.0
         return float(snow_on_pitch(self.upper_pitch)) * self.upper_slope / self.length
@@ -300,7 +298,7 @@ class DriftedSnow:
 def snow_load(
     s_k: float, shape: Shape | None = None, *, exposure: float = 1.0, thermal: float = 1.0
 ) -> Callable[[Array, Array], Array]:
-    """Snow load s = mu C_e C_t s_k on the plan, EN 1991-1-3, expression (5.1).
+    """Snow load s = mu C_e C_t s_k on plan, EN 1991-1-3, expression (5.1).
 
     Parameters
     ----------
@@ -316,12 +314,12 @@ def snow_load(
     Returns
     -------
     callable
-        For `Scene.put_load`, with ``per="plan"``.
+        Load for `Scene.put_load`, with ``per="plan"``.
 
     Raises
     ------
     InputError
-        A load or coefficient that is not positive, or no shape.
+        A load or coefficient that is not positive, or an invalid shape.
 
     Examples
     --------

@@ -1,10 +1,10 @@
 """Pressure coefficients of curved roofs and canopies by EN 1991-1-4, for `Scene.put_wind`.
 
-The zones are laid over the roof's current shape, whatever it is: parts of its depth d along a
-direction and of its breadth b across it.
+The zones are laid over any roof's current shape: fractions of its depth d along a direction and of
+its breadth b across it.
 
-No copy of the standard was at hand. What the coefficients below have been compared with is said at
-each; compare those that a design rests on with yours.
+No copy of the standard was available. The sources with which coefficients were compared are given
+at each; compare those that a design relies on with your copy.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Zones = tuple[float, float, float]
 """Coefficients in the zones A (windward), B (crown) and C (leeward)."""
 
 VAULT_RISES = (0.05, 0.5)
-"""f/d at the ends of figure 7.11."""
+"""Range of f/d in figure 7.11."""
 
 VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
-"""Figure 7.11 at its ends for h/d = 0; straight lines between them stand for its own. A published
-reading at f/d = 0.26 has 0.42, -0.96, -0.40, which these meet within 0.03."""
+"""Ends of figure 7.11 for h/d = 0; straight lines replace its curves. A published reading at f/d =
+0.26 is 0.42, -0.96, -0.40, met within 0.03."""
 
 HEMISPHERE: Zones = (0.8, -1.2, 0.0)
 """Figure 7.12 for f/d = 0.5 and h/d = 0."""
@@ -38,7 +38,7 @@ MONOPITCH = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Pitches (degrees) of table 7.6."""
 
 DUOPITCH = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Pitches (degrees) of table 7.7; negative ones are of trough roofs."""
+"""Pitches (degrees) of table 7.7; negative for trough roofs."""
 
 Rows = dict[str, tuple[float, ...]]
 
@@ -48,8 +48,8 @@ MONOPITCH_MOST: Rows = {
     "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
     "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
 }
-"""Table 7.6: largest net coefficients, with any blockage; as in BS 6399-2, table 13, of which they
-are."""
+"""Table 7.6: largest net coefficients for any blockage; equal to BS 6399-2, table 13, their
+source."""
 
 MONOPITCH_LEAST: tuple[Rows, Rows] = (
     {
@@ -65,9 +65,9 @@ MONOPITCH_LEAST: tuple[Rows, Rows] = (
         "C": (-2.2, -2.5, -2.7, -3.0, -3.0, -2.8, -2.7),
     },
 )
-"""Table 7.6: least net coefficients without blockage, as in BS 6399-2, table 13, and with full
-blockage, which differ from those there; overall as in a second implementation. Zone A is -2.1 at
-10 degrees in the Spanish DB SE-AE, table D.10, otherwise the same."""
+"""Table 7.6: least net coefficients without blockage, equal to BS 6399-2, table 13, and with full
+blockage, different from it; "overall" as in a second implementation. Zone A is -2.1 at 10 degrees
+in the Spanish DB SE-AE, table D.10, otherwise equal."""
 
 DUOPITCH_MOST: Rows = {
     "overall": (0.7, 0.5, 0.4, 0.3, 0.3, 0.4, 0.4, 0.6, 0.7, 0.9),
@@ -76,7 +76,7 @@ DUOPITCH_MOST: Rows = {
     "C": (0.6, 0.7, 0.8, 0.8, 1.3, 1.4, 1.4, 1.5, 1.6, 1.6),
     "D": (1.7, 1.4, 1.1, 0.8, 0.4, 0.4, 0.4, 0.4, 0.5, 0.7),
 }
-"""Table 7.7: largest net coefficients, with any blockage."""
+"""Table 7.7: largest net coefficients for any blockage."""
 
 DUOPITCH_LEAST: tuple[Rows, Rows] = (
     {
@@ -105,19 +105,19 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     rise
         f/d, 0.05 to 0.5.
     height
-        h/d of the walls below; 0, a vault that stands on the ground, is what is known here.
+        h/d of the walls below; only 0, a vault on the ground, is available.
 
     Returns
     -------
     tuple
-        In the zones A, B and C. They stand for the figure's lines and have not been compared with
-        a copy of it; for a design read them there and give ``zones=``.
+        Coefficients in zones A, B and C. They approximate the figure's lines and were not compared
+        with a copy of it; for a design, read the figure and give ``zones=``.
 
     Raises
     ------
     InputError
-        A rise outside the figure, or walls, for which the figure has two values in part of its
-        range: read them there and give ``zones=`` to `vault`.
+        A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
+        read it and give ``zones=`` to `vault`.
 
     Examples
     --------
@@ -142,20 +142,20 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
     rise
         Ratio r of rise to span, up to 0.6.
     raised
-        Whether it stands on walls and not on the ground.
+        Whether the roof stands on walls rather than on the ground.
     alternative
-        Whether the windward quarter has the second value 6 r - 2.1, which for 0.2 <= r <= 0.3
-        is to be considered, too.
+        Whether the windward quarter has the second value 6 r - 2.1, to be considered as well for
+        0.2 <= r <= 0.3.
 
     Returns
     -------
     tuple
-        In the windward quarter, the central half and the leeward quarter.
+        Coefficients in the windward quarter, the central half and the leeward quarter.
 
     Raises
     ------
     InputError
-        A rise outside the figure, or an alternative where there is none.
+        A rise outside the figure, or an alternative outside its range.
 
     Examples
     --------
@@ -182,18 +182,18 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
 
 @dataclass(frozen=True)
 class ArchWind:
-    """Wind on a vaulted roof or a dome, as `vault` and `dome` make it.
+    """Wind on a vaulted roof or a dome, made by `vault` or `dome`.
 
     Attributes
     ----------
     roof
-        Sizes of the roof along the wind.
+        Dimensions of the roof along the wind.
     zones
-        Coefficients A, B and C, along the arc of a circle over the roof.
+        Coefficients A, B and C along a circular arc over the roof.
     stepped
-        Of a vault they are those of the windward quarter of the arc, the half in the middle and the
-        leeward quarter; of a dome those at the windward edge, the crown and the leeward edge, and
-        linear between.
+        True for a vault: A, B and C apply to the windward quarter, central half and leeward quarter
+        of the arc. False for a dome: they apply at windward edge, crown and leeward edge, linear
+        between.
     """
 
     roof: Footprint
@@ -201,7 +201,7 @@ class ArchWind:
     stepped: bool
 
     def __call__(self, x: Array, n: Array) -> Array:
-        """Coefficients at points (3, n)."""
+        """Coefficients (n,) at points (3, n)."""
         arc = self.roof.arcs(x)
         if self.stepped:
             return np.asarray(self.zones)[np.searchsorted((-0.5, 0.5), arc)]
@@ -210,17 +210,17 @@ class ArchWind:
 
 @dataclass(frozen=True)
 class CanopyWind:
-    """Net wind on a canopy, as `canopy` makes it.
+    """Net wind on a canopy, made by `canopy`.
 
     Attributes
     ----------
     roof
-        Sizes of the roof along its slope.
+        Dimensions of the roof along its slope.
     zones
-        Net coefficients by zones: A, B and C, of duopitch canopies D; "overall" alone for the
-        structure as a whole.
+        Net coefficients by zone: A, B and C, for duopitch canopies also D; or "overall" alone, for
+        the whole structure.
     loaded
-        Parts of the depth that carry load, from 0 to 1.
+        Loaded range of the depth, within 0 to 1.
     """
 
     roof: Footprint
@@ -228,7 +228,7 @@ class CanopyWind:
     loaded: tuple[float, float] = (0.0, 1.0)
 
     def __call__(self, x: Array, n: Array) -> Array:
-        """Coefficients at points (3, n)."""
+        """Coefficients (n,) at points (3, n)."""
         along, across = self.roof.parts(x)
         low, high = self.loaded
         on = (along >= low - 8 * EPSILON) & (along <= high + 8 * EPSILON)
@@ -240,7 +240,7 @@ class CanopyWind:
             "C": np.abs(along - 0.5) > 0.4,
             "B": np.abs(across - 0.5) > 0.4,
         }
-        for zone, there in places.items():  # where two meet, the one that loads more
+        for zone, there in places.items():  # where two zones meet, the larger load counts
             value = self.zones.get(zone)
             if value is not None:
                 more = there & ((found == self.zones["A"]) | (abs(value) > np.abs(found)))
@@ -267,33 +267,32 @@ def vault(
 ) -> ArchWind:
     """Wind across a vaulted roof in its current shape, EN 1991-1-4, 7.2.8. Collective.
 
-    A is on the windward quarter of the arc, B on the half in the middle, C on the leeward quarter.
+    A is the windward quarter of the arc, B the central half, C the leeward quarter.
 
     Parameters
     ----------
     scene
-        The scene whose membrane it is.
+        Scene of the roof.
     direction
-        Direction (x, y) in plan that the wind blows to, across the vault. For wind along it the
-        figure has no coefficients.
+        Direction (x, y) in plan towards which the wind blows, across the vault. The figure has no
+        coefficients for wind along it.
     height
         Height h of the walls below the vault (length).
     zones
-        Coefficients of A, B and C where the standard's are not `en1991_vault_zones`, such as those
-        of walls, of a national annex, or `asce7_arch_zones`.
+        Coefficients of A, B and C instead of `en1991_vault_zones`, such as those for walls, of a
+        national annex, or `asce7_arch_zones`.
     part
-        Part of the mesh that is the roof; all of it by default.
+        Part of the mesh that forms the roof; by default the whole mesh.
 
     Returns
     -------
     ArchWind
-        For `Scene.put_wind`.
+        Coefficients for `Scene.put_wind`.
 
     Raises
     ------
     InputError
-        On all ranks: a direction without length, a part that does not exist, or a roof or walls
-        outside the figure.
+        On all ranks: a zero direction, an unknown part, or a roof or walls outside the figure.
 
     Examples
     --------
@@ -318,25 +317,25 @@ def dome(
 ) -> ArchWind:
     """Wind on a dome in its current shape, EN 1991-1-4, 7.2.8, figure 7.12. Collective.
 
-    Coefficients are the same on planes across the wind, and linear along arcs from A over B to C.
+    Coefficients are constant on planes across the wind, and linear along arcs from A via B to C.
 
     Parameters
     ----------
     scene, direction, part
         As for `vault`.
     zones
-        Coefficients of A, B and C, read off figure 7.12 for f/d and h/d. Only those of a hemisphere
-        on the ground are known here, and taken by default.
+        Coefficients of A, B and C, read off figure 7.12 for f/d and h/d; by default those of a
+        hemisphere on the ground, the only ones available.
 
     Returns
     -------
     ArchWind
-        For `Scene.put_wind`; its `roof` has f and d.
+        Coefficients for `Scene.put_wind`; f and d are in its `roof`.
 
     Raises
     ------
     InputError
-        On all ranks: as `vault`; no zones, of a dome that is no hemisphere.
+        On all ranks: as for `vault`, or missing zones for a dome that is no hemisphere.
 
     Examples
     --------
@@ -378,7 +377,7 @@ def canopy(
     kind, pitch
         "monopitch" of 0 to 30 degrees, or "duopitch" of -20 (trough) to -5 and 5 to 30 degrees.
     effect
-        "down" takes the largest coefficients, "up" the least.
+        "down" takes the largest coefficients, "up" the smallest.
     blockage
         Degree of blockage phi below the canopy, 0 to 1, 7.3(2).
     take
@@ -389,13 +388,13 @@ def canopy(
     Returns
     -------
     CanopyWind
-        For `Scene.put_wind`, positive downward. Where two zones meet in a corner the one that
-        loads more counts. Compare the coefficients with your copy of the tables.
+        Coefficients for `Scene.put_wind`, positive downward. In corners the zone with the larger
+        load counts. Compare the coefficients with your copy of the tables.
 
     Raises
     ------
     InputError
-        On all ranks: a pitch or blockage outside the tables, or what is not known.
+        On all ranks: a pitch or blockage outside the tables, or an unknown option.
 
     Examples
     --------
