@@ -1,5 +1,4 @@
-"""Layout of cable nets on the current shape of a membrane, with lengths and crossings of the
-cables; lengths to order.
+"""Layout of cable nets on a membrane's current shape: paths, lengths, crossings, lengths to order.
 
 `Scene.lay_net` lays the cables of a net.
 """

@@ -39,8 +39,7 @@ def strips(
     allowance: float = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
-    """Seams that divide the surface between two lines into the fewest strips of a given width.
-    Collective.
+    """Seams dividing the surface between two lines into the fewest strips. Collective.
 
     The seams divide the distance between the lines evenly. Geodesic ones are then straightened
     between their ends, which saves fabric, as pieces have nearly straight edges. The number of

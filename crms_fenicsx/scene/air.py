@@ -1,4 +1,4 @@
-"""The air under the membrane of a scene: a given pressure, or an amount that is sealed."""
+"""The air under the membrane of a scene: of given pressure, or sealed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from crms_fenicsx.runtime.handle import Stateful
 
 @dataclass(frozen=True)
 class AirState:
-    """All that can change of the air."""
+    """State of the air."""
 
     pressure: float = 0.0  # current pressure (force per area)
     sealed: SealedAir | None = None  # None if the pressure is given
@@ -37,42 +37,42 @@ class Air(Stateful[AirState]):
 
     @property
     def sealed(self) -> SealedAir | None:
-        """The air, if it is sealed, with its current temperature and atmosphere; else None."""
+        """The sealed air, with its current temperature and atmosphere; None if not sealed."""
         return self.state.sealed
 
     @property
     def volume(self) -> float:
         """Volume gained under the cells under pressure since the stress-free shape (length cubed).
 
-        It is the volume between the two shapes while the rim of these cells is held, or slides in
-        planes that are held in their normal direction.
+        It is the volume between the two shapes as long as the rim of these cells is held, or slides
+        in planes held in their normal direction.
         """
         return gained_volume(self._net)
 
     @collective
     @changes_model
     def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
-        """Seal the air under the membrane at its present pressure. Collective.
+        """Seal the air under the membrane at its current pressure. Collective.
 
-        From now on its pressure follows from its volume by the gas law, as in a cushion, or in a
-        hall in a gust that is faster than its fans. `pressure` is what it has come to.
+        Its pressure then follows from its volume by the gas law, as in a cushion, or in a hall
+        during a gust that is faster than its fans. `pressure` is its current value.
 
         Parameters
         ----------
         volume
-            Volume of the air now (length cubed); the mesh, open at the ground, does not tell it.
+            Current volume of the air (length cubed), unknown from the mesh, which is open at the
+            ground.
         atmosphere
-            Pressure of the atmosphere (force per area); the default is in kPa.
+            Atmospheric pressure (force per area); the default is in kPa.
         exponent
-            1 if the air keeps its temperature (isothermal); 1.4 if it has no time to exchange heat
+            1 if the temperature stays constant (isothermal); 1.4 if no heat is exchanged
             (adiabatic).
 
         Raises
         ------
         InputError
-            On all ranks: air that is sealed already, the paper's pressure, a volume or an
-            atmosphere that is not positive, an exponent below 1, or a present pressure below
-            vacuum.
+            On all ranks: air sealed already, the paper's pressure law, a volume or atmosphere that
+            is not positive, an exponent below 1, or a current pressure below vacuum.
 
         Examples
         --------
@@ -110,7 +110,7 @@ class Air(Stateful[AirState]):
     @collective
     @changes_model
     def unseal(self) -> None:
-        """Let fans hold the pressure that the sealed air has come to. Collective.
+        """Let fans maintain the current pressure of the sealed air. Collective.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The masts, struts and guys that hold the membrane of a scene, and their joints."""
+"""Masts, struts and guys that support the membrane of a scene, and their joints."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Place = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class FrameState:
-    """All that can change of joints and bars, in the order in which they were added."""
+    """State of joints and bars, in the order of addition."""
 
     joints: Mapping[Joint, JointState]
     bars: Mapping[PlacedBar, BarState]
 
 
 class Frame:
-    """Joints, those of anchors included, and bars in the order in which they were added."""
+    """Joints, including anchors, and bars, in the order of addition."""
 
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("_joints", "call scene.add_joint(...)")
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("_bars", "call scene.add_bar(...)")
@@ -44,7 +44,7 @@ class Frame:
 
     @property
     def state(self) -> FrameState:
-        """All that can change of them."""
+        """State of joints and bars."""
         joints = {joint: joint.state for joint in self.joints}
         return FrameState(joints, {bar: bar.state for bar in self.bars})
 
@@ -61,22 +61,21 @@ class Frame:
 
     @collective
     def add_joint(self, position: Place, *, name: str | None = None, held: str = "") -> Joint:
-        """Add a joint off the membrane, at which bars end; its displacement is an unknown.
+        """Add a joint of bars off the membrane; its displacement is an unknown.
 
         Parameters
         ----------
         position
-            Where it is, (3,) (length).
+            Position (3,) (length).
         name
-            Name in messages and for loads; "joint 1", "joint 2" ... by default.
+            Name in messages and for loads; by default "joint 1", "joint 2" ...
         held
-            Held components of its displacement, out of "xyz".
+            Held components of the displacement, out of "xyz".
 
         Raises
         ------
         InputError
-            On all ranks: a position that is not finite, directions that are none, or a name that
-            is taken.
+            On all ranks: a non-finite position, invalid components, or a name in use.
         """
         checks.same(self.comm, "add_joint", position=position, name=name, held=held)
         joint = self._add_joint(checks.vector("add_joint: position", position), name, held)
@@ -85,17 +84,17 @@ class Frame:
 
     @collective
     def vertex_at(self, point: Place) -> MeshVertex:
-        """The vertex of the membrane that is at a point now, for bars to end at. Collective.
+        """The membrane's vertex at a point of the current shape, as an end of bars. Collective.
 
         Parameters
         ----------
         point
-            Its place, (3,) (length).
+            Its current position, (3,) (length).
 
         Raises
         ------
         InputError
-            On all ranks: no vertex is there; it says where the nearest is.
+            On all ranks: no vertex at the point; the message gives the nearest one.
         """
         checks.same(self.comm, "vertex_at", point=point)
         self.membrane.check_finite("vertex_at")
@@ -129,31 +128,30 @@ class Frame:
     ) -> PlacedBar:
         """Add a bar: a mast, a strut or, with ``Bar(EA, tension_only=True)``, a guy. Collective.
 
-        It is straight, has hinges at both ends, and knows nothing of the membrane between them.
+        It is straight, hinged at both ends, and has no contact with the membrane.
 
         Parameters
         ----------
         bar
-            Its data.
+            Data of the bar.
         start, end
-            Where it ends: a point in space, which becomes an anchor (a held joint, ``bar.start``);
-            a joint; a vertex of the membrane from `vertex_at`; or the name of a group of one
-            vertex.
+            Ends: a point in space, which becomes an anchor (a held joint, ``bar.start``); a joint;
+            a vertex of the membrane from `vertex_at`; or the name of a group of one vertex.
         L0
-            Unstressed length (length); by default the distance of its ends now.
+            Unstressed length (length); by default the current distance between its ends.
         name
-            Name in tables and pictures; "bar 1", "bar 2" ... by default.
+            Name in tables and pictures; by default "bar 1", "bar 2" ...
 
         Returns
         -------
         PlacedBar
-            The bar, as a handle for load steps and results.
+            The bar, a handle for load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: an end that is none, two ends at one place, an L0 that is not positive or
-            a name that is taken.
+            On all ranks: an invalid end, coincident ends, an L0 that is not positive, or a name in
+            use.
 
         Examples
         --------
@@ -198,28 +196,29 @@ class Frame:
         Raises
         ------
         InputError
-            There is none.
+            There is no such bar.
         """
         return checks.named("bar", {bar.name: bar for bar in self.bars}, name)
 
     def joint(self, name: str) -> Joint:
-        """The joint with a name; that of a bar's anchor is "start of mast" or "end of mast".
+        """The joint with a name; anchors of a bar "mast" are "start of mast" and "end of mast".
 
         Raises
         ------
         InputError
-            There is none.
+            There is no such joint.
         """
         return checks.named("joint", {joint.name: joint for joint in self.joints}, name)
 
     @property
     def vertices(self) -> tuple[MeshVertex, ...]:
-        """The vertices at which bars end, each once."""
+        """Vertices that are ends of bars, each once."""
         ends = (end for bar in self.bars for end in (bar.start, bar.end))
         return tuple(dict.fromkeys(end for end in ends if isinstance(end, MeshVertex)))
 
     def home(self, vertex: MeshVertex) -> tuple[int, int]:
-        """The rank that owns a vertex, and its degree of freedom there. Collective at first."""
+        """The rank that owns a vertex, and its local degree of freedom. Collective at the first
+        call."""
         if vertex.number not in self._homes:
             membrane = self.membrane
             own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
@@ -237,7 +236,7 @@ class Frame:
         return self._homes[vertex.number]
 
     def vertex_in_group(self, group: str) -> MeshVertex:
-        """The only vertex of a group. Collective."""
+        """The vertex of a group that must have exactly one. Collective."""
         membrane = self.membrane
         dofs = membrane.vertices(group)
         own = dofs[dofs < membrane.V.dofmap.index_map.size_local]
@@ -250,13 +249,13 @@ class Frame:
         return self._vertex(int(numbers[0]), own)
 
     def _vertex(self, number: int, dofs: Array) -> MeshVertex:
-        """A vertex whose degree of freedom is known on the rank that owns it."""
+        """A vertex from its local degree of freedom, given on the owning rank only."""
         place = self.membrane.stress_free[int(dofs[0])] if len(dofs) else None
         x, y, z = next(p for p in self.membrane.comm.allgather(place) if p is not None)
         return MeshVertex(number, (float(x), float(y), float(z)))
 
     def place_of(self, end: BarEnd) -> Array:
-        """Where an end of bars is now, (3,). Collective."""
+        """Current position (3,) of a bar end. Collective."""
         if isinstance(end, Joint):
             return end.position
         rank, dof = self.home(end)
@@ -265,7 +264,7 @@ class Frame:
         return np.array(comm.bcast(place, root=rank))
 
     def _add_joint(self, position: Array, name: str | None, held: str) -> Joint:
-        """Add a joint at a place that has been checked."""
+        """Add a joint at a checked position."""
         if not isinstance(held, str) or set(held) - set(COMPONENTS):
             raise InputError(
                 f'add_joint: held = {held!r} must be made of the letters x, y and z, or "".'
@@ -277,7 +276,7 @@ class Frame:
         return joint
 
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
-        """A joint, a vertex, or the place of an anchor, (3,). Collective."""
+        """Checked end of a bar: a joint, a vertex, or an anchor's position (3,). Collective."""
         if isinstance(given, Joint):
             if not self.owns(given):
                 raise InputError(
@@ -293,7 +292,7 @@ class Frame:
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
     def remove(self, bar: PlacedBar, needed: Set[str | None]) -> None:
-        """Take a bar away, and its anchors unless others end there or they are needed by name."""
+        """Remove a bar, and its anchors unless other bars end there or `needed` names them."""
         self._bars = tuple(other for other in self.bars if other is not bar)
         used = {end for other in self.bars for end in (other.start, other.end)}
         own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
@@ -306,7 +305,8 @@ class Frame:
     def path_of(
         self, path: Sequence[Sequence[float] | Joint] | Array
     ) -> tuple[Any, tuple[str | None, str | None]]:
-        """A cable's path with the places of joints, and their names at its first and last point."""
+        """A cable's path with joints replaced by their positions, and the names of joints at its
+        ends."""
         names: list[str | None] = [None, None]
         if not isinstance(path, list | tuple) or not any(isinstance(p, Joint) for p in path):
             return path, (None, None)
@@ -322,7 +322,7 @@ class Frame:
         return points, (names[0], names[1])
 
     def check_held(self, cable_ends: Iterable[str | None]) -> None:
-        """Refuse joints that nothing holds."""
+        """Raise an error for joints without support."""
         of_cables = set(cable_ends)
         reached: set[object] = {j for j in self.joints if j.held.all() or j.name in of_cables}
         reached |= set(self.vertices)
@@ -343,7 +343,7 @@ class Frame:
 
 
 def _checked_name(call: str, kind: str, name: str | None, others: Iterable[str]) -> str:
-    """A name that is not taken, by default "bar 1", "bar 2" ..."""
+    """An unused name, by default "bar 1", "bar 2" ..."""
     taken = set(others)
     if name is None:
         return next(found for n in count(1) if (found := f"{kind} {n}") not in taken)

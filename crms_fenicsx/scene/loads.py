@@ -1,4 +1,4 @@
-"""The loads of a scene: on its membrane, on joints, and water that stands on it."""
+"""The loads of a scene: on its membrane and joints, and ponded water."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from crms_fenicsx.runtime.handle import ReadOnly, Stateful
 from crms_fenicsx.scene.frame import Frame, Place
 
 AIR = ("pressure", "temperature", "atmosphere")
-"""What combinations know what is of the air by, as `Solver.advance` does; no names of loads."""
+"""Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
 
 
 @dataclass(frozen=True)
 class LoadsState:
-    """All that can change of the loads of a scene."""
+    """State of a scene's loads."""
 
-    loads: tuple[MembraneLoad, ...] = ()  # on the membrane and on joints, with their factors
-    ponds: tuple[Pond, ...] = ()  # the water on it, with its levels, volumes and factors
+    loads: tuple[MembraneLoad, ...] = ()  # on membrane and joints, with their factors
+    ponds: tuple[Pond, ...] = ()  # with their levels, volumes and factors
 
 
 class Loads(Stateful[LoadsState]):
-    """The loads on the membrane and on joints of a scene, by iteration, and its ponds."""
+    """Iterable loads on the membrane and joints of a scene, and its ponds."""
 
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
-    """The water on the membrane, with its current levels, volumes and factors."""
+    """The ponds, with their current levels, volumes and factors."""
 
     def __init__(self, membrane: Membrane, versions: Versions, frame: Frame) -> None:
         self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
@@ -65,47 +65,46 @@ class Loads(Stateful[LoadsState]):
         Raises
         ------
         InputError
-            There is none.
+            There is no such load.
         """
         return checks.named("load", {load.name: load for load in self}, name)
 
     @property
     def factors(self) -> dict[str, float]:
-        """Current factors of the loads and ponds, by their names."""
+        """Current factors of loads and ponds, by name."""
         ponds = {pond.name: pond.factor for pond in self.ponds}
         return {load.name: load.factor for load in self} | ponds
 
     def replace_each(self, change: Callable[[Any], Any]) -> None:
-        """Replace each load and each pond by what a function makes of it; for the package alone."""
+        """Replace each load and pond by a function of it; for the package alone."""
         self.state = LoadsState(
             tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
         )
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
-        """Put a load of fixed direction on the membrane.
+        """Apply a load of fixed direction to the membrane.
 
-        Its forces follow from the current shape, and then keep direction and size;
-        `Solver.advance` multiplies them by its factor.
+        Its forces follow from the current shape, and then remain constant; `Solver.advance`
+        multiplies them by the load factor.
 
         Parameters
         ----------
         force
-            Force per area (force / length squared): (3,), or a function of points (3, n) on the
-            current surface and of its unit normals (3, n), which point to the side that pressure
-            pushes to, that returns (3, n).
+            Force per area (force / length squared): (3,), or a function that returns (3, n) from
+            points (3, n) on the current surface and its unit normals (3, n), which point in the
+            direction of pressure.
         name
-            What load steps and results know the load by.
+            Name of the load in load steps and results.
         per
-            The area that the force is counted by: "surface", that of the current surface; "plan",
-            that of its projection along z, as for snow; "material", that of the stress-free
-            membrane, as for its weight.
+            Reference area: "surface", the current surface; "plan", its projection along z, as for
+            snow; "material", the stress-free membrane, as for its weight.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite or of another shape, an area that is not
-            known, or a name that is taken.
+            On all ranks: a force that is not finite or of another shape, an unknown area, or a name
+            in use.
 
         Examples
         --------
@@ -118,29 +117,27 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
-        """Put wind on the membrane; `Solver.advance` brings it on by its factor.
+        """Apply wind to the membrane; `Solver.advance` sets its factor.
 
-        Its pressure stays normal to the surface: a load step is solved until the wind's forces are
-        those of the shape that it leads to. Coefficients belong to the cells, wherever these move.
+        Its pressure stays normal to the surface: a load step iterates until the wind's forces match
+        the resulting shape. Coefficients stay with their cells.
 
         Parameters
         ----------
         pressure
             Peak velocity pressure q_p (force per area), positive.
         coefficient
-            Pressure coefficient c_p, positive where the wind presses on the outside and negative
-            where it sucks, as in EN 1991-1-4: one number, one of each part of the mesh by its
-            name, or a function of points (3, n) on the current surface and of its unit normals
-            (3, n) to the outside that returns (n,).
+            Pressure coefficient c_p, positive for pressure on the outside and negative for suction,
+            as in EN 1991-1-4: one number, numbers by parts of the mesh, or a function that returns
+            (n,) from points (3, n) on the current surface and its outward unit normals (3, n).
         name
-            What load steps and results know the load by.
+            Name of the load in load steps and results.
 
         Raises
         ------
         InputError
             On all ranks: a pressure that is not positive, coefficients that are not finite or of
-            another shape, a part that does not exist or is missing, parts with common cells, or a
-            name that is taken.
+            another shape, an unknown or missing part, parts with common cells, or a name in use.
 
         Examples
         --------
@@ -152,23 +149,23 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
-        """Put forces on the membrane's vertices, as from another program. Collective.
+        """Apply forces to the membrane's vertices, such as those from another program. Collective.
 
-        They keep direction and size, and are copied: later changes of the function are not seen.
+        They remain constant, and are copied: later changes of the function have no effect.
 
         Parameters
         ----------
         forces
-            The force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values
-            of ghosts do not count.
+            Force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values of
+            ghosts are ignored.
         name
-            What load steps and results know the load by.
+            Name of the load in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: it is no function in the space `V`, a force is not finite, or the name is
-            taken.
+            On all ranks: no function in the space `V`, a force that is not finite, or a name in
+            use.
 
         Examples
         --------
@@ -184,24 +181,24 @@ class Loads(Stateful[LoadsState]):
     def put_line_load(
         self, force: Sequence[float] | Array, edges: str, *, name: str = "line load"
     ) -> None:
-        """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
+        """Apply a line load along edges, such as the weight of a gutter. Collective.
 
-        Its forces follow from the current lengths of the edges, and then keep direction and size;
-        each edge gives half of its own to both of its ends.
+        Its forces follow from the current lengths of the edges, half of each edge's to each end,
+        and then remain constant.
 
         Parameters
         ----------
         force
             Force per length, (3,) (force / length).
         edges
-            Name of a group of edges of the mesh.
+            Name of an edge group of the mesh.
         name
-            What load steps and results know the load by.
+            Name of the load in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite, no such group, or a name that is taken.
+            On all ranks: a force that is not finite, an unknown group, or a name in use.
 
         Examples
         --------
@@ -213,24 +210,23 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
-        """Put forces on joints; `Solver.advance` brings them on by their factor. Collective.
+        """Apply forces to joints; `Solver.advance` sets their factor. Collective.
 
         Parameters
         ----------
         forces
-            Force on each joint, (3,) (force). They keep direction and size.
+            Constant force on each joint, (3,) (force).
         name
-            What load steps and results know the load by.
+            Name of the load in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: what is no joint of this scene, a force that is not finite, or a name
-            that is taken.
+            On all ranks: an unknown joint, a force that is not finite, or a name in use.
 
         Examples
         --------
-        >>> scene.put_on_joints({top: (0.0, 0.0, -5.0)}, name="lamp")
+        >>> scene.put_joint_load({top: (0.0, 0.0, -5.0)}, name="lamp")
         >>> solver.advance(load={"lamp": 1.35})
         """
         self._check_new("put_joint_load", name, forces=forces)
@@ -258,39 +254,38 @@ class Loads(Stateful[LoadsState]):
         on: Sequence[str] | None = None,
         name: str = "pond",
     ) -> None:
-        """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
+        """Apply ponded water to the membrane; `Solver.advance` sets its factor. Collective.
 
-        It lies over all that is below its level, where the membrane's outer side faces up (of a
-        cushion on the upper foil), and presses the more the further that sinks. Water over a rim
-        below the level does not run off. Give either the level, as where water comes and goes, or
-        the volume.
+        Water covers all that is below its level where the membrane's outer side faces up (of a
+        cushion the upper foil); its pressure grows as the membrane sinks. It does not run off over
+        a rim below the level. Give either the level, if water flows in and out freely, or the
+        volume.
 
         Parameters
         ----------
         weight
-            Weight of the water by volume (force / length cubed), positive: 10 kN / m^3.
+            Weight density of the water (force / length cubed), positive: 10 kN / m^3.
         level
-            Height z of the water's surface (length).
+            Height z of the water surface (length).
         volume
-            Amount of water (length cubed); its level follows.
+            Volume of the water (length cubed), which determines the level.
         on
-            Parts of the mesh that it stands on, on the side that faces up; by default all cells
-            whose outer side faces up when stress-free.
+            Parts of the mesh under the water, on the side that faces up; by default all cells whose
+            outer side faces up in the stress-free shape.
         name
-            What load steps and results know it by.
+            Name of the pond in load steps and results.
 
         Raises
         ------
         InputError
             On all ranks: a weight or volume that is not positive, neither level nor volume or both,
-            a part that does not exist, cells without an upper side or that face both ways, or a
-            taken name.
+            an unknown part, cells without an upper side or facing both ways, or a name in use.
 
         Notes
         -----
-        A load step that ends in an unstable equilibrium raises a `PondWarning`, one without
-        equilibrium a `ConvergenceError`. The rim of what is under water must be held, or slide in
-        planes of symmetry.
+        A load step to an unstable equilibrium raises a `PondWarning`, one without equilibrium a
+        `ConvergenceError`. The rim of the flooded cells must be held, or slide in planes of
+        symmetry.
 
         Examples
         --------
@@ -321,7 +316,7 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def remove_load(self, name: str) -> None:
-        """Take a load or a pond away; the next load step goes on without it. Collective.
+        """Remove a load or pond, from the next load step on. Collective.
 
         Raises
         ------
@@ -337,12 +332,12 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def add(self, load: MembraneLoad) -> None:
-        """Add a load that has been made on the current shape; for the package alone."""
+        """Add a load made on the current shape; for the package alone."""
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 
     def _check_new(self, call: str, name: str, **given: object) -> None:
-        """Check the name of a new load, and that all ranks give the same. Collective."""
+        """Check a new load's name, and that arguments agree on all ranks. Collective."""
         checks.same(self.comm, call, name=name, **given)
         self.membrane.check_finite(call)
         checks.text(f"{call}: name", name)

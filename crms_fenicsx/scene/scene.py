@@ -1,4 +1,4 @@
-"""The scene: a membrane, where it is held, its cables and loads, and its current state."""
+"""The scene: a membrane with its supports, cables and loads, in its current state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from crms_fenicsx.scene.loads import Loads
 from crms_fenicsx.scene.state import SceneState
 
 ANOTHER = "make another Scene(...)"
-"""What to do instead of assigning what a scene is made of."""
+"""Remedy named when a property fixed at construction is assigned."""
 
 Law = Literal["total", "step"]
 
@@ -49,7 +49,7 @@ Result = TypeVar("Result")
 def of_part(
     name: str, method: Callable[Concatenate[Part, Arguments], Result]
 ) -> Callable[Concatenate[Any, Arguments], Result]:
-    """A method of a scene that is one of its part of a name."""
+    """A scene's method that forwards to a method of one of its parts."""
 
     @functools.wraps(method)
     def call(scene: Any, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
@@ -60,7 +60,7 @@ def of_part(
 
 
 PARTS = ("membrane", "loads", "air", "frame", "net")
-"""The parts of a scene that own its state, by their names in `Scene` and in `SceneState`."""
+"""Parts that own a scene's state, by their names in `Scene` and `SceneState`."""
 
 
 class Scene:
@@ -71,43 +71,42 @@ class Scene:
     mesh
         The stress-free membrane.
     material
-        Material of the membrane, or of each of its parts by name.
+        Material of the membrane, or materials by parts.
     strain
         "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
-        strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
+        strain, linear in a step and aligned with a side of each cell, (2.3-3 ... 2.3-14).
     pressure
         "total": the exact follower pressure. The rim of the pressurised surface must be held, or
-        slide in planes x, y or z = constant that are held in their normal direction, as planes of
-        symmetry. "step": the paper's nodal forces, which keep direction and size in a step, (2.4-1,
-        2). The rim may be free; steps are then repeated until the forces equal the follower
-        pressure.
+        slide in planes x, y or z = constant held in their normal direction, such as planes of
+        symmetry. "step": the paper's nodal forces, constant during a step, (2.4-1, 2). The rim may
+        be free; steps are then repeated until the forces equal the follower pressure.
     pressure_on
-        The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
-        roof, which has the same air on both sides.
+        Parts of the mesh on which pressure acts; all by default. Leave out walls below the roof,
+        with the same air on both sides.
     penalty
-        Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
+        Factor c of the penalty mu = c E t A that keeps unfolded cells triangular; stable without
         locking from 1e-3 to 1.
     literal_penalty
-        The paper's coefficient mu = nu of (2.5-1) instead (force x length), the same everywhere.
+        The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
     frames : (n, 2, 3)
-        Of this rank's cells, where these have stress-free shapes of their own: what unit vectors
-        along their warp and weft have become in the mesh. `patterns.sew` makes them.
+        For this rank's cells with individual stress-free shapes, from `patterns.sew`: images in the
+        mesh of their unit vectors along warp and weft.
 
     Raises
     ------
     InputError
-        A part that does not exist, cells without a material or with several, or step-wise strain
-        with a material that wrinkles.
+        An unknown part, cells without a material or with several, or step-wise strain with a
+        wrinkling material.
 
     Warns
     -----
     PenaltyWarning
-        The penalty's factor lies outside the range in which folded cells are sound.
+        The penalty factor is outside its reliable range.
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
     V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
-    """Space of the displacements."""
+    """Function space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
     """Displacement of the vertices from the stress-free shape (length)."""
     held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
@@ -129,24 +128,24 @@ class Scene:
     cables: ReadOnly[tuple[LaidCable, ...]] = ReadOnly(
         "net.cables", "call scene.lay_cable(...) or scene.remove(...)"
     )
-    """The laid cables, in their order."""
+    """The laid cables, in order."""
     clamps: ReadOnly[tuple[Clamp, ...]] = ReadOnly("net.clamps", "call scene.clamp(...)")
-    """The clamps that hold cables to each other."""
+    """The clamps between cables."""
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("frame.joints", "call scene.add_joint(...)")
-    """The joints of bars, those of anchors included, in the order in which they were added."""
+    """The joints of bars, including anchors, in the order of addition."""
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
-    """The bars, in the order in which they were added."""
+    """The bars, in the order of addition."""
     warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
-    """What load steps have warned of in the current state; snap-throughs stay until it is left for
-    one before."""
+    """Warnings of load steps that apply to the current state; those of snap-throughs stay until an
+    earlier state is restored."""
     energies: ReadOnly[Mapping[str, float]] = ReadOnly("_energies", "call solver.advance(...)")
     """Energy of each kind of term in the current state (force x length)."""
     step_history: ReadOnly[StepHistory | None] = ReadOnly(
         "_step_history", "call solver.advance(...)"
     )
-    """What the step-wise laws know of the load steps before; None before the first."""
+    """Data of previous load steps for the step-wise laws; None before the first step."""
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
-    """The terms of the energy that have been added."""
+    """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
     pressure_law: ReadOnly[Law] = ReadOnly("_pressure_law", "give it to Scene(..., pressure=...)")
@@ -156,13 +155,13 @@ class Scene:
     )
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
-    """Current factors of the loads and ponds, by their names."""
+    """Current factors of loads and ponds, by name."""
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
-    """The water on the membrane, with its current levels, volumes and factors."""
+    """The ponds, with their current levels, volumes and factors."""
     volume: ReadOnly[float] = ReadOnly("air.volume", "call solver.advance(...)")
     """Volume gained under the cells under pressure since the stress-free shape (length cubed): that
-    between the two shapes while the rim of these cells is held, or slides in planes that are held
-    in their normal direction."""
+    between the two shapes as long as the rim of these cells is held, or slides in planes held in
+    their normal direction."""
 
     put_load = of_part("loads", Loads.put_load)
     put_wind = of_part("loads", Loads.put_wind)
@@ -210,7 +209,7 @@ class Scene:
         if strain == "step":
             self.membrane.refuse_step_strain()
         self.versions = Versions()
-        """Internal: numbers of the model and the state, and which of them is an equilibrium."""
+        """Internal: version numbers of model and state, and the state in equilibrium."""
         self.net = CableNet(self.membrane)
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.membrane, self.versions, self.frame)
@@ -223,7 +222,7 @@ class Scene:
 
     @property
     def state(self) -> SceneState:
-        """All that load steps, supports, loads and cables can change, as one value."""
+        """The state that load steps, supports, loads and cables can change, as one value."""
         parts: dict[str, Any] = {name: getattr(self, name).state for name in PARTS}
         return SceneState(
             **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
@@ -246,7 +245,7 @@ class Scene:
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
     ) -> None:
-        """Internal: take over what load steps find besides the states of the parts."""
+        """Internal: record results of load steps other than the states of the parts."""
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -258,15 +257,16 @@ class Scene:
 
     @property
     def dissipated(self) -> float:
-        """Energy that friction has dissipated in all load steps (force x length)."""
+        """Energy dissipated by friction in all load steps (force x length)."""
         return self.net.dissipated
 
     def positions(self) -> Array:
-        """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
+        """Current positions of the vertices by local degree of freedom, (n, 3), including
+        ghosts."""
         return self.membrane.positions()
 
     def vertices(self, where: str | Marker) -> Indices:
-        """Local degrees of freedom of the vertices of a named group or marked by a function.
+        """Local degrees of freedom of vertices in a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.
         """
@@ -277,9 +277,9 @@ class Scene:
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
-        A group of edges that is held in all directions is held over its whole length: its edges
-        stay straight, and cables that pass over them slide along them. Of points and marked
-        vertices only these are held; edges between them can fold.
+        An edge group held in all directions is held over its whole length: its edges stay straight,
+        and cables passing over them slide along them. With points and marked vertices only the
+        vertices are held; edges between them can fold.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class Scene:
         Raises
         ------
         InputError
-            No such vertices or directions, or edges that cables have been laid over already.
+            Unknown vertices or directions, or edges with cables laid over them.
         """
         checks.same(self.comm, "fix", where=where, directions=directions)
         self.membrane.hold(where, directions, new_edges=not self.cables)
@@ -299,12 +299,12 @@ class Scene:
     @collective
     @changes_model
     def floor(self, z: float = 0.0) -> None:
-        """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
+        """Add a rigid, frictionless floor at height z, which no vertex or fold point penetrates.
 
         Raises
         ------
         InputError
-            If the membrane is below it now.
+            The membrane is currently below it.
         """
         checks.same(self.comm, "floor", z=z)
         z = checks.finite("floor: z", z)
@@ -321,10 +321,10 @@ class Scene:
     @collective
     @changes_model
     def add_term(self, term: EnergyTerm) -> None:
-        """Add a term of your own to the potential energy; load steps minimise it with the rest.
+        """Add a user-defined term to the potential energy that load steps minimise.
 
         Its energy is in `energies` under its name, and its forces are loads: supports carry them.
-        Terms are no part of checkpoints. A script that goes on from one adds them again.
+        Checkpoints do not contain terms; a script that resumes from one must add them again.
 
         Parameters
         ----------
@@ -334,8 +334,8 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: it is no `EnergyTerm`, its name is taken, or its sums, energy or forces
-            are not finite in the current state.
+            On all ranks: an object that is no `EnergyTerm`, a name in use, or sums, energy or
+            forces that are not finite in the current state.
         """
         checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
         self.membrane.check_finite("add_term")
@@ -350,7 +350,7 @@ class Scene:
         Raises
         ------
         InputError
-            There is none.
+            There is no such cable.
         """
         return self.net.cable(name)
 
@@ -372,61 +372,61 @@ class Scene:
         """Lay a cable on the membrane's current shape.
 
         The cable lies on the membrane's outer side and spans hollows in a straight line; at a seam
-        of three or more parts it stays on those that bound the outer side. It is just taut, unless
+        of three or more parts it stays on those that bound the outer side. It is just taut unless
         `L0` or `tension` is given. An end on a held edge is held there; moved along the boundary it
-        goes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an end
-        is tied to its place. In load steps the cable slides, also sideways, as far as friction
-        permits, lifts off and touches down.
+        passes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an
+        end is tied to its place. In load steps the cable slides as far as friction permits, also
+        sideways, lifts off and touches down.
 
         Parameters
         ----------
         cable
-            Its data.
+            Data of the cable.
         path
-            Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in space
-            that lies off the membrane is an anchor, from which the cable runs straight to the
-            membrane: beyond the boundary to where it first meets it, over the membrane to the place
+            Points of its path, in plan (k, 2) or in space (k, 3) (length). A first or last point in
+            space off the membrane is an anchor, from which the cable runs straight to the membrane:
+            from beyond the boundary to the first contact, from above the membrane to the place
             below. A `Joint` as first or last point (the others in space) holds the end.
         L0
             Unstressed length (length).
         tension
-            Tension at laying (force), from which the unstressed length follows.
+            Tension at laying (force), which determines the unstressed length.
         shortest
-            Whether to lay the cable along the shortest path on the membrane near `path`, where a
-            cable without friction lies.
+            Whether to lay the cable along the shortest path on the membrane near `path`, the
+            position of a frictionless cable.
         hold
-            What holds the cable on the membrane:
+            Connection of the cable to the membrane:
 
-            * "outside": nothing; it slides and lifts off.
+            * "outside": none; it slides and lifts off.
             * "sleeve": it slides, also sideways, but cannot lift off.
-            * "pocket": it slides along itself only; its line on the fabric is that on which it was
-              sewn. So does a cable along free edges, whatever is given.
-            * "bonded": it does not slide at all, as belts sewn on and bolt ropes; between two sides
-              of cells each part has a tension of its own, `LaidCable.tensions`.
+            * "pocket": it slides along itself only, on its line sewn to the fabric. A cable along
+              free edges does so in any case.
+            * "bonded": it does not slide at all, like sewn-on belts and bolt ropes; each segment
+              between two sides of cells has its own tension, `LaidCable.tensions`.
 
-            Friction in directions in which the cable cannot slide has no part.
+            Friction is ignored in directions in which the cable cannot slide.
         layer
-            Of two crossing cables the one with the higher layer lies on top, of equal ones the
+            Of two crossing cables the one with the higher layer lies on top; for equal layers, the
             later one.
         name
-            Name in results; "cable 1", "cable 2" ... by default.
+            Name in results; by default "cable 1", "cable 2" ...
         measured_on
-            Without `L0`: whether to measure the length on the smooth "surface" through the
-            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` and bonded
-            cables use the facets.
+            Without `L0`: whether the length is measured on the smooth "surface" through the
+            vertices, or on the inscribed "facets", where it is too short; ``Cable(law="step")`` and
+            bonded cables use the facets.
 
         Returns
         -------
         LaidCable
-            The cable, as a handle for load steps and results.
+            The cable, a handle for load steps and results.
 
         Raises
         ------
         PathError
-            The path leaves the membrane, could only go around its back, begins inside of it, goes
-            to a part behind a seam, or returns through the cells that it left by.
+            The path leaves the membrane, could only pass behind it, starts inside it, leads to a
+            part behind a seam, or returns through the cells where it left.
         InputError
-            L0 or tension that is not positive, or both, or a name that is taken.
+            An L0 or tension that is not positive, both of them, or a name in use.
         """
         from crms_fenicsx.paths.laying import lay
 
@@ -453,7 +453,7 @@ class Scene:
     ) -> tuple[LaidCable, ...]:
         """Lay a cable on each line of a net, under the line's name. Collective.
 
-        Families that come later lie on top.
+        Later families lie on top.
 
         Parameters
         ----------
@@ -472,7 +472,7 @@ class Scene:
         Raises
         ------
         PathError, InputError
-            As for `lay_cable`; no cable has been laid then.
+            As for `lay_cable`; no cable is laid then.
 
         Examples
         --------
@@ -508,41 +508,41 @@ class Scene:
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
-        At a clamp the same points of both cables stay together. They slide over the membrane, lift
-        off and touch down together, and each cable has one tension from clamp to clamp,
-        `LaidCable.tensions`. The unstressed lengths between clamps are those at clamping; a load
-        step that changes a cable's L0 changes those of its parts alike. With friction along a cable
-        its tension varies between clamps, too. In an equilibrium clamping
-        changes nothing until the loads do.
+        A clamp joins the same points of both cables: they slide over the membrane, lift off and
+        touch down together, and each cable has one tension from clamp to clamp,
+        `LaidCable.tensions` (varying with friction along the cable). The unstressed lengths between
+        clamps are those at clamping; a load step that changes a cable's L0 scales them alike.
+        Clamping does not disturb an equilibrium.
 
         Parameters
         ----------
         *cables
-            Two or more cables of this scene, or their names: all crossings between them.
+            Two or more cables of this scene, or their names; all crossings between them are
+            considered.
         near
-            Points in space near which to clamp, (k, 3) (length): of each the nearest crossing; by
+            Points in space (k, 3) (length), at each of which the nearest crossing is clamped; by
             default all crossings.
         slip
-            Grip of the clamps (force): where the tensions of a cable before and after a clamp would
-            differ by more, it slips through, and its unstressed length goes from one part to the
-            other; the work is heat, `dissipated`. The grip acts on the unstressed cable: on the
-            stretched one it is smaller by the strain. By default they hold whatever comes.
+            Grip of the clamps (force): if the tensions of a cable on both sides would differ by
+            more, it slips through, and unstressed length passes from one part to the other; the
+            work is `dissipated`. The grip refers to the unstressed cable; on the stretched one it
+            is smaller by the strain. By default clamps do not slip.
 
         Returns
         -------
         tuple of Clamp
-            The new clamps; crossings that have one keep it.
+            The new clamps; existing ones are kept.
 
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross, lie apart where they do, or have the step-wise
+            On all ranks: cables that do not cross, lie apart at crossings, or have the step-wise
             law.
 
         Warns
         -----
         NetWarning
-            Some of more than two cables lie apart where they cross; these crossings stay open.
+            Some of more than two cables lie apart at crossings, which stay unclamped.
 
         Examples
         --------
@@ -557,7 +557,7 @@ class Scene:
     def unclamp(
         self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
     ) -> None:
-        """Open clamps; the next load step finds the equilibrium of the cables that slide.
+        """Open clamps; the next load step finds the equilibrium with sliding cables.
 
         Collective.
 
@@ -577,11 +577,11 @@ class Scene:
     @collective
     @changes_model
     def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away; the next load step finds the equilibrium without it. Collective.
+        """Remove a cable; the next load step finds the equilibrium without it. Collective.
 
-        What other cables had to do with it ends: where they crossed it they lie on the membrane,
-        or on the cables below. The energy that its friction has dissipated stays in `dissipated`,
-        and what it was before in tables and pictures. A new cable may have its name.
+        Cables that crossed it then lie on the membrane, or on the cables below. The energy that its
+        friction dissipated stays in `dissipated`, and its earlier results in tables and pictures. A
+        new cable may take its name.
 
         Parameters
         ----------
@@ -599,9 +599,9 @@ class Scene:
     @collective
     @changes_model
     def remove_bar(self, bar: PlacedBar | str) -> None:
-        """Take a bar away, with the anchors that nothing else needs. Collective.
+        """Remove a bar, with anchors not used otherwise. Collective.
 
-        The next load step finds the equilibrium without it. Joints stay.
+        The next load step finds the equilibrium without it. Joints remain.
 
         Parameters
         ----------
@@ -624,21 +624,21 @@ class Scene:
     @collective
     @changes_model
     def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
-        """Give the membrane's materials other numbers, for studies of parameters. Collective.
+        """Change the constants of the membrane's materials, for parameter studies. Collective.
 
-        The next load step goes to the equilibrium with them. No form is compiled anew.
+        The next load step finds the new equilibrium. No form is recompiled.
 
         Parameters
         ----------
         material
-            One for all, or some of those that `Scene` was given, by their parts. Each is of the
-            same class as before, with the same warp and wrinkling.
+            One for all, or materials of some parts given to `Scene`, by part; each of the same
+            class as before, with the same warp and wrinkling.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, a material that differs by more than numbers,
-            or a scene with the paper's step-wise strain, whose stresses are those of the steps.
+            On all ranks: an unknown part, a material that differs in more than constants, or a
+            scene with the paper's step-wise strain, whose stresses depend on previous steps.
 
         Examples
         --------
@@ -657,9 +657,9 @@ class Scene:
     @collective
     @changes_model
     def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
-        """Give cables and bars another axial stiffness, for studies of parameters. Collective.
+        """Change the axial stiffness of cables and bars, for parameter studies. Collective.
 
-        They keep their unstressed lengths; the next load step goes to the equilibrium with it.
+        Unstressed lengths are kept; the next load step finds the new equilibrium.
 
         Parameters
         ----------
@@ -669,8 +669,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: what is no cable or bar of this scene, or a stiffness that is not
-            positive.
+            On all ranks: an unknown cable or bar, or a stiffness that is not positive.
 
         Examples
         --------
@@ -699,25 +698,25 @@ class Scene:
         *,
         factors: Mapping[str, float] | None = None,
     ) -> None:
-        """Give the fabric's strengths, for the utilisation in results, files and reports.
+        """Set the fabric's strengths, for the utilisation in results, files and reports.
 
-        They replace those given before. They change no equilibrium and are no part of checkpoints.
+        They replace earlier ones, do not affect the equilibrium, and are not saved in checkpoints.
 
         Parameters
         ----------
         strengths
-            In warp and weft, divided by the partial factors (force per length): one pair, or one
-            of each part by its name. Parts that are not named have no utilisation.
+            Strengths in warp and weft, divided by the partial factors (force per length): one pair,
+            or pairs by parts. Other parts have no utilisation.
         factors
-            By what the strengths are divided while loads act, for their duration and temperature,
-            by the names of loads and ponds that have been put before. Where several act, the
-            largest one counts; where none does, 1.
+            Divisors of the strengths while loads act, for their duration and temperature, by names
+            of existing loads and ponds. Of several acting loads the largest divisor counts; without
+            any it is 1.
 
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, parts with common cells, strengths or factors
-            that are not positive, or a load that does not exist.
+            On all ranks: an unknown part or load, parts with common cells, or strengths or factors
+            that are not positive.
 
         Examples
         --------
@@ -732,7 +731,7 @@ class Scene:
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
-        """Internal: by what the strengths are divided under the loads that act."""
+        """Internal: divisor of the strengths under the acting loads."""
         acting = [name for name, factor in self.factors.items() if factor != 0.0]
         known = self.membrane.strength_factors
         return max((known[name] for name in acting if name in known), default=1.0)
@@ -743,18 +742,18 @@ class Scene:
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:
-        """Internal: refuse a state that is not the one that the last load step found. Collective.
+        """Internal: raise an error unless the last load step found the current state. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: it is not, or there has been no load step.
+            On all ranks: the state has changed since, or there was no load step.
         """
         if not self.in_equilibrium():
             raise InputError(f"{call}: {self.versions.trouble}; call solver.advance() before.")
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         mesh, cables = self.membrane.mesh.mesh, self.net.cables
         loads = {"pressure": self.pressure, **self.loads.factors}
         words = [

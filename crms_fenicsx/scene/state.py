@@ -1,9 +1,9 @@
-"""The state of a scene as one value: what snapshots, halved increments and checkpoints keep.
+"""State of a scene as one value, for snapshots, halved increments and checkpoints.
 
-To add a feature that load steps can change, add a field to the state of the part that owns it
-(`MembraneState`, `LoadsState`, `AirState`, `FrameState`, `CableNetState`). Snapshots, branches,
-combinations, halving and checkpoints then keep it; arrays on the mesh name in their type hint what
-their rows belong to.
+Whatever load steps can change is a field of the state of the part that owns it (`MembraneState`,
+`LoadsState`, `AirState`, `FrameState`, `CableNetState`): add new features there, and snapshots,
+branches, combinations, halving and checkpoints keep them. Type hints of arrays on the mesh name
+what their rows belong to.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class SceneState:
-    """A state of a scene: all that load steps, supports, loads and cables can change in it.
+    """State of a scene: all that load steps, supports, loads and cables can change.
 
-    In memory it belongs to the process's part of the mesh; `Solver.save` writes it to files.
+    In memory it holds this process's part of the mesh; `Solver.save` writes it to files.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class SceneState:
     energies
         Energy of each kind of term (force x length).
     tensions
-        Tension of each cable, by its name (force).
+        Tension of each cable, by name (force).
     """
 
     membrane: MembraneState
@@ -53,8 +53,8 @@ class SceneState:
     step_history: StepHistory | None
     terms: Annotated[tuple[EnergyTerm, ...], UNSAVED]
     version: Annotated[Version, UNSAVED]
-    scene: Annotated[object, UNSAVED]  # the `Scene` that it is a state of
-    tried: Annotated[TriedPaths | None, UNSAVED] = None  # what a solver has tried; of snapshots
+    scene: Annotated[object, UNSAVED]  # the `Scene` of this state
+    tried: Annotated[TriedPaths | None, UNSAVED] = None  # paths tried by a solver; in snapshots
 
     @property
     def u(self) -> Array:
@@ -65,7 +65,7 @@ class SceneState:
         return {cable.name: state.tension for cable, state in self.net.cables.items()}
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         words = [f"energy {sum(self.energies.values()):.6g}"]
         if self.net.cables:
             tensions = span(list(self.tensions.values()))

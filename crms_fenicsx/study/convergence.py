@@ -130,8 +130,7 @@ def convergence(
     quantities: Mapping[str, Callable[[Solver], float]] | None = None,
     project: Callable[[Array], Array] | None = None,
 ) -> Convergence:
-    """Solve a roof on successively finer meshes and extrapolate its results, with error bars.
-    Collective.
+    """Extrapolate a roof's results from successively finer meshes, with error bars. Collective.
 
     Each level is built by the user's function on the previous mesh with each cell divided into
     four, so everything is solved again: form finding, friction with its history, step-wise laws,
