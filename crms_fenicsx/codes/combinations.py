@@ -85,10 +85,9 @@ def combinations(
 ) -> dict[str, dict[str, object]]:
     """Table of load combinations of a standard, for `Solver.combine`.
 
-    All permanent loads have one common factor, once unfavourable and once favourable. Of the
-    variable loads of a kind one acts at a time, as wind has one direction; every set of kinds is
-    combined with each of them leading. Each combination lists all loads, those not acting with the
-    factor 0.
+    All permanent loads have one common factor, once unfavourable and once favourable. Of each kind
+    of variable loads one acts at a time, as wind has one direction; in every set of kinds each one
+    leads in turn. Each combination lists all loads, those not acting with the factor 0.
 
     Parameters
     ----------
@@ -178,8 +177,7 @@ def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
 
 
 def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
-    """Factors of permanent and variable loads of each combination, EN 1990, 6.4.3, 6.5.3 and table
-    A1.2(B)."""
+    """Factors of permanent and variable loads, EN 1990, 6.4.3, 6.5.3 and table A1.2(B)."""
     found: list[tuple[float, dict[str, float]]] = []
     steady: tuple[float, ...]
     psi = {name: PSI[kind] for name, kind in kinds.items()}
@@ -206,7 +204,7 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
 def _american(
     edition: str, state: str, kinds: Mapping[str, str]
 ) -> list[tuple[float, dict[str, float]]]:
-    """Factors of permanent and variable loads of each combination, ASCE 7, 2.3.1 and 2.4.1."""
+    """Factors of permanent and variable loads, ASCE 7, 2.3.1 and 2.4.1."""
     roof = ("roof live", "snow", "rain")
     found: list[tuple[float, dict[str, float]]] = []
     if state == "strength":

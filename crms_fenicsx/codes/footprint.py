@@ -73,8 +73,7 @@ class Footprint:
         return (along - self.start[0]) / self.depth, (across - self.start[1]) / self.breadth
 
     def arcs(self, x: Array) -> Array:
-        """Relative positions of points (3, n) along a circular arc over the depth with this rise:
-        -1 at the start, 0 at the crown, 1 at the end."""
+        """Positions of points (3, n) along a circular arc of this depth and rise, from -1 to 1."""
         half, rise = self.depth / 2, max(self.rise, EPSILON**0.25 * self.depth)
         radius = max((half**2 + rise**2) / (2 * rise), half)
         distance = half * np.clip(2 * self.parts(x)[0] - 1.0, -1.0, 1.0)

@@ -29,7 +29,7 @@ VAULT_RISES = (0.05, 0.5)
 
 VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
 """Ends of figure 7.11 for h/d = 0; straight lines replace its curves. A published reading at f/d =
-0.26 is 0.42, -0.96, -0.40, met within 0.03."""
+0.26 (0.42, -0.96, -0.40) is met within 0.03."""
 
 HEMISPHERE: Zones = (0.8, -1.2, 0.0)
 """Figure 7.12 for f/d = 0.5 and h/d = 0."""
@@ -48,8 +48,7 @@ MONOPITCH_MOST: Rows = {
     "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
     "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
 }
-"""Table 7.6: largest net coefficients for any blockage; equal to BS 6399-2, table 13, their
-source."""
+"""Table 7.6: largest net coefficients for any blockage, from BS 6399-2, table 13."""
 
 MONOPITCH_LEAST: tuple[Rows, Rows] = (
     {

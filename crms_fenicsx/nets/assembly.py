@@ -21,8 +21,7 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.path import Path
 
 APART = 0.01
-"""Distance, relative to the cell size, below which a line's point is dropped: laying a cable could
-move both to one vertex."""
+"""Least distance of a line's points relative to the cell size; laying may merge closer ones."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,7 @@ def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
 
 
 def _thinned(points: Array, apart: float) -> Array:
-    """The points (m, 3) left after dropping inner ones closer than `apart` to the previous or the
-    last."""
+    """Points (m, 3) without inner ones closer than `apart` to the previous or the last."""
     kept = [points[0]]
     for point in points[1:-1]:
         if np.all(norm(point - np.array([kept[-1], points[-1]])) > apart):
@@ -107,8 +105,7 @@ def _thinned(points: Array, apart: float) -> Array:
 
 
 def _crossings(surface: WholeSurface, ways: Sequence[_Way]) -> tuple[NetCrossing, ...]:
-    """Crossings of lines of different families, searched cell by cell; those on edges and at
-    vertices count once."""
+    """Crossings of lines of different families; those on edges and at vertices count once."""
     cells, strip = surface.strip.vertices[surface.cells], surface.strip
     in_cell: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for n, way in enumerate(ways):

@@ -201,8 +201,7 @@ class Chart:
         return np.asarray(new)
 
     def _straight_on(self, node: Node, last: Node, before: Node) -> Array | None:
-        """The next node straight on from a line's last two, where the adjacent line has ended at
-        the rim."""
+        """The node straight ahead on a line whose adjacent line has ended at the rim."""
         if before not in self.nodes:
             return None
         point = self.nodes[last]

@@ -82,9 +82,9 @@ def geodesics_across(
 ) -> Net:
     """Lay out a net of geodesics that cross given lines at right angles. Collective.
 
-    The geodesics of a family start from its line at equal spacing, centred on the line, run
-    straight to the rim on both sides, and are then pulled taut between their ends. Away from the
-    line the spacing changes with the surface's curvature: on a sphere of radius R as cos(s / R).
+    The geodesics of a family start at equal spacing, centred on its line, run straight to the rim
+    on both sides, and are then pulled taut. Away from the line the spacing changes with the
+    curvature: on a sphere of radius R as cos(s / R).
 
     Parameters
     ----------

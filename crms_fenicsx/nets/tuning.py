@@ -24,7 +24,7 @@ class _Reached(Exception):  # noqa: N818 - no error: the end of a search
 
 
 class Tuned(Protocol):
-    """Protocol of `Solver`, which is imported above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     scene: ReadOnly[Scene]
     comm: MPI.Intracomm

@@ -83,8 +83,7 @@ class WholeSurface:
         return places_in_plan(target, point[None], 1e-3)[0].position
 
     def normal(self, point: Array) -> Array:
-        """Unit normal (3,) of the smooth surface at a point; the facet's where undefined, as at
-        creases."""
+        """Unit normal (3,) of the smooth surface at a point; at creases the facet's."""
         tree, radius = self._tree
         near = self._near(point, float(tree.query(point)[0]) + radius)
         weights, _, gaps = closest(self._corners[near], point)
@@ -97,8 +96,7 @@ class WholeSurface:
         return np.asarray(normal / norm(normal))
 
     def tangent(self, point: Array, direction: Array) -> Array:
-        """Unit tangent (3,) at a point: above a direction in plan (2,), or the projection of one in
-        space (3,)."""
+        """Unit tangent (3,) at a point, along a direction in plan (2,) or in space (3,)."""
         normal = self.normal(point)
         way = np.append(direction, 0.0)[:3]
         if len(direction) == 2:
@@ -144,8 +142,7 @@ class WholeSurface:
         return y, np.all(weights >= -ON_CELL, axis=1)
 
     def step(self, point: Array, way: Array, length: float) -> Array | None:
-        """The point at a distance straight ahead, in the plane of normal and direction; None if the
-        surface ends before."""
+        """The point straight ahead at a distance; None if the surface ends before."""
         across = cross(self.normal(point), way)
         starts, sides = self._section(self._corners[self._near(point, length)], point, across)
         from_start = starts - point
@@ -163,8 +160,7 @@ class WholeSurface:
 
     @staticmethod
     def _section(x: Array, origin: Array, across: Array) -> tuple[Array, Array]:
-        """Intersections of triangles (k, 3, 3) with a plane: start points and vectors to the end
-        points."""
+        """Segments of triangles (k, 3, 3) cut by a plane: start points and vectors to the ends."""
         height = dot(x - origin, across)
         above = height >= 0.0
         cut = above.any(axis=1) & ~above.all(axis=1)
@@ -181,8 +177,7 @@ class WholeSurface:
 
     @cached_property
     def _rim(self) -> tuple[Array, cKDTree, float]:
-        """End points (e, 2, 3) of boundary edges, a tree of their midpoints, and half the longest
-        edge."""
+        """Boundary edges (e, 2, 3), a tree of their midpoints, and half the longest edge."""
         table = EdgeTable.of(self.cells)
         ends = self.points[table.vertices[table.counts == 1]]
         half = float(norm(ends[:, 1] - ends[:, 0]).max(initial=0.0)) / 2

@@ -95,8 +95,7 @@ class History:
         return (dict(row) for row in self._rows)
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Values of a column: integers, floats with NaN where missing, or texts with "" where
-        missing."""
+        """Values of a column: integers, floats or texts; NaN or "" where missing."""
         if column not in self._columns:
             raise InputError(f"no column {column!r}; there are {self._columns}")
         given = [row[column] for row in self._rows if column in row]

@@ -84,8 +84,7 @@ def write_vtu(
     cell_data: Mapping[str, NDArray[Any]],
     texts: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Write points (n, 3), cells (m, corners), data on both, and named texts of the whole mesh.
-    Collective."""
+    """Write points (n, 3), cells (m, corners), data on both, and named texts. Collective."""
     corners = cells.shape[1]
     first_point, n_points = first_row(len(points), comm)
     first_cell, n_cells = first_row(len(cells), comm)

@@ -38,8 +38,7 @@ GRACE = 10.0
 
 
 class FolderLock:
-    """Lock on a folder, held until it or its process ends; no effect on file systems without
-    locks."""
+    """Lock on a folder, until it or its process ends, where the file system has locks."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
         self.folder, self.comm = folder, comm

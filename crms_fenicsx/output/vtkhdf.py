@@ -50,7 +50,7 @@ class Grid:
 
 
 class Solved(HasStates, Protocol):
-    """Protocol of `Solver`, which is imported above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     comm: MPI.Intracomm
 
@@ -65,10 +65,9 @@ def write_vtkhdf(
 ) -> None:
     """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
 
-    The file has a step for each combination, with surface, cables and bars and the arrays of
-    `Solver.to_pyvista`, NaN where undefined. "line" is the number of the cable or bar, and -1 on
-    the surface. Each step has the texts "case", the combination's name, and "names", those of
-    cables and bars in the order of "line".
+    Each combination is a step with surface, cables, bars and the arrays of `Solver.to_pyvista`, NaN
+    where undefined. "line" is the number of the cable or bar, -1 on the surface. The texts of a
+    step are "case", the combination's name, and "names" of cables and bars in the order of "line".
 
     Parameters
     ----------

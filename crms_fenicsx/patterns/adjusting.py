@@ -59,9 +59,9 @@ def adjust(
 ) -> Adjusted:
     """Adjust the compensation until the sewn roof is as wanted. Collective.
 
-    With `forces`, the mean section forces are adjusted; without, the mean lengths along warp and
-    weft, to those of the wanted form. Leave `forces` out for a pneumatic roof: its section forces
-    follow from pressure and shape, and compensation changes the shape.
+    Adjusts the mean section forces to `forces`, or the mean lengths along warp and weft to those of
+    the wanted form. Leave `forces` out for a pneumatic roof: its section forces follow from
+    pressure and shape.
 
     Parameters
     ----------

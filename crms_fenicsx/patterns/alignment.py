@@ -11,8 +11,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text
 
 SENSE = np.array([1.0, 1e-3, 1e-6])
-"""The warp of pieces aligned with seams, which have no sense, points along this direction in the
-form."""
+"""Sense of the warp in the form where it follows the seams."""
 
 
 def aligned(piece: Piece, flat: Array, warps: Array | None) -> Array:

@@ -215,8 +215,7 @@ def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
 
 
 def _least_sine(corners: Array) -> float:
-    """Squared sine of a triangle's smallest angle: twice its area over the product of its two
-    longest sides, squared."""
+    """Squared sine of a triangle's smallest angle, from its area and two longest sides."""
     p, q, r = corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]
     area = np.cross(p, q)
     sides = sorted((p @ p, q @ q, r @ r))

@@ -2,8 +2,8 @@
 
 The cells of a piece are divided into four, in their planes, until they resolve how its strains vary
 across it; the surface stays faceted. With 8, 16 and 32 columns across a sphere's gore of any width
-the energy is 52, 16 and 4.7 % too large; extrapolated from these with the observed rate, it is .2 %
-too small. The facets of 4 columns are off by 6 %.
+the energy is 52, 16 and 4.7 % too large, extrapolated at the observed rate .2 % too small. The
+facets of 4 columns are off by 6 %.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def columns_of(piece: Piece, flat: Array) -> float:
 
 
 def divided(piece: Piece) -> tuple[Piece, Integers]:
-    """A piece with each cell divided into four, and the end vertices (k, 2) of the edges halved by
-    its new vertices, which follow the old ones."""
+    """A piece with cells divided into four, and the ends (k, 2) of the edges halved by new
+    vertices, which follow the old ones."""
     t, n = piece.triangles, len(piece.points)
     keys = np.unique([np.minimum(p, q) * n + np.maximum(p, q) for p, q in zip(
         t.T, np.roll(t, -1, axis=1).T, strict=True)])  # fmt: skip
@@ -59,8 +59,7 @@ def divided(piece: Piece) -> tuple[Piece, Integers]:
 
 
 def fine_energies(piece: Piece, flat: Array, problem_of: ProblemOf) -> list[float]:
-    """Least energies of a piece with free seams, on its cells and successive refinements, starting
-    from its flat shape."""
+    """Least energies of a piece with free seams, on its cells and successive refinements."""
     found: list[float] = []
     while True:
         problem = problem_of(piece, flat)

@@ -1,10 +1,10 @@
 """Flattening: the flat shapes from which pieces take the form with the least strain energy.
 
 The energy of a piece is sum A/2 (E - Ew):D:(E - Ew), with the strain E from the flat shape to the
-form, the wanted strain Ew and the areas A of the form's cells. As a sum of squares it allows
-Gauss-Newton steps, which need first derivatives only. Lagrange multipliers keep both sides of a
-seam equally long; their system is the Schur complement assembled from the pieces, which are
-factorised independently, on any number of processes.
+form, the wanted strain Ew and the areas A of the form's cells. As it is a sum of squares,
+Gauss-Newton steps need first derivatives only. Lagrange multipliers keep both sides of a seam
+equally long; their system is the Schur complement of the pieces, which are factorised
+independently, on any number of processes.
 """
 
 from __future__ import annotations
@@ -76,8 +76,7 @@ class FlatProblem:
         return float(np.ptp(self.points, axis=0).max())
 
     def strains(self, flat: Array) -> Array:
-        """Green-Lagrange strains (E11, E22, 2 E12) (m, 3) from flat coordinates (n, 2) to the
-        form."""
+        """Green-Lagrange strains (m, 3), (E11, E22, 2 E12), from flat coordinates (n, 2)."""
         return self._strains(flat)[0]
 
     def _strains(self, flat: Array) -> tuple[Array, Array, Array]:

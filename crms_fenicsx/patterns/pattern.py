@@ -64,8 +64,7 @@ class FlatPiece:
 
     @cached_property
     def energy(self) -> float:
-        """Distortion energy per area of the form (force per length), extrapolated to infinitely
-        fine cells; computed at first access."""
+        """Distortion energy per area of the form (force per length), extrapolated to fine cells."""
         own = self.problem_of(self.piece, self.shape).energy(self.shape)
         found = fine_energies(self.piece, self.shape, self.problem_of)
         return max(own - found[0] + limit_of(found), 0.0) / self.piece.area

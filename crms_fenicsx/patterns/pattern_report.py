@@ -127,8 +127,7 @@ def seam_table(pattern: Pattern, units: Units) -> Table:
 
 
 def comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
-    """Table of each piece's section forces, deviation and wrinkles, and its largest width without
-    compression along the warp."""
+    """Table of section forces, deviation, wrinkles and width without compression."""
     s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
     for k, one in enumerate((*comparison.pieces, comparison.whole)):
         forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]

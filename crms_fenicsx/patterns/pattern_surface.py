@@ -192,8 +192,8 @@ def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePo
 
 @numba.njit(cache=True)
 def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
-    """Continue distances d (n,), known where finite, over the cells (m, 3). Vertex v's cells are
-    `cells_at[starts[v]:starts[v + 1]]`."""
+    """March distances d (n,), finite where known; `cells_at[starts[v] : starts[v + 1]]` are v's
+    cells."""
     n = len(d)
     done = np.zeros(n, dtype=np.bool_)
     heap = [(0.0, 0)]
@@ -226,8 +226,8 @@ def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def front(p, q, da, db):  # type: ignore[no-untyped-def]
-    """Distance of a corner reached by a straight front through its cell, or inf; p, q are the sides
-    to the corners at distances da, db."""
+    """Distance of a straight front through a cell to its corner, or inf; p and q are the sides to
+    the corners at distances da and db."""
     pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
     det = pp * qq - pq * pq
     s = (pp - 2 * pq + qq) / det

@@ -23,8 +23,8 @@ from crms_fenicsx.runtime.errors import InputError, PathError, as_text, collecti
 from crms_fenicsx.surface.points import Edge, edge_of
 
 COLUMNS = 16
-"""Columns of cells recommended across a piece: its energy is then 13 to 16 % too large, an error
-that falls with their number squared."""
+"""Columns of cells recommended across a piece: the energy error, 13 to 16 %, falls
+quadratically."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,7 @@ class Piece:
 
     @property
     def curvature(self) -> float:
-        """Mean Gaussian curvature (1 / length squared): angle defects of inner vertices per
-        area."""
+        """Mean Gaussian curvature (1 / length squared): angle defects over area."""
         x, t = self.points[self.triangles], self.triangles
         a, b = np.roll(x, -1, axis=1) - x, np.roll(x, -2, axis=1) - x
         angles = np.arctan2(norm(cross(a, b)), np.einsum("nki,nki->nk", a, b))
@@ -164,8 +163,7 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     """Cut a surface along seams. Collective.
 
     Cells crossed by seams are divided. To avoid slivers, vertices closer to a crossing than a fifth
-    of the edge are moved to it along the edge; this changes the surface by no more than its
-    faceting.
+    of the edge are moved to it along the edge, which changes the surface less than faceting does.
 
     Parameters
     ----------

@@ -73,9 +73,8 @@ def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePo
 def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     """A seam along geodesics between points. Collective.
 
-    Between two points the seam is laid like a cable with ``shortest=True``: it starts as the plane
-    section through both points and is shortened over the mesh vertices until it is straight within
-    the surface, and hence on the flat piece.
+    Like a cable with ``shortest=True``, the seam starts as the plane section through two points and
+    is shortened until it is straight within the surface, and hence on the flat piece.
 
     Parameters
     ----------

@@ -27,9 +27,9 @@ SLOPE = 1e-12
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
     """Make a scene of a pattern's pieces, sewn together along the seams. Collective.
 
-    The stress-free shape of each cell is its flat shape. The scene starts in the wanted form, with
-    the strains due to the cut, without supports, loads and cables. Its mesh is the form's, with its
-    groups, the seams as edge groups and the pieces as parts.
+    The stress-free shape of each cell is its flat shape. The scene starts in the wanted form with
+    the strains due to the cut, without supports, loads and cables. Its mesh has the form's groups,
+    the seams as edge groups and the pieces as parts.
 
     Parameters
     ----------

@@ -18,8 +18,7 @@ from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.runtime.errors import InputError
 
 SHARP = 3.0
-"""Mitre limit: a corner of the cut line farther out than this times the larger allowance is
-bevelled."""
+"""Mitre limit relative to the larger allowance; sharper corners of the cut line are bevelled."""
 ARROW = 0.3
 """Length of the warp arrow relative to the piece."""
 
@@ -172,8 +171,7 @@ def _drawing(
 
 
 def _normals(run: Array) -> Array:
-    """Unit normals (n - 1, 2) to the right of a polyline (n, 2): outward if it runs
-    counter-clockwise around a piece."""
+    """Unit normals (n - 1, 2) to the right of a polyline (n, 2), outward around a piece."""
     side = np.diff(run, axis=0)
     side /= np.hypot(side[:, 0], side[:, 1])[:, None]
     return np.stack([side[:, 1], -side[:, 0]], axis=1)

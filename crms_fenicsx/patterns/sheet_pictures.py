@@ -41,8 +41,7 @@ def draw_sheets(
     pattern
         The pattern.
     filename
-        Picture file in a format of matplotlib, such as .svg, .pdf or .png; None returns the figure
-        of the roll on the first rank.
+        Picture file (.svg, .pdf, .png ...); None returns the figure of the roll on the first rank.
     sheet
         Roll, allowances and marks.
     unit

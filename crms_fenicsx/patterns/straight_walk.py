@@ -1,5 +1,4 @@
-"""Straightest lines over the surface, each cell unfolded into the plane of the previous one, or
-lines along a direction field."""
+"""Straightest lines over the surface, by unfolding cells, or lines along a direction field."""
 
 from __future__ import annotations
 
@@ -22,9 +21,8 @@ def straight_walk(
     direction: Array,
     direction_at: Callable[[Array], Array] | None = None,
 ) -> tuple[SurfacePoint, ...]:
-    """Edge crossings from a point to the rim, empty if the direction leaves the surface; the line
-    takes its direction (3,) in each cell from `direction_at`, a function of points (3,), if
-    given."""
+    """Edge crossings from a point to the rim, none if the direction leaves the surface. A function
+    `direction_at` of points (3,), if given, sets the direction in each cell."""
     at = surface.places((start,))[0]
     first = _first_cell(surface, start, direction)
     if first is None:

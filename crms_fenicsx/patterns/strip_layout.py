@@ -42,9 +42,9 @@ def strips(
     """Seams dividing the surface between two lines into the fewest strips. Collective.
 
     The seams divide the distance between the lines evenly. Geodesic ones are then straightened
-    between their ends, which saves fabric, as pieces have nearly straight edges. The number of
-    strips is raised until the distance of each seam from the previous one, over the surface, fits.
-    The exact widths are known, and checked, when the pieces are nested.
+    between their ends, which saves fabric, as pieces get nearly straight edges. The number of
+    strips is raised until the distance between seams, over the surface, fits. Exact widths are
+    checked when pieces are nested.
 
     Parameters
     ----------

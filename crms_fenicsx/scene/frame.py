@@ -217,8 +217,7 @@ class Frame:
         return tuple(dict.fromkeys(end for end in ends if isinstance(end, MeshVertex)))
 
     def home(self, vertex: MeshVertex) -> tuple[int, int]:
-        """The rank that owns a vertex, and its local degree of freedom. Collective at the first
-        call."""
+        """The owning rank and local degree of freedom of a vertex. Collective at the first call."""
         if vertex.number not in self._homes:
             membrane = self.membrane
             own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
@@ -305,8 +304,7 @@ class Frame:
     def path_of(
         self, path: Sequence[Sequence[float] | Joint] | Array
     ) -> tuple[Any, tuple[str | None, str | None]]:
-        """A cable's path with joints replaced by their positions, and the names of joints at its
-        ends."""
+        """A cable's path with joints replaced by positions, and its end joints' names."""
         names: list[str | None] = [None, None]
         if not isinstance(path, list | tuple) or not any(isinstance(p, Joint) for p in path):
             return path, (None, None)

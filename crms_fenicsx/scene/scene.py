@@ -136,8 +136,8 @@ class Scene:
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
     """The bars, in the order of addition."""
     warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
-    """Warnings of load steps that apply to the current state; those of snap-throughs stay until an
-    earlier state is restored."""
+    """Warnings of load steps on the current state; snap-throughs stay until an earlier state is
+    restored."""
     energies: ReadOnly[Mapping[str, float]] = ReadOnly("_energies", "call solver.advance(...)")
     """Energy of each kind of term in the current state (force x length)."""
     step_history: ReadOnly[StepHistory | None] = ReadOnly(
@@ -159,9 +159,8 @@ class Scene:
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
     """The ponds, with their current levels, volumes and factors."""
     volume: ReadOnly[float] = ReadOnly("air.volume", "call solver.advance(...)")
-    """Volume gained under the cells under pressure since the stress-free shape (length cubed): that
-    between the two shapes as long as the rim of these cells is held, or slides in planes held in
-    their normal direction."""
+    """Volume gained under the cells under pressure since the stress-free shape (length cubed), see
+    `Air.volume`."""
 
     put_load = of_part("loads", Loads.put_load)
     put_wind = of_part("loads", Loads.put_wind)
@@ -261,8 +260,7 @@ class Scene:
         return self.net.dissipated
 
     def positions(self) -> Array:
-        """Current positions of the vertices by local degree of freedom, (n, 3), including
-        ghosts."""
+        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts."""
         return self.membrane.positions()
 
     def vertices(self, where: str | Marker) -> Indices:

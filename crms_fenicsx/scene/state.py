@@ -1,9 +1,8 @@
 """State of a scene as one value, for snapshots, halved increments and checkpoints.
 
-Whatever load steps can change is a field of the state of the part that owns it (`MembraneState`,
-`LoadsState`, `AirState`, `FrameState`, `CableNetState`): add new features there, and snapshots,
-branches, combinations, halving and checkpoints keep them. Type hints of arrays on the mesh name
-what their rows belong to.
+Add whatever load steps can change to the state of the part that owns it (`MembraneState`,
+`LoadsState`, `AirState`, `FrameState`, `CableNetState`): snapshots, branches, combinations, halving
+and checkpoints then keep it. Type hints of mesh arrays name the entities of their rows.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class Convergence:
         Returns
         -------
         matplotlib.figure.Figure
-            The figure, shown by notebooks, on the first rank if there is no file; else None.
+            The figure for notebooks, on the first rank and without a file; else None.
 
         Raises
         ------
@@ -135,8 +135,8 @@ def convergence(
     Each level is built by the user's function on the previous mesh with each cell divided into
     four, so everything is solved again: form finding, friction with its history, step-wise laws,
     added terms. A level takes about four times as long as the previous one. Two levels give an
-    estimate; the third shows whether it is reliable. The energy and the cables' tensions are always
-    compared. The error is the discretisation error, not that of the model.
+    estimate; the third shows whether it is reliable. Energy and cable tensions are always compared.
+    The error is that of discretisation, not of the model.
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def convergence(
         Groups of held vertices whose total reactions are compared (force).
     stresses
         Parts of the mesh, or "membrane" for the whole, whose mean and largest true section forces
-        are compared (force per length). The largest may have no limit, at re-entrant corners and
-        ends of supports; the table then remarks that differences grow.
+        are compared (force per length). At re-entrant corners and ends of supports the largest may
+        have no limit: its differences grow.
     quantities
         Other quantities: functions of a solver, by name.
     project

@@ -31,9 +31,8 @@ def combine_in_groups(
 ) -> dict[str, Case]:
     """Solve load combinations in parallel groups of processes. Collective.
 
-    More processes hardly speed up a scene of moderate size, but many combinations of it. Each group
-    of processes builds the scene on its own copy of the mesh and solves every `groups`-th
-    combination.
+    A scene of moderate size gains little from more processes, many combinations gain much. Each
+    group builds the scene on its own copy of the mesh and solves every `groups`-th combination.
 
     Parameters
     ----------
@@ -131,8 +130,7 @@ def combine_in_groups(
 def _joined(
     comm: MPI.Intracomm, own: MPI.Intracomm, cases: list[Case], names: list[str]
 ) -> dict[str, Case]:
-    """The cases of all groups in the order of `names`; pictures only on the first process.
-    Collective."""
+    """All groups' cases in the order of `names`, pictures on the first process. Collective."""
     sent = cases if own.rank == 0 else []
     plain = comm.allgather([replace(case, pictures=(), view="") for case in sent])
     found = {case.name: case for part in plain for case in part}

@@ -1,16 +1,15 @@
 """Quantities of an equilibrium compared between meshes, and their error bars.
 
-The elements' errors fall with the square of the cell size where the mesh resolves the solution.
-Halving the cells then removes three quarters of the error, and the rest is a third of the last
-difference d (L. F. Richardson, 1911). The order of the last two differences shows whether this
-holds. The error bar is P. J. Roache's (Perspective: a method for uniform reporting of grid
-refinement studies, 1994) with the factors of safety of L. Eca and M. Hoekstra (A procedure for the
-estimation of the numerical uncertainty of CFD calculations based on grid refinement studies, 2014):
-the error at the observed order, times 1.25 if that is near the expected order, else times 3. Two
-differences may be consistent, or small, by chance. So values without an order, or that changed
-direction between any levels, get three times the largest error of all differences, each reduced to
-the finest level with order 2. `docs/benchmarks/cable_accuracy.md` tells how often bars contain
-known limits.
+Errors fall with the square of the cell size where the mesh resolves the solution. Halving the cells
+then leaves a third of the last difference d (L. F. Richardson, 1911). The order of the last two
+differences shows whether this holds. The error bar is P. J. Roache's (Perspective: a method for
+uniform reporting of grid refinement studies, 1994) with the factors of safety of L. Eca and M.
+Hoekstra (A procedure for the estimation of the numerical uncertainty of CFD calculations based on
+grid refinement studies, 2014): the error at the observed order, times 1.25 if that is near the
+expected order, else times 3. As differences may be consistent, or small, by chance, values without
+an order, or that changed direction, get three times the largest error of all differences, each
+reduced to the finest level with order 2. `docs/benchmarks/cable_accuracy.md` tells how often bars
+contain known limits.
 """
 
 from __future__ import annotations
@@ -37,11 +36,9 @@ ORDER = 2.0
 REGULAR = (1.2, 3.0)
 """Observed orders at which the levels are taken to converge with order 2."""
 NEAR, SAFE, SAFER = 0.3, 1.25, 3.0
-"""Largest distance of the observed order from 2 for the smaller safety factor, and the two
-factors."""
+"""Distance from order 2 up to which the first of the two safety factors applies."""
 FAR = 0.3
-"""Difference, relative to the largest value, above which the first level is too coarse for an
-order."""
+"""Relative difference above which the first level is too coarse."""
 SAME = 1e-7
 """Differences, relative to the largest value, due to the solver's tolerance."""
 
@@ -215,8 +212,7 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
 
 
 def displacements(scene: Scene, points: Array) -> Array:
-    """Displacements (length) of the stress-free surface at the places nearest to points (k, 3).
-    Collective."""
+    """Displacements (length) at the stress-free places nearest to points (k, 3). Collective."""
     found = _nearest(scene, points)
     return found.positions - found.stress_free
 

@@ -72,8 +72,7 @@ def check_view(view: tuple[float, float]) -> None:
 
 
 class Axes3D:
-    """A figure with axes in the camera's picture plane; `point` is the length shown by 1/72
-    inch."""
+    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch."""
 
     def __init__(
         self,
@@ -274,8 +273,7 @@ class Axes3D:
 
 
 def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
-    """Bounding box (low, high) of points, enlarged except at the bottom, with no side of zero
-    length."""
+    """Bounding box (low, high) of points with margins, except below, and no zero side."""
     points = np.concatenate([np.reshape(shape, (-1, 3)) for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max()) or 1.0

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 NO_VALUE = (0.784, 0.784, 0.784)
 _SAME = 1e-3
-"""Relative range below which values count as equal: a colour bar's ticks could not tell them
-apart."""
+"""Relative range of equal values, which the ticks of a colour bar could not distinguish."""
 
 
 def common_value(values: Array) -> float | None:
@@ -186,8 +185,7 @@ def _seen(
     tolerance: float,
     clip: tuple[Array, Array] | None,
 ) -> Booleans:
-    """Whether pieces of a line are visible, by their midpoints; short runs amid hidden ones are
-    dropped."""
+    """Whether pieces of a line are visible at their midpoints, without short runs."""
     seen = visible(middles, triangles, tolerance)
     if clip is not None:
         places = axes3d.camera.place(middles)
@@ -212,8 +210,7 @@ def _interpolated(given: Array, segment: Integers, middle: Array, count: int) ->
 
 
 def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Nodes (s + 1, 3) of pieces of at most `step`, their segments, and their midpoints along these
-    (s,)."""
+    """Nodes (s + 1, 3) of pieces up to `step`, their segments, and midpoints along these (s,)."""
     lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
     counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
     segment, k = offsets_within(counts)

@@ -74,7 +74,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     Parameters
     ----------
     filename : str, Path or None
-        Picture file; its suffix gives the format. None returns the figure.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     paths : sequence of Line
         Positions of one point each, step 0 first; the names go into the legend. May be empty if
         there are ``lines``.
@@ -84,7 +84,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     Returns
     -------
     matplotlib.figure.Figure
-        The figure, shown by notebooks, if there is no file; else None.
+        The figure for notebooks, without a file; else None.
 
     Raises
     ------

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_CELLS = 500_000
-"""Largest number of cells drawn. The first process gathers and draws them all (20 s and 0.7 GB for
-a million), and a picture could not show more."""
+"""Largest number of cells drawn: the first process needs 20 s and 0.7 GB for a million, more than a
+picture can show."""
 
 MOST_STROKES = 12
 """Number of principal directions drawn along the size of a surface."""
@@ -70,7 +70,7 @@ def label_of(colour: str) -> tuple[str, str]:
 
 
 class HasSystem(Protocol):
-    """Protocol of `Solver`, which is imported above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     comm: MPI.Intracomm
 
@@ -101,7 +101,7 @@ def draw(
     solver
         `Solver` of the scene.
     filename
-        Picture file; its suffix (.png, .pdf, .svg ...) gives the format. None returns the figure.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     colour
         Colour of the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger and
         smaller principal true section force), "warp", "weft" and "shear" (true section forces),
@@ -122,7 +122,7 @@ def draw(
     Returns
     -------
     matplotlib.figure.Figure
-        The figure, shown by notebooks, on the first rank if there is no file; else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------
@@ -193,8 +193,7 @@ def draw(
 
 
 def _principal_strokes(system: System) -> Array:
-    """Strokes (k, 2, 3) along the larger principal force of cells spread over the whole surface.
-    Collective."""
+    """Strokes (k, 2, 3) along the larger principal forces, spread over the surface. Collective."""
     results, scene = membrane_results(system), system.scene
     n = len(results.state)
     centres = scene.positions()[scene.V.dofmap.list[:n]].mean(axis=1)
@@ -242,7 +241,7 @@ def draw_paths(
     scene
         Scene of the mesh.
     filename
-        Picture file; its suffix gives the format. None returns the figure.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     lines
         Cables, such as ``Line(cable.line, name="now")``, from the first rank.
     paths
@@ -253,7 +252,7 @@ def draw_paths(
     Returns
     -------
     matplotlib.figure.Figure
-        The figure, shown by notebooks, on the first rank if there is no file; else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------

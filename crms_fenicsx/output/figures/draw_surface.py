@@ -121,7 +121,7 @@ def draw_shape(
     Parameters
     ----------
     filename : str, Path or None
-        Picture file; its suffix (.png, .pdf, .svg ...) gives the format. None returns the figure.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     points, triangles : (n, 3) array of length, (m, 3) array of int
         The surface.
     lines : sequence of Line
@@ -132,7 +132,7 @@ def draw_shape(
     Returns
     -------
     matplotlib.figure.Figure
-        The figure, shown by notebooks, if there is no file; else None.
+        The figure for notebooks, without a file; else None.
 
     Raises
     ------

@@ -202,8 +202,8 @@ def _sides(out: Array) -> list[Array]:
 
 
 def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: Array) -> None:
-    """Write each name at its candidate position that least covers other names, the rim (k, 2, 2) or
-    the frame; at the first free one, if any."""
+    """Write each name at the candidate position that least covers names, rim (k, 2, 2) and
+    frame."""
     axes.apply_aspect()
     taken: Array = np.zeros((0, 4))
     points = 72.0 / axes.figure.dpi

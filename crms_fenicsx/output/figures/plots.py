@@ -120,7 +120,7 @@ def draw_history(
     history
         The history, such as ``solver.history``.
     filename
-        Picture file; its suffix (.png, .pdf, .svg ...) gives the format. None returns the figure.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     x
         Column of the horizontal axis.
     panels
@@ -132,7 +132,7 @@ def draw_history(
     Returns
     -------
     matplotlib.figure.Figure
-        The figure, shown by notebooks, on the first rank if there is no file; else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------

@@ -154,8 +154,7 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
 
 
 def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
-    """Box and force range common to all cases; no range if all forces of cables and bars are
-    zero."""
+    """Box and force range common to all cases; no range without forces."""
     low = np.min([case.low for case in every], axis=0)
     high = np.max([case.high for case in every], axis=0)
     air = 0.03 * float((high - low).max())

@@ -35,8 +35,7 @@ class FoundationTables:
 
     @property
     def points(self) -> dict[str, dict[str, FoundationPoint]]:
-        """Foundation points by foundation and case; points outside `carried` are named F1, F2
-        ..."""
+        """Foundation points by foundation and case; those outside `carried` are F1, F2 ..."""
         of_case = {case.name: case.foundations.points for case in self.cases}
         every = [point for points in of_case.values() for point in points]
         first = {one.members: one.at for one in reversed(every)}
@@ -148,8 +147,7 @@ def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
 
 
 def inclined(force: Force) -> tuple[float | None, float | None, float]:
-    """Horizontal component of a force, its direction in plan from the x axis, and its inclination
-    (degrees)."""
+    """Horizontal component, direction in plan from the x axis and inclination (degrees)."""
     x, y, z = clean(force, math.hypot(*force), NOTHING)
     flat = math.hypot(x, y)
     return flat, (_angle((x, y)) if flat else None), math.degrees(math.atan2(z, flat))

@@ -266,8 +266,7 @@ def shown(value: Cell) -> str:
 
 
 def number(value: float) -> str:
-    """A number with four significant digits, such as 0.01234, 12.34 or 12340; with an exponent
-    beyond."""
+    """A number with four significant digits: 0.01234, 12.34, 12340; else with an exponent."""
     if not math.isfinite(value):
         return EMPTY if math.isnan(value) else str(value)
     size = abs(float(f"{value:.3e}"))

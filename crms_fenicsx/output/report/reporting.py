@@ -55,7 +55,7 @@ NOW = "Current state"
 
 
 class Reported(HasSystem, HasStates, Protocol):
-    """Protocol of `Solver`, which is imported above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     base: SceneState | None
 

@@ -246,8 +246,7 @@ class ResultTables:
         return Table("Ponds", columns, rows, "ponds", headings=2)
 
     def supports(self, *, every: bool = True) -> Table:
-        """Support reactions and their sum; split into parts for all supports or (`every` false)
-        points only."""
+        """Support reactions and their sum; `every` also splits those of lines into parts."""
         rows: list[Row] = []
         names = self.names("supports")
         lists = [case.summary.supports for case in self.cases]

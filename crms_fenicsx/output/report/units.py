@@ -24,6 +24,5 @@ class Units:
         return self[kind].replace("[", "").replace("]", "")
 
     def headings(self, text: str) -> list[str]:
-        """Headings from a text such as "Length{length}|State", with units inserted and split at
-        "|"."""
+        """Headings from a text such as "Length{length}|State", with units."""
         return text.format_map(self).split("|")

@@ -10,8 +10,8 @@ from crms_fenicsx.output.report.page import Verdict, number, per_cent, place
 from crms_fenicsx.output.report.results_tables import PEAK
 
 COLLAPSED, TURNED = 0.5, 0.01
-"""Fraction of the base state's volume below which a roof has collapsed, and fraction of the area
-above which the membrane has turned over."""
+"""Share of the base volume below which a roof has collapsed; of the area above which it is
+inverted."""
 
 
 @dataclass(frozen=True)
