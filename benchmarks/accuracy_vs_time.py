@@ -3,18 +3,17 @@
     ./run python benchmarks/accuracy_vs_time.py [CASE ...] [--methods METHOD ...] [--quick]
                                                 [--limit SECONDS] [--results FOLDER]
 
-Each run is a process of its own, on one thread: a warm-up on the coarsest mesh, so that nothing is
-compiled or loaded any more, and then the case some times over, of which the median counts. Timed is
-all from the mesh to the equilibrium, by the processor's clock: on an idle machine it goes like the
-one on the wall, whose times are in the table too. A method that has not converged within the limit
-on one mesh is not tried on finer ones. "Extrapolated" are limits of `study.convergence` over three
-meshes, n the finest, timed with all of them; a table compares them with the run on a mesh as fine
-as that, evaluations counted in those on that mesh. `accuracy/` has cases, methods, references and
-figures; Kratos is one of the methods once `benchmarks/kratos/install` has been run.
+Each run is a process with one thread: after a warm-up on the coarsest mesh, which compiles and
+loads everything, it repeats the case and takes the median. CPU time is measured from the mesh to
+the equilibrium; on an idle machine it equals the wall time, which the table has too. A method that
+does not converge within the limit on one mesh is not tried on finer ones. "Extrapolated" are limits
+of `study.convergence` over three meshes, n the finest, timed with all of them; a table compares
+them with a run on a mesh as fine, evaluations in units of those on that mesh. `accuracy/` has
+cases, methods, references and figures; Kratos is included once `benchmarks/kratos/install` has run.
 
 FOLDER (results/accuracy by default) then holds runs.csv, a figure CASE.png for each case and
-summary.md; what it has of cases that are not asked for stays. `--quick`, on coarse meshes, takes
-about two minutes, all of it up to 25.
+summary.md; results of other cases stay. `--quick`, on coarse meshes, takes about two minutes, the
+complete benchmark up to 25.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Do meshes that are finer where the estimate says so pay?
+"""Gain of adaptive refinement by the error estimate.
 
-The same scenes on meshes of `meshes.refine`, with each cell in four or with the cells of
-`study.marked_cells` bisected, from the same first mesh. Errors are in per cent; seconds are those
-of this process from the first mesh on, all levels before included; evaluations those of the level's
-last solve. The last columns say how many unknowns and seconds refined meshes need for the same
-error of the energy, over what the adapted one has, interpolated between their levels. Run it on one
+The same scenes on meshes of `meshes.refine`, with all cells quartered or with the cells of
+`study.marked_cells` bisected, from the same first mesh. Errors are in per cent; seconds are this
+process's from the first mesh on, previous levels included; evaluations are those of the level's
+last solve. The last columns give the unknowns and seconds that uniform meshes need for the same
+error of the energy, relative to the adapted mesh, interpolated between levels. Run it on one
 process.
 
     ./run python benchmarks/adapted_meshes.py [CASE ...]

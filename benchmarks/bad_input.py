@@ -1,10 +1,10 @@
-"""Random bad input to every public call, on all ranks or on one of them only.
+"""Random invalid input to every public call, on all ranks or on one only.
 
     ./run mpirun -n 3 python benchmarks/bad_input.py [CALLS [SEED]]
 
-Every call must end on all ranks with the same error of the package's own, compute nothing and
-change nothing. Prints those that do not, and fails then. Where a call hangs, all ranks end after a
-while and say where they were.
+Every call must raise the same error of the package on all ranks, compute nothing and change
+nothing. Prints the calls that do not, and then fails. If a call hangs, all ranks end after a while
+and report their position.
 """
 
 from __future__ import annotations

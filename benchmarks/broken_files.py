@@ -1,12 +1,12 @@
-"""Broken and hostile files: meshes, checkpoints, and what a run that is resumed reads.
+"""Damaged and hostile files: meshes, checkpoints, and the files of resumed runs.
 
     ./run python benchmarks/broken_files.py [MUTATIONS [SEED]]
 
-Takes sound files of each format that is read and spoils them at random: cuts, flipped bits, moved
-and repeated pieces, other numbers (huge, negative, not finite), other types, deep nesting, links,
-pipes, folders. Each is read in a process of its own, and must end in data that are valid or in
-`InputError`: no other error, no crash, no output, no long wait, no large memory. Prints a table of
-what was done and how it ended, and each that ended badly; fails then.
+Damages valid files of each readable format at random: cuts, flipped bits, moved and repeated
+pieces, other numbers (huge, negative, not finite), other types, deep nesting, links, pipes,
+folders. Each is read in a separate process, and must give valid data or `InputError`: no other
+error, no crash, no output, no long wait, no large memory. Prints a table of mutations and outcomes,
+and each failure, and then fails.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Error of a cable over the inflated square against the mesh size: on lines, across, refined.
 
 The cable (EA = 32000 kgf, 100 cm long) lies across the middle of a clamped square of 100 cm at a
-pressure of 0.01 kgf/cm2. Errors are against the continuum: T = 112.60349 kgf, W = -273.55493
-kgf cm, extrapolated from meshes whose lines carry the cable. A mesh that is twice as fine along the
-cable does not pay: folded elements have the crease exactly, and for its cells the error is as large
-as elsewhere, for its time larger.
+pressure of 0.01 kgf/cm2. Errors are relative to the continuum, T = 112.60349 kgf, W = -273.55493
+kgf cm, extrapolated from meshes whose lines carry the cable. Halving the mesh size along the cable
+does not pay: folded elements represent the crease exactly, so their cells have the usual error,
+and a larger one for the same time.
 
-With `lengths`: the error of the tension across the unstructured mesh, of cables from tight to
-nearly slack, against tensions extrapolated from lines of the mesh under each.
+With `lengths`: the error of the tension on the unstructured mesh, for cables from tight to nearly
+slack, against tensions extrapolated from meshes with lines under each cable.
 
     ./run python benchmarks/cable_accuracy.py [lengths]
 """

@@ -1,8 +1,9 @@
-"""What makes tensions of cables with little strain converge from far away: experiments.
+"""Convergence of the tensions of cables with little strain on coarse meshes: experiments.
 
 A ring just taut around an inflated sphere, a hoop around an inflated cylinder, both against an
 ordinary differential equation, and a great circle over the cap of `demos/cable_net.py`, and that
-demo's net. Units: m, kN. What follows from the figures is in `docs/benchmarks/cable_accuracy.md`.
+demo's net. Units: m, kN. `docs/benchmarks/cable_accuracy.md`
+has the conclusions.
 
     ./run python benchmarks/cable_convergence.py [sphere] [cylinder] [valley] [factor] [cap] [ends]
                                                  [net]

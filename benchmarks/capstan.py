@@ -1,17 +1,17 @@
-"""Friction along cables: accuracy on a drum and on the inflated square, and what it costs.
+"""Friction along cables: accuracy on a drum and on the inflated square, and cost.
 
     ./run python benchmarks/capstan.py
 
 law
-    A rope over half a drum is pulled until it slides all over: error of the ratio of the tensions
-    at its ends against exp(mu pi), regular mesh and irregular.
-stick
-    The rope has a tension first and is pulled so little that it sticks on part of the drum, then
-    let back: errors of the tension at the pulled end against the exact elastic solution.
-square
-    A cable across the inflated square of 100 cm, both ends beyond it, one pulled down by 16 cm in
-    two steps (coefficient 0.3 along, 0 or 0.3 sideways): tensions at the two ends, dissipation,
-    and the work of the second step, with and without friction along.
+        A rope over half a drum is pulled until all of it slides: error of the ratio of its end
+        tensions against exp(mu pi), on a regular and an irregular mesh.
+    stick
+        The rope, under tension, is pulled so little that it sticks on part of the drum, then let
+        back: errors of the tension at the pulled end against the exact elastic solution.
+    square
+        A cable across the inflated square of 100 cm, anchored beyond it on both sides; one end is
+        pulled down by 16 cm in two steps (coefficient 0.3 along, 0 or 0.3 sideways): tensions at
+        both ends, dissipation, and the work of the second step, with and without friction along.
 """
 
 from __future__ import annotations

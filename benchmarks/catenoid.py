@@ -1,10 +1,10 @@
 """Kratos' validation example of a catenoid, by Kratos' form finding and by `find_form`.
 
 A film between two rings of radius 10, H apart, from a cylinder: for H = 12 there is a catenoid, for
-H = 14 none (the limit is 13.25487). Both find it on the same vertices, n round and n / 4 high; with
-Kratos also by bilinear quadrilaterals, as its example has them. CPU seconds on one thread from
-arrays to the form, medians of runs in turn; errors of area and neck in per cent of the catenoid's.
-Then rings 8 apart under 4 along the axis and 2 around it, which no surface has everywhere.
+H = 14 none (the limit is 13.25487). Both methods use the same vertices, n round and n / 4 high;
+Kratos also bilinear quadrilaterals, as in its example. CPU seconds on one thread from arrays to the
+form, medians of alternating runs; errors of area and neck in per cent of the catenoid's. Then rings
+8 apart under 4 along the axis and 2 around it, which no surface satisfies everywhere.
 
     sh benchmarks/kratos/install
     ./run python benchmarks/catenoid.py [runs]

@@ -1,22 +1,21 @@
-"""Where a load step's time goes, next to a floor.
+"""Parts of a load step's time, compared with a lower bound.
 
 A clamped square of 100 cm, E t = 24 kgf/cm, nu = 0.25, N cells a side, under a follower pressure of
 0.008 kgf/cm2 is inflated to 0.01, 0.012, 0.014 and 0.016 and let down again, without and with a
-cable (EA = 32000 kgf, 100 cm) over cells in its middle. What counts are these four load steps, in
-the mean. Each begins with the H0 of the one before, the first with a new one. Tables:
+cable (EA = 32000 kgf, 100 cm) over cells in its middle. Results are means of these four load steps.
+Each starts with the previous H0, the first with a new one. Tables:
 
 step
-    Time of its parts, calls, and time of each call, of an evaluation per cell and per fold element.
-    The floor is what one can hardly do without, measured in turns with the steps: one assembly of
-    H0, one factorisation, the triangular solves that the step took, and for each of its
-    evaluations a compiled loop over the cells, written for this square (`fused`), which computes
-    energy and gradient at once.
+    Time of its parts, number of calls, and time per call; of an evaluation per cell and per fold
+    element. The lower bound, measured in turns with the steps, has one assembly of H0, one
+    factorisation, the step's triangular solves, and for each of its evaluations a compiled loop
+    over the cells, written for this square (`fused`), which computes energy and gradient at once.
 flips
-    What it costs that a cable slides over mesh vertices: dragged sideways by 0.3 to 15 cm.
+    Cost of a cable sliding over mesh vertices: dragged sideways by 0.3 to 15 cm.
 
     ./run python benchmarks/cost_breakdown.py [step] [flips] [--cells 64] [--quick]
 
-Times are the processor's, so that other work on the machine hardly counts.
+Times are CPU times, which other work on the machine hardly affects.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What holds the edge of a sail, and the forces at its corners. See docs/benchmarks/edges.md.
+"""Edge details of a sail, and the forces at its corners. See docs/benchmarks/edges.md.
 
 A hypar of 6 x 6 m, two corners 2 m up, under snow: its edge cables slide, with friction or without,
 slide beside belts, or are bonded to the fabric.

@@ -1,9 +1,9 @@
-"""Do error bars hold the truth, and what do they cost?
+"""Reliability and cost of error bars.
 
-Cases of `benchmarks/accuracy` with references of other origin, each from a coarse mesh over three
+Cases of `benchmarks/accuracy` with independent references, each from a coarse mesh over three
 levels of `study.convergence`. Errors and bars are in per cent of the reference; the last columns
-say how long the three levels took in runs on the finest mesh, and the estimated error of the first
-mesh's energy over the true one.
+give the time of the three levels in units of a run on the finest mesh, and the ratio of estimated
+to true error of the first mesh's energy.
 
     ./run python benchmarks/error_bars.py [LEVELS]
 """

@@ -1,4 +1,4 @@
-"""Cost of finding a form, next to load steps on it.
+"""Cost of form finding, compared with load steps on the form.
 
 A hypar of 10 x 10 m between four points, two of them 3 m higher, with edge cables, and the same
 within a straight rim that is held: form finding from the flat mesh, and then ten steps of snow on

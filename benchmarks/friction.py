@@ -1,9 +1,9 @@
-"""Friction of cables that slide sideways: accuracy and cost. Sections:
+"""Lateral friction of cables: accuracy and cost. Sections:
 
 rigid
-    A cable on a circle of latitude of a rigid sphere, and on curves of other rigid surfaces along
-    which geodesic and normal curvature have a constant ratio. It should slide if the ratio is
-    larger than mu, and end where it is mu. Means over meshes, whose lattices are turned and shifted
+    A cable on a circle of latitude of a rigid sphere, and on curves of other rigid surfaces with a
+    constant ratio of geodesic to normal curvature. It should slide if the ratio exceeds mu, and
+    stop where it equals mu. Means over meshes, whose lattices are turned and shifted
     against the cable.
 ways
     A cable on a rigid cylinder that is tightened by 1 % at smaller coefficients: its way over the
@@ -16,10 +16,10 @@ drum
     ./run python benchmarks/friction.py [rigid] [ways] [drum] [--meshes 8] [--sizes 20 40]
                                         [--half 1.0]
 
-What is told from a slid cable is the coefficient with which an exact one would have slid as far, in
-the mean over its length. The threshold is where that way is 0.02 cells, some elastic slips, over
-the coefficient at which an exact cable goes as far: a short or flat arc goes a little only, and
-would seem to hold. Both relative to mu.
+From a slid cable follows the coefficient with which an exact cable would have slid as far,
+averaged over its length. The threshold is a slide of 0.02 cells, some elastic slips, over the
+coefficient at which an exact cable slides as far: a short or flat arc slides only a little, and
+would seem to stick. Both are relative to mu.
 """
 
 from __future__ import annotations

@@ -1,18 +1,17 @@
-"""Random scenes: every one converges, or is refused with an error that says what to do.
+"""Random scenes: each converges, or is refused with an error that states the remedy.
 
     ./run python benchmarks/fuzz.py --scenes 0 5000 --to results/fuzz.jsonl
-    ./run python benchmarks/fuzz.py --scene 1234     one again, with all that it does
+    ./run python benchmarks/fuzz.py --scene 1234     one again, with details
     ./run python benchmarks/fuzz.py --report results/fuzz.jsonl
     ./run mpirun -n 3 python -m mpi4py benchmarks/fuzz.py --scenes 0 200 --against FILE
     ./run python benchmarks/fuzz.py --leaks 1000     PETSc's objects and memory over load steps
 
-A scene follows from its number (`fuzzing.scenes`). What is checked of it is in `fuzzing.runs`:
-no error but the package's own, no warning but these, nothing that is not finite, no hanging; the
-verification of each load step; energies that fall while they are minimised, and no lower state
-beside the equilibrium; tensions and dissipation not negative; and that a twin in other units, or
-turned, mirrored, renumbered, brought there in more steps or laid in another order has the same
-answer. Slack membranes and nets have several equilibria: a twin that ends in another one is noted
-with its energy, and does not count as a failure.
+A scene follows from its number (`fuzzing.scenes`). `fuzzing.runs` checks: only the package's own
+errors and warnings, only finite numbers, no hanging; verification of each load step; energies that
+fall during minimisation, and no lower state beside the equilibrium; tensions and dissipation not
+negative; and the same answer from a twin in other units, or turned, mirrored, renumbered, loaded in
+more steps or laid in another order. Slack membranes and nets have several equilibria: a twin that
+ends in another one is noted with its energy, and is no failure.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""Random scenes of many features at once, and twins of them that must have the same answer.
+"""Random scenes of many features at once, and twins that must have the same answer.
 
     ./run python benchmarks/fuzz_features.py --scenes 0 500 --to results/features.jsonl
-    ./run python benchmarks/fuzz_features.py --scene 123            one again, with all that it does
+    ./run python benchmarks/fuzz_features.py --scene 123            one again, with details
     ./run mpirun -n 3 python -m mpi4py benchmarks/fuzz_features.py --scenes 0 50 --against FILE
 
-A scene follows from its number (`fuzzing.feature_scenes`); what is checked is in
-`fuzzing.feature_runs`.
+A scene follows from its number (`fuzzing.feature_scenes`); `fuzzing.feature_runs` checks it.
 """
 
 from __future__ import annotations

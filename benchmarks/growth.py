@@ -1,11 +1,11 @@
-"""How the cost of a load step grows with the number of unknowns, and of cables.
+"""Growth of a load step's cost with the number of unknowns and of cables.
 
-Each size is a process of its own, which takes two load steps from the stress-free shape: the first
-inflation to 0.8 (the cap: 0.6) of the pressure, and on to all of it. Tables, with fitted exponents:
+Each size is a separate process with two load steps from the stress-free shape: the first inflation
+to 0.8 (the cap: 0.6) of the pressure, and on to all of it. Tables, with fitted exponents:
 
 square
     A clamped flat square of 100 cm, E t = 24 kgf/cm, nu = 0.25, 0.01 kgf/cm2. It wrinkles in its
-    corners, the more finely the finer the mesh.
+    corners, more finely on finer meshes.
 cap
     The roof of `demos/air_dome.py` without cables, in tension everywhere, 0.5 kPa.
 cables
@@ -13,8 +13,7 @@ cables
 
     ./run python benchmarks/growth.py [square] [cap] [cables] [--most 1e5] [--cables 16] [--quick]
 
-H0 is factorised up to a million unknowns, and under cables always.
-Times are the processor's.
+H0 is factorised up to a million unknowns, and with cables always. Times are CPU times.
 """
 
 from __future__ import annotations

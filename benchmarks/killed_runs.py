@@ -3,12 +3,12 @@
     ./run python benchmarks/killed_runs.py [KILLS [SEED]]
 
 A small run with two cables, load steps in three calls of `advance`, pictures in between and
-checkpoints is ended by SIGKILL, most times on one process, every fourth time on three, of which one
-or all are killed, or mpirun alone. Half of the moments are random times, the others random times
-after a random write has begun. Then each file that has its name is read in full, and the run
-resumed: some are killed again, those on three processes are resumed on another number of them. What
-comes out is compared with a run that nobody has killed. Prints where the kills fell and what was
-found, and fails if a file is damaged or a result differs.
+checkpoints is ended by SIGKILL, mostly on one process, every fourth time on three, of which one or
+all are killed, or mpirun alone. Half of the kills come at random times, the others at random times
+after a random write has begun. Then all files with their final names are read completely, and the
+run is resumed: some runs are killed again, those on three processes resume on another number. The
+results are compared with an uninterrupted run. Prints the times of the kills and the findings, and
+fails if a file is damaged or a result differs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What combinations of loads cost: against load steps of new runs, and shared out to two groups.
+"""Cost of load combinations: compared with new runs, and distributed to two groups.
 
     ./run python benchmarks/load_combinations.py [SIZE] [new] [groups]
 
@@ -6,13 +6,13 @@ The hall is that of `demos/air_hall.py`: 36 x 36 m, a net of 12 sliding cables, 
 by default). Tables:
 
 new
-    Combinations from the base state by `Solver.combine`, and in turns with them runs that find the
-    form, lay and tighten the net, and then take one load step to the same loads: seconds of the
-    processor, evaluations and factorisations.
-groups
-    20 combinations on one process by `Solver.combine`, and on two by `combine_in_groups`: seconds
-    of the processor of the busiest process, for its combinations alone and with the base state;
-    and by the clock.
+        Combinations from the base state by `Solver.combine`, in turns with runs that find the form,
+        lay and tighten the net, and take one load step to the same loads: CPU seconds, evaluations
+        and factorisations.
+    groups
+        20 combinations on one process by `Solver.combine`, and on two by `combine_in_groups`: CPU
+        seconds of the busiest process, for its combinations alone and with the base state; and wall
+        time.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""The paper's model 3 over its numerical parameters: steps, slip tolerance, mesh, law.
+"""The paper's model 3 with varied numerical parameters: steps, slip tolerance, mesh, law.
 
 A cable is pressed 10 cm into an orthotropic sheet and dragged 10 cm sideways over it, mu = 0.7, as
-in demos/friction_experiment.py. Tables of the tension, the place y of the cable's middle and the
-energy dissipated at the end, and of the work:
+in demos/friction_experiment.py. Tables of the tension, the position y of the cable's middle and the
+dissipated energy at the end, and of the work:
 
 steps
     5, 10, 20 and 40 load steps in each direction.
 tolerance
-    Elastic slip over four decades: where it does not matter is a plateau.
+    Elastic slip over four decades: a plateau shows where it does not matter.
 meshes
-    Finer and finer; one along whose lines the cable is laid.
+    Successively finer ones; one with lines along the cable.
 laws
-    A coefficient at rest, and the paper's friction element on mesh lines.
+    With static friction, and with the paper's friction element on mesh lines.
 
     ./run python benchmarks/model_3.py [steps] [tolerance] [meshes] [laws]
 """

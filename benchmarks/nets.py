@@ -1,16 +1,15 @@
-"""Nets of sliding cables on a roof: what a load step costs, and what comes of it.
+"""Nets of sliding cables on a roof: cost of a load step, and its results.
 
     ./run python benchmarks/nets.py [--held] [--cables N] [UNKNOWNS ...]
 
 The roof of `demos/air_dome.py` with N cables (14 by default) in each of its two families is
 inflated from its plan shape to 0.3 kPa and then to 0.5 kPa, with 1500, 10 000 and 30 000 unknowns
-of the membrane by default. With --held the cables slide along the edges that they are laid over,
-but not to other cells. Seconds are of the processor, on this process; how often energies were
-evaluated, H0 was factorised and clusters of few points made Newton steps of their own does not
-depend on the machine.
+of the membrane by default. With --held the cables slide along the edges that they cross, but not to
+other cells. Seconds are CPU time of this process; the numbers of evaluations, factorisations of H0
+and separate Newton steps of small clusters of points do not depend on the machine.
 
-Which vertices the cables pass on which side is decided by energies that differ by less than the
-mesh errs. Where two versions decide otherwise, tensions differ by some .2 % (rms).
+Energies that differ by less than the mesh error decide on which side cables pass vertices. Where
+two versions decide differently, tensions differ by some .2 % (rms).
 """
 
 from __future__ import annotations

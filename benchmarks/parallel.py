@@ -1,14 +1,13 @@
-"""Scaling of a load step over processes: time and its parts, memory, and what is sent.
+"""Scaling of a load step over processes: time and its parts, memory, and communication.
 
     ./run python benchmarks/parallel.py [--held] [UNKNOWNS] [CABLES] [PROCESSES ...]
 
 The roof of `demos/air_dome.py` with CABLES cables in each of its two families (0 to 14) is inflated
-to 0.3 kPa and then to 0.5 kPa; that second load step is what counts. For each number of processes
-(1 and 2 by default) it runs itself under mpirun. What is sent is counted by PETSc's own log, in
-stages of their own. PETSc does not see the one sum over all ranks that an evaluation makes
-(`Potential.sum_up`): it is counted with its bytes beside the log's figures. With --held the cables
-slide along the edges that they are laid over, but not to other cells: how many paths are tried
-depends on rounding.
+to 0.3 kPa and then to 0.5 kPa; the second load step is measured. For each number of processes (1
+and 2 by default) it runs itself under mpirun. PETSc's log counts the communication, in separate
+stages. It misses the one sum over all ranks in an evaluation (`Potential.sum_up`), which is counted
+with its bytes beside the log's figures. With --held the cables slide along the edges that they
+cross, but not to other cells: the number of tried paths depends on rounding.
 """
 
 from __future__ import annotations

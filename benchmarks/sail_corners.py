@@ -1,12 +1,12 @@
 """Order of convergence of flat sails whose edge cables meet at corners of 10 to 170 degrees.
 
-Random sails of three to five sides between arcs of radius T / s, every second cable with its length
-prescribed; the first sails have a corner of 10 and one of 170 degrees. Fitted orders of the area,
-the tensions found and the reactions over three meshes: halved ones ("nested"), and gmsh's, made
-anew on each level. There the links of a side, whole in number, are not halved as the mesh size is:
-"links" fits the area's order to their lengths instead. The last columns are the order in area of
-the exact polygons with as many links, fitted to the mesh size, and the largest difference of an
-area from that of these polygons, relative to the area's error.
+Random sails of three to five sides between arcs of radius T / s, every second cable with a
+prescribed length; the first sails have a corner of 10 and one of 170 degrees. Fitted orders of the
+area, the tensions found and the reactions over three meshes: halved ones ("nested"), and gmsh's,
+generated anew on each level, where the whole number of links of a side does not halve as the mesh
+size does: "links" fits the area's order to their lengths instead. The last columns are the order in
+area of the exact polygons with as many links, fitted to the mesh size, and the largest difference
+of an area from that of these polygons, relative to the area's error.
 
     ./run python benchmarks/sail_corners.py [SAILS]
 """

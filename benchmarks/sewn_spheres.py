@@ -1,12 +1,12 @@
-"""Spheres sewn of gores and inflated: radius, and section forces got for those wanted.
+"""Spheres sewn from gores and inflated: radius, and section forces against the intended ones.
 
 A film with E t = 800, nu = 0.3 in gores of a sphere of radius 10, 8 columns of cells each,
-compensated for 1.5 along warp and weft, sewn together and inflated by p = 0.3: a quarter of it,
-with planes of symmetry. Without wrinkling the figures can be compared with those of an independent
-program, in brackets; with it the compression goes where the film is wrinkled.
+compensated for 1.5 along warp and weft, sewn together and inflated by p = 0.3: a quarter, with
+planes of symmetry. Without wrinkling the figures can be compared with those of an independent
+program, in brackets; with wrinkling, the compression vanishes where the film wrinkles.
 
-Before, the energies of single gores laid flat, in per cent of that program's limits, and their
-outlines, by the numbers of columns of cells.
+First, the energies of single flattened gores, in per cent of that program's limits, and their
+outlines, by number of columns of cells.
 
     ./run python benchmarks/sewn_spheres.py [flat|linear|wrinkling] [GORES ...]
 """

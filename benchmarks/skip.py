@@ -1,25 +1,24 @@
-"""The price of what a scene does not use: against a bare DOLFINx script, and feature by feature.
+"""Overhead of unused features: against a bare DOLFINx script, and feature by feature.
 
 The scene is a clamped square of 100 cm, E t = 24 kgf/cm, nu = 0.25, under a follower pressure of
-0.01 kgf/cm2, with the package's machinery switched off by absence. The bare script (`bare_square`)
-is what one would write for this flat square alone: its energy in UFL, its derivative, two forms.
-Tables:
+0.01 kgf/cm2, without any other feature of the package. The bare script (`bare_square`) is what one
+would write for this flat square alone: its energy in UFL, its derivative, two forms. Tables:
 
 evaluation
     Time of one evaluation of energy and gradient, the package and the bare script in turns.
 features
-    The same with one thing absent or present, all scenes in turns, against the first one; what of
-    it is spent outside of the terms; and the time of a load step after the first.
+    The same with one feature absent or present, all scenes in turns, relative to the first one; the
+    part spent outside the terms; and the time of a load step after the first.
 start
-    Fresh processes: import of the package against that of DOLFINx; with empty caches, what is
-    compiled (FFCx modules, numba functions) and how long that takes; once more from another
-    working directory, what is compiled again; memory.
+    New processes: import of the package against that of DOLFINx; with empty caches, what is
+    compiled (FFCx modules, numba functions) and how long that takes; again from another working
+    directory, what is recompiled; memory.
 
     ./run python benchmarks/skip.py [evaluation] [features] [start] [--quick]
 
-Times are the processor's, so that other work on the machine hardly counts; those of first load
-steps in `start`, which load files, are a clock's. Modules are compiled to bytecode before imports
-are timed, as they are once for all where a package is installed.
+Times are CPU times, which other work on the machine hardly affects; those of first load steps in
+`start`, which load files, are wall times. Modules are compiled to bytecode before imports are
+timed, as in an installed package.
 """
 
 from __future__ import annotations

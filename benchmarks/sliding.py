@@ -7,8 +7,8 @@ accuracy
     A cable with its ends at (0, 30) and (100, 30), L0 = 100 cm, against the continuum: a mesh
     that follows the cable's unknown material curve, extrapolated.
 lines
-    The same for cables that are laid along lines of the mesh, against meshes without a line there;
-    and how far the ways to lay them lie apart.
+    The same for cables laid along mesh lines, against meshes without a line there; and the
+    differences between the ways to lay them.
 starts
     The same equilibrium from cables laid with detours to either side.
 cost
@@ -20,7 +20,7 @@ nets
 
     ./run python benchmarks/sliding.py [accuracy] [lines] [starts] [cost] [anchors] [nets]
 
-`--anchors` and `--nets` say how many random scenes; `--sizes` which meshes.
+`--anchors` and `--nets` set the number of random scenes; `--sizes` the meshes.
 """
 
 from __future__ import annotations

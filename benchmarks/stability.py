@@ -1,21 +1,21 @@
-"""Sweeps to where numbers become difficult: what converges, what is refused, what is wrong.
+"""Parameter sweeps to numerical extremes: what converges, is refused, or is wrong.
 
     ./run python benchmarks/stability.py [SWEEP ...] [--quick] [--results FOLDER]
 
-Each sweep takes one thing of a small scene to its extremes, and looks at every state from the
-outside: whether it is an equilibrium when its potential is set up anew, whether all outer forces
-and their moments balance, whether tensions fit lengths and cables only push. And for each there is
-something that theory says does not change, or changes by a known amount; that is its drift, printed
-with what it may be. (`sweeps/` says for each sweep what.) A point ends as
+Each sweep takes one parameter of a small scene to its extremes, and checks every state
+independently: equilibrium of a newly assembled potential, balance of all external forces and
+moments, tensions that fit lengths, cables that only push. Each sweep also has a quantity that by
+theory stays constant or changes by a known amount; its drift is printed with the tolerance
+(`sweeps/` describes them). A point ends as
 
-converged   with all that right;
+converged   with all checks passed;
 refused     with an error of the package, where there may be no equilibrium;
-REFUSED     the same where there is one, or where it should be found;
-WRONG       with a result that is not right, or an error that does not say what to do;
+REFUSED     the same where an equilibrium exists, or should be found;
+WRONG       with a wrong result, or an error that names no remedy;
 HANG        after 20 000 evaluations or a minute.
 
 FOLDER (results/stability by default) then holds points.csv and summary.md. The exit code is 1 if a
-point is wrong or hangs. All takes about 15 minutes of one core, `--quick` one.
+point is wrong or hangs. All sweeps take about 15 minutes of one core, `--quick` one.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The paper's step-wise laws against the total ones on model 2, over the number of steps.
+"""The paper's step-wise laws against the total ones on model 2, by number of steps.
 
 Prints a table: height of the inflated square, then tension and height of the cable after its ends
-have been pulled down, for each law on its own and for all of them. The constant pressure of a step
-tends to the follower pressure. Incremental strain and (2.2-2) tend to logarithmic laws, which
-differ from the total ones by the order of the strain. Hence a second table with loads a thousand
-times smaller and strains a hundred times: there all laws tend to one answer.
+have been pulled down, for each law alone and for all of them. The stepwise constant pressure tends
+to the follower pressure. Incremental strain and (2.2-2) tend to logarithmic laws, which differ from
+the total ones by the order of the strain. A second table thus has loads a thousand times smaller
+and strains a hundred times smaller: there all laws tend to one answer.
 
     ./run python benchmarks/step_laws.py
 """

@@ -1,4 +1,4 @@
-"""Sheets that wrinkle: accuracy against the mesh size, work, and the cost of the law.
+"""Wrinkling sheets: accuracy against mesh size, work, and cost of the law.
 
 square
     A clamped square of 100 cm of model 3's fabric, warp along x, narrowed by 3 % along x and

@@ -1,8 +1,8 @@
-"""Random scenes, each loaded in several ways: one equilibrium, and a fixed point.
+"""Random scenes, each loaded along several paths: one equilibrium, and a fixed point.
 
-Without friction the equilibrium of cables and membrane does not depend on the way there. A scene
-follows from its number: a mesh of some kind, one cable or two that cross, in half of the scenes
-along lines of the mesh, of lengths from nearly slack to tight, under pressure. Each is solved
+Without friction the equilibrium of cables and membrane does not depend on the load path. A scene
+follows from its number: a random mesh, one cable or two crossing ones, in half of the scenes along
+mesh lines, of lengths from nearly slack to tight, under pressure. Each is solved
 
 direct
     laid on the stress-free membrane, and inflated,
@@ -13,19 +13,19 @@ after
 beyond
     inflated with three times the pressure, and let down,
 out
-    with an end of the first cable moved along the boundary by up to two cells and out, and back,
+    with an end of the first cable moved along the boundary by up to two cells, and back,
 detour
     laid some cells beside its place;
 
-and then loaded with the same once more. Bars: W to 1e-5 of itself and T to 1e-3 between the ways,
+and then once more under the same load. Tolerances: W to 1e-5 of itself and T to 1e-3 between paths,
 W to 1e-9 when nothing changes.
 
     ./run python benchmarks/ways.py --scenes 0 300 [--to FILE]
     ./run python benchmarks/ways.py --report FILE [FILE ...]
 
-For each scene: the largest differences between the ways, of W relative to the sum of the sizes of
-all kinds of energy and to |W|, and of T; that by the same load; evaluations. A table at the end
-counts the ways within the bars of the one with the least energy.
+For each scene: the largest differences between paths, of W relative to the sum of the magnitudes of
+all energies and to |W|, and of T; the change under the same load; evaluations. A table at the end
+counts the paths within tolerance of the one with the least energy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
 
-A load step runs through the packages in one direction: `solver` and `steps` (the loads) ->
-`equilibrium` (its loops, the potential of a `scene`) -> `energies` (its terms) ->
+A load step passes through the packages in one direction: `solver` and `steps` (loads) ->
+`equilibrium` (iterations, potential of a `scene`) -> `energies` (terms of the potential) ->
 `minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
 """
 

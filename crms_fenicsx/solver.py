@@ -1,4 +1,4 @@
-"""Load stepping: increments of pressure, end movements and cable lengths, each solved in turn."""
+"""Load stepping: increments of loads, movements and unstressed lengths, solved one by one."""
 
 from __future__ import annotations
 
@@ -62,57 +62,57 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"
-"""What to do instead of assigning a solver's options."""
+"""Remedy in errors about assigning a solver's options."""
 
 
 class Solver:
-    """Brings a scene from one equilibrium to the next.
+    """Advances a scene from one equilibrium to the next.
 
     Parameters
     ----------
     scene
-        The scene; its state is advanced.
+        The scene; load steps change its state.
     results
-        Folder for the history and the ParaView files; without it none are written. The first load
-        step (or `load`) reserves it until the solver is deleted or its process ends.
+        Folder for history and ParaView files; None writes none. The first load step (or `load`)
+        reserves it until the solver is deleted or its process ends.
     resume
-        Whether to continue a run of this script that was killed or stopped. With True or False each
-        load step writes a checkpoint into `results`, of which the last one of each call to
-        `advance` is kept. With True completed calls take their results from there, and the
-        interrupted one continues from its last load step; the script repeats everything else, such
-        as laying cables. A script that has changed is refused. With False the first load step
-        replaces old checkpoints. None, the default, writes none.
+        Whether to continue a run of this script that was killed or stopped. True and False write a
+        checkpoint after each load step into `results`, and keep the last one of each call of
+        `advance`. With True, completed calls are restored from there, the interrupted one
+        continues from its last load step, and the script repeats everything else, such as laying
+        cables; a changed script is refused. With False, the first load step replaces old
+        checkpoints. None, the default, writes none.
     prefix
-        Prefix of this solver's options in PETSc's options database.
+        Prefix of this solver's PETSc options.
     rtol
-        Tolerance of the unbalanced force, relative to the largest norm of one kind of nodal forces.
+        Tolerance of unbalanced forces, relative to the largest norm among kinds of nodal forces.
     max_halvings
         How often an increment is halved before the solver gives up.
     slide
-        Whether cables may slide sideways into other cells. Otherwise they stay inside the cells
-        that they cross, and a `PathWarning` says when they reach a vertex.
+        Whether cables may slide sideways into other cells. If not, they stay in the cells that they
+        cross, and a `PathWarning` reports when they reach a vertex.
     verify
-        Whether to check each solved step independently of the gradient and the forms:
-        ``step.verification``. A state that fails counts as a step that did not converge.
+        Whether to check each solved step independently of the gradient and the forms; see
+        ``step.verification``. A state that fails counts as not converged.
     estimate
-        Whether the history has columns of each step's estimated error, see `estimate_error`.
+        Whether the history records each step's estimated error, see `estimate_error`.
     stability
-        What to do about an equilibrium that bars, joints or ponds make unstable: "warn" by an
-        `InstabilityWarning`, "refuse" it as a step that did not converge, or "ignore" it unseen.
+        Treatment of an equilibrium made unstable by bars, joints or ponds: "warn" by an
+        `InstabilityWarning`, "refuse" as not converged, or "ignore" without checking.
 
     Attributes
     ----------
     steps : list of Step
-        The accepted steps.
+        Accepted load steps.
 
     Raises
     ------
     InputError
-        On all ranks: an argument that cannot be used, or a folder that cannot be written.
+        On all ranks: an invalid argument, or a folder that cannot be written.
 
     Examples
     --------
-    A script that goes on after ``python script.py --resume``:
+    A script that continues with ``python script.py --resume``:
 
     >>> solver = Solver(scene, results="results/dome", resume="--resume" in sys.argv)
     """
@@ -147,9 +147,9 @@ class Solver:
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
         self.case = ""
-        """Internal: name of the branch that load steps belong to; "" in none."""
+        """Internal: name of the branch of the load steps; "" outside branches."""
         self.base: SceneState | None = None
-        """Internal: the state from which loads were first brought on; None before."""
+        """Internal: state at which the first loads were applied; None before."""
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
@@ -159,22 +159,22 @@ class Solver:
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         return f"Solver({counted(len(self.steps), 'load step')}; {self.scene!r})"
 
     @property
     def system(self) -> System:
-        """The potential of the scene and its minimiser; made when first needed."""
+        """The scene's potential and its minimiser, made on first use."""
         return self._increments.system
 
     @property
     def search(self) -> EquilibriumSearch:
-        """What finds the equilibrium of each load step; made when first needed."""
+        """Search for the equilibrium of each load step, made on first use."""
         return self._increments.search
 
     @property
     def history(self) -> History:
-        """A row of numbers for each accepted step; `Recorder` says which."""
+        """Table with a row for each accepted step; see `Recorder`."""
         return self._recorder.history
 
     @collective
@@ -189,32 +189,31 @@ class Solver:
         atmosphere: float | None = None,
         steps: int = 1,
     ) -> Step:
-        """Go to new loads in equal increments, and write each state.
+        """Advance to new loads in equal increments, and write each state.
 
-        An increment without equilibrium is halved, from the last good state; later increments grow
-        again. With ``pressure="step"`` and free edges an increment is solved until the pressure is
-        normal to the state found, an equilibrium of the follower pressure whatever the number of
-        steps.
+        An increment without equilibrium is halved, starting from the last good state; later
+        increments grow again. With ``pressure="step"`` and free edges an increment is repeated
+        until the pressure is normal to the final shape, an equilibrium of the follower pressure
+        independent of the number of steps.
 
         Parameters
         ----------
         pressure
-            Pressure to reach (force per area), positive to the membrane's outside, or a
-            `FanControl`, by which it follows a load in this call.
+            Target pressure (force per area), positive outward, or a `FanControl`, with which it
+            follows a load in this call.
         move
-            Displacements (length) during this call of cables (both ends), cable ends
-            (``cable.start``), held joints (``bar.start``) or held groups, or functions that give
-            them: `Rotation`, `Way`. A vertex of two groups moves by the sum. Groups need to be held
-            only in the directions in which they move. Cable ends on a moved group stay unless they
-            are moved as well.
+            Displacements (length) during this call, or functions of them (`Rotation`, `Way`), of
+            cables (both ends), cable ends (``cable.start``), held joints (``bar.start``) or held
+            groups. A vertex of two groups moves by the sum. Groups need supports only in the
+            directions of movement. Cable ends on a moved group stay unless moved as well.
         L0
-            Unstressed lengths of cables and bars to reach (length).
+            Target unstressed lengths of cables and bars (length).
         load
-            Factors to reach of loads and ponds, by their names; the others stay. A number is the
-            factor of the only load.
+            Target factors of loads and ponds by name; others keep theirs. A number is the factor of
+            the only load.
         temperature, atmosphere
-            For sealed air: the absolute temperature to reach, relative to that at sealing, and the
-            pressure of the atmosphere (force per area); see `Scene.seal`.
+            For sealed air: target absolute temperature, relative to that at sealing, and
+            atmospheric pressure (force per area); see `Scene.seal`.
         steps
             Number of increments.
 
@@ -226,12 +225,12 @@ class Solver:
         Raises
         ------
         InputError
-            Loads that cannot be applied, or another solver's folder; nothing is computed then.
+            Invalid loads, or another solver's folder; nothing is computed.
         ConvergenceError
-            No equilibrium was found; the scene is at the last good state.
+            No equilibrium found; the scene keeps the last good state.
         KeyboardInterrupt, SystemExit
             On all ranks, after Ctrl-C or SIGTERM on one of them, at the next evaluation of the
-            energy; a second signal ends the process at once. The scene is at the last good state,
+            energy; a second signal ends the process at once. The scene keeps the last good state,
             which with `resume` is in a checkpoint.
         """
         scene = self.scene
@@ -290,7 +289,7 @@ class Solver:
         return self.steps[-1]
 
     def _accept(self, step: Step, before: SceneState, unsettled: float) -> None:
-        """Take over a step from a state, and warn of what is crude or in doubt in its state."""
+        """Accept a step that started from `before`, and issue its warnings."""
         scene, lasting = self.scene, [one for one in before.warnings if one.lasts]
         scene.record(warnings=(*lasting, *step.warnings))
         if step.verification is not None:
@@ -303,7 +302,7 @@ class Solver:
         warn_of_state(step.number, scene, step.warnings)
 
     def _resumed(self, given: Mapping[str, Any]) -> tuple[float, float]:
-        """Restore the progress of a call: increments done, and the next one. Collective."""
+        """Restore the progress of a call: increments done, and the next increment. Collective."""
         if self._journal is None:
             return 0.0, 1.0
         come, run = self._journal.begin(self.scene, given)
@@ -324,45 +323,45 @@ class Solver:
         """Write a checkpoint, if enabled."""
         if self._journal is not None:
             self._journal.keep(self.scene, self._run, done, increment, failure)
-            self._increments.restart_h0()  # a resumed run takes the same way
+            self._increments.restart_h0()  # so that a resumed run repeats the same iterations
 
     @property
     def _run(self) -> Run:
-        """What this solver knows of its load steps."""
+        """The record of this solver's load steps."""
         from crms_fenicsx.checkpoint import Run
 
         return Run(self.steps, list(self.history), self._increments.tried)
 
     def _go_on_from(self, run: Run) -> None:
-        """Take over the load steps of a run whose state the scene has."""
+        """Take over the load steps of a run whose state is restored."""
         self._increments.resume(run.tried)
         self.steps = list(run.steps)
         self._recorder.resume(run.rows)
 
     @collective
     def snapshot(self) -> SceneState:
-        """The current state of the scene and of this solver, to go back to by `restore`.
+        """Snapshot of the scene and this solver, for `restore`.
 
-        Collective. It stays in memory; `save` writes one to a folder.
+        Collective. It stays in memory; `save` writes to a folder.
         """
         return self._increments.snapshot()
 
     @collective
     def restore(self, snapshot: SceneState) -> None:
-        """Bring the scene back to a state. Collective.
+        """Restore a state of the scene. Collective.
 
-        Displacements, loads, supports, cables and added terms are those of then; load steps,
-        history and files stay, and go on.
+        Displacements, loads, supports, cables and added terms revert; load steps, history and files
+        continue.
 
         Parameters
         ----------
-        snapshot
+        A snapshot of the same scene.
             A state of the same scene.
 
         Raises
         ------
         InputError
-            On all ranks: it is no snapshot, or one of another scene.
+            On all ranks: not a snapshot, or one of another scene.
         """
         with raised_together(self.scene.comm):
             if not isinstance(snapshot, SceneState):
@@ -377,7 +376,7 @@ class Solver:
 
     @contextmanager
     def branch(self, name: str) -> Iterator[SceneState]:
-        """Let load steps be a branch, after which the scene is as before. Collective.
+        """Run load steps as a branch, and restore the scene's state afterwards. Collective.
 
         Parameters
         ----------
@@ -387,12 +386,12 @@ class Solver:
         Yields
         ------
         SceneState
-            The state that the branch begins in, and to which it comes back, also after an error.
+            Initial state of the branch, restored afterwards, also after an error.
 
         Raises
         ------
         InputError
-            On all ranks: a name that is no text, or a branch within another one.
+            On all ranks: a name that is not a text, or a nested branch.
 
         Examples
         --------
@@ -416,30 +415,29 @@ class Solver:
     def combine(
         self, combinations: Mapping[str, Mapping[str, Any]], *, steps: int = 1
     ) -> dict[str, Combination]:
-        """Bring on combinations of loads, each from the current state, which is restored.
-        Collective.
+        """Apply load combinations, each from the current state, then restore it. Collective.
 
         Parameters
         ----------
         combinations
-            By its name the factors of each combination's loads, by theirs, and "pressure",
-            "temperature" and "atmosphere" where they change, as in `Solver.advance`. What is not
-            named stays: a combination that names nothing is the base state.
+            By name of combination, the factors of its loads by name, and "pressure", "temperature"
+            and "atmosphere" if they change, as in `Solver.advance`. Other loads stay: an empty
+            combination is the base state.
         steps
-            Number of increments of each.
+            Number of increments of each combination.
 
         Returns
         -------
         dict
-            The `Combination` of each name, in the order that rank 0 gives.
+            `Combination` by name, in rank 0's order.
 
         Raises
         ------
         InputError
-            On all ranks and before anything is computed: a load that does not exist, a factor that
-            is not finite, or a number of steps that is none.
+            On all ranks, before anything is computed: an unknown load, a factor that is not finite,
+            or an invalid number of steps.
         ConvergenceError
-            A combination has no equilibrium; it says which.
+            A combination has no equilibrium; the message names it.
 
         Examples
         --------
@@ -456,7 +454,7 @@ class Solver:
         for name, given in checks.in_one_order(self.scene.comm, combinations).items():
             air, factors = split(given)
             with self.branch(name) as start:
-                base = next((one.base for one in found.values()), start)  # alike, and kept once
+                base = next((one.base for one in found.values()), start)  # equal, so kept once
                 try:
                     step = self.advance(load=factors, steps=steps, **air)
                 except ConvergenceError as error:
@@ -466,21 +464,21 @@ class Solver:
 
     @collective
     def check_ponding(self, rain: float, *, weight: float = 10.0) -> PondingCheck:
-        """Fill the hollows of the current shape with rain, again and again as the membrane sinks
-        under it. The scene's state is restored. Collective.
+        """Check for ponding: fill the hollows with rain, repeatedly, as the membrane deflects under
+        it. The scene's state is restored. Collective.
 
         Parameters
         ----------
         rain
-            Depth of the rain that falls on the plan of the roof (length). No hollow takes more than
-            all of it; a large value fills hollows to where they run over.
+            Depth of rain on the roof's plan (length). Each hollow takes at most all of it; a large
+            value fills hollows until they overflow.
         weight
-            Weight of water by volume (force / length cubed); 10 kN / m^3.
+            Specific weight of water (force / length cubed); 10 kN / m^3.
 
         Returns
         -------
         PondingCheck
-            The same on all ranks but for the snapshot.
+            The same on all ranks except the snapshot.
 
         Raises
         ------
@@ -514,21 +512,22 @@ class Solver:
 
     @collective
     def results(self) -> MembraneResults:
-        """Stresses, strains and state of the membrane's cells in the current state. Collective.
+        """Section forces, strains and state of the membrane's cells. Collective.
 
         Returns
         -------
         MembraneResults
-            Values in this rank's cells.
+            Values in this rank's cells, in the current state.
         """
         return membrane_results(self.system)
 
     @collective
     def reactions(self, where: str | Marker) -> Reactions:
-        """Forces that supports at a place exert on all that meets there, in the current state.
+        """Reactions of the supports at a place on everything that meets there, in the current
+        state.
 
-        Collective. What meets there is the membrane, and each end of a cable or a bar whose anchor
-        or held joint is at one of the vertices, or on an edge between two of them.
+        Collective. They hold the membrane, and each end of a cable or bar whose anchor or held
+        joint is at one of the vertices, or on an edge between two of them.
 
         Parameters
         ----------
@@ -538,7 +537,7 @@ class Solver:
         Returns
         -------
         Reactions
-            Their sum, each part of it by name, and the force on each of this rank's vertices.
+            Their sum, each part by name, and the reaction at each of this rank's vertices.
 
         Raises
         ------
@@ -554,7 +553,8 @@ class Solver:
 
     @collective
     def contact_forces(self, cable: LaidCable) -> ContactForces:
-        """Forces of a cable on the membrane at its points, in the current state. Collective.
+        """Contact forces of a cable on the membrane at its points, in the current state.
+        Collective.
 
         Parameters
         ----------
@@ -564,12 +564,12 @@ class Solver:
         Returns
         -------
         ContactForces
-            At the points of the cable's `line`; its ``line`` is the force per length of cable.
+            At the points of the cable's `line`; ``line`` is the force per length of cable.
 
         Raises
         ------
         InputError
-            It is no cable of this scene.
+            Not a cable of this scene.
         """
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
@@ -583,7 +583,7 @@ class Solver:
         Returns
         -------
         dict
-            By the cables' names, the same on all ranks.
+            Results by cable name, the same on all ranks.
 
         Examples
         --------
@@ -599,7 +599,7 @@ class Solver:
         Returns
         -------
         dict
-            By the clamps' names, the same on all ranks.
+            Results by clamp name, the same on all ranks.
 
         Examples
         --------
@@ -609,7 +609,7 @@ class Solver:
 
     @collective
     def summary(self) -> Summary:
-        """The current state by its extremes: plain numbers for tables and envelopes. Collective.
+        """Extreme values of the current state, for tables and envelopes. Collective.
 
         Returns
         -------
@@ -620,21 +620,22 @@ class Solver:
 
     @collective
     def estimate_error(self) -> ErrorEstimate:
-        """Estimate by how much the mesh makes the energy of the current state too high. Collective.
+        """Estimate the discretisation error of the current state's energy, which is too high.
+        Collective.
 
-        It costs about as much as `results`. On the cases with references it is 0.4 to 2.6 times
-        the true error (`tests/results/test_error_estimate.py`). What the sides of a polygon cut off
-        a curved boundary is not in it.
+        The cost is about that of `results`. In the cases with references the estimate is 0.4 to 2.6
+        times the true error (`tests/results/test_error_estimate.py`). It does not include the area
+        between a curved boundary and its polygon.
 
         Returns
         -------
         ErrorEstimate
-            For the whole membrane, and the shares of this rank's cells.
+            Total of the membrane, and the contributions of this rank's cells.
 
         Raises
         ------
         InputError
-            On all ranks: the scene has been changed since its last load step, or there was none.
+            On all ranks: the scene was changed since its last load step, or there was none.
 
         Examples
         --------
@@ -645,15 +646,15 @@ class Solver:
 
     @collective
     def residual(self) -> Residual:
-        """Forces that are not balanced in the current state, to be destroyed. Collective.
+        """Unbalanced forces in the current state, to be destroyed after use. Collective.
 
-        They are the slope of the potential energy: in equilibrium zero but at supports, where they
-        are the supports' forces, and where a floor presses.
+        They are the gradient of the potential energy: in equilibrium zero except at supports, where
+        they are the support forces, and where the floor presses.
 
         Returns
         -------
         Residual
-            As a function on `Scene.V`, of the joints, and as a vector of all unknowns.
+            As a function on `Scene.V`, by joint, and as a vector of all unknowns.
 
         Examples
         --------
@@ -665,18 +666,19 @@ class Solver:
 
     @collective
     def tangent(self) -> Tangent:
-        """Second derivatives of the potential energy, to be destroyed. Collective.
+        """Tangent stiffness in the current state, to be destroyed after use. Collective.
 
-        They are exact but for the terms that ``inexact`` names.
+        It is the exact second derivative of the potential energy except for the terms in
+        ``inexact``.
 
         Returns
         -------
         Tangent
-            A matrix of PETSc for vectors as that of `residual`.
+            A PETSc matrix for vectors such as that of `residual`.
 
         Examples
         --------
-        A step of Newton's method, of a membrane without cables:
+        A Newton step for a membrane without cables:
 
         >>> residual, tangent = solver.residual(), solver.tangent()
         >>> ksp = PETSc.KSP().create(scene.comm)
@@ -693,7 +695,7 @@ class Solver:
     def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
         """Derivatives of results by lengths, loads and stiffnesses in the current equilibrium.
 
-        Collective. They come from the exact tangent, on the paths and contacts that there are.
+        Collective. They use the exact tangent, with the present cable paths and contacts.
 
         Parameters
         ----------
@@ -712,8 +714,8 @@ class Solver:
         Raises
         ------
         InputError
-            On all ranks: what is none of these, a scene that is not in equilibrium, friction or
-            step-wise laws, or a state with a singular tangent.
+            On all ranks: an unsupported result or parameter, a scene out of equilibrium, friction
+            or step-wise laws, or a singular tangent.
 
         Examples
         --------
@@ -725,19 +727,19 @@ class Solver:
         return sensitivities(self.system, of, by)
 
     def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:
-        """Draw the scene in its current state, as `crms_fenicsx.output.draw`. Collective.
+        """Draw the scene in its current state with `crms_fenicsx.output.draw`. Collective.
 
         Parameters
         ----------
         filename
-            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+            Picture to write, in the format of its suffix (.png, .pdf, .svg ...). None returns it.
         **options
-            As for `draw`: ``colour``, ``unit``, ``force``, ``ghost``, ``view`` ...
+            Options of `draw`: ``colour``, ``unit``, ``force``, ``ghost``, ``view`` ...
 
         Returns
         -------
         matplotlib.figure.Figure
-            On the first rank, without a file; a notebook shows it. Else None.
+            On the first rank, if there is no filename; a notebook shows it. Else None.
 
         Raises
         ------
@@ -759,49 +761,49 @@ class Solver:
         self, filename: str | Path,
         combinations: Mapping[str, Combination] | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Write a report for the checking engineer: one page of HTML, and CSV tables. Collective.
+        """Write a report for the checking engineer: one HTML page, and CSV tables. Collective.
 
         The page has a verdict with its reasons, the model, loads and combinations, pictures,
-        membrane forces, utilisation and envelopes, cables, bars, ponds, forces on foundations and
-        the checks of all equilibria. It loads nothing from elsewhere, is smaller
-        than 5 MB, and prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``,
-        with all digits. Results are those of the combinations' states, with the model and base
-        state that these were brought on with; strengths are the present ones. The scene's own state
-        is restored. Without combinations the page says in red if the scene has changed since its
-        last load step. Ten or more bars whose names differ in a number at their end share rows on
-        the page.
+        membrane forces, utilisation and envelopes, cables, bars, ponds, foundation forces and the
+        checks of all equilibria. It needs no other files or network, is smaller than 5 MB, and
+        prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with full
+        precision. Results belong to the combinations' states, with their model and base state;
+        strengths are the present ones. The scene's own state is restored. Without combinations the
+        page warns in red if the scene has changed since its last load step. Ten or more bars whose
+        names differ in a final number share rows on the page.
 
         Parameters
         ----------
         filename
-            Of the page, ending in .html. Older files are replaced when all new ones are complete.
+            Name of the page, ending in .html. Older files are replaced once all new ones are
+            complete.
         combinations
-            What `combine` returned; by default the current state alone.
+            Result of `combine`; by default the current state alone.
         **options
             ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
             ``unit``, ``force``: names of the units of length and force. ``cable_strengths``:
-            strengths of cables by their names, divided by the partial factors (force), for their
-            utilisation; those of the fabric are `Scene.set_strengths`'s. ``pictures``: colours of
-            the membrane in pictures of each combination, as for `draw`, or "tension" of cables and
-            bars; by default tension, displacement, membrane forces and utilisation. The last ones
-            are left out of too large a page. ``view``: where the viewer stands, as for `draw`.
-            ``sections``: further ones, as of `crms_fenicsx.patterns.report_sections`. ``order``:
-            lengths of the cables to be made, from `nets.lengths_to_order`. ``foundations``: what
-            each carries, ends of cables and joints, as ``{"F1": ["A1 start", "mast foot"]}``; what
-            meets at one place belongs together. ``strain_limit``: of the membrane's larger
-            principal strain, by default 0.1. ``template``: a file of jinja2, which may extend
-            "report.html". ``pdf``: whether to print the page beside it, by a browser that is found
-            or that the variable CRMS_BROWSER names. ``interactive``: whether to write a page of
-            each combination that can be turned, as ``tent_view_1.html``, by pyvista and its trame.
+            strengths of cables by name, divided by the partial factors (force), for their
+            utilisation; the fabric's strengths are those of `Scene.set_strengths`. ``pictures``:
+            membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
+            and bars; by default tension, displacement, membrane forces and utilisation. Too large a
+            page omits the last ones. ``view``: viewpoint, as for `draw`. ``sections``: additional
+            ones, as of `crms_fenicsx.patterns.report_sections`. ``order``: fabrication lengths of
+            cables, from `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
+            foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
+            together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
+            ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to print
+            the page as PDF, with an installed browser or the one named by the variable
+            CRMS_BROWSER. ``interactive``: whether to write a rotatable view of each combination, as
+            ``tent_view_1.html``, with pyvista and its trame.
 
         Raises
         ------
         InputError
-            On all ranks and before anything is written: an argument that cannot be used, a file
-            that cannot be written, no browser for PDF, or combinations of models that differ; it
-            says in what.
+            On all ranks, before anything is written: an invalid argument, a file that cannot be
+            written, no browser for PDF, or combinations of different models; the message names the
+            difference.
         ImportError
-            On all ranks: there is no pyvista or trame for `interactive`.
+            On all ranks: pyvista or trame is missing for `interactive`.
 
         Examples
         --------
@@ -814,30 +816,29 @@ class Solver:
 
     @collective
     def to_pyvista(self, *, radius: float | None = None) -> Any:
-        """The current state as meshes of pyvista, with the arrays of the ParaView files.
-        Collective.
+        """The current state as pyvista meshes with the ParaView files' arrays. Collective.
 
         Parameters
         ----------
         radius
-            Of the tubes of cables and bars (length), by default 0.3 % of the membrane's size; 0:
-            lines.
+            Radius of the tubes for cables and bars (length), by default 0.3 % of the membrane's
+            size; 0 draws lines.
 
         Returns
         -------
         pyvista.MultiBlock
-            On the first rank, else None. The blocks are "membrane" (the deformed surface with the
-            facets of folded cells, "displacement" at points, section forces and state of cells),
-            "cables" and "bars" ("tension" of segments, "lifted", "contact force", number of the
-            "line"), "supports" (held vertices, with the "held" directions) and "joints", without
-            empty ones. Names of cables, bars and joints are in ``field_data["names"]``.
+            On the first rank, else None. Blocks: "membrane" (deformed surface with the facets of
+            folded cells, "displacement" at points, section forces and state of cells), "cables" and
+            "bars" ("tension" of segments, "lifted", "contact force", number of the "line"),
+            "supports" (held vertices, with the "held" directions) and "joints"; empty blocks are
+            omitted. Names of cables, bars and joints are in ``field_data["names"]``.
 
         Raises
         ------
         InputError
             On all ranks: a radius that is negative or not finite.
         ImportError
-            On all ranks: there is no pyvista.
+            On all ranks: pyvista is missing.
 
         Examples
         --------
@@ -853,18 +854,18 @@ class Solver:
 
     @collective
     def save(self, folder: str | Path) -> None:
-        """Save the state of the scene and of this solver, to go on from. Collective.
+        """Save the state of the scene and this solver in a checkpoint. Collective.
 
         Parameters
         ----------
         folder
-            Created where it is missing; a checkpoint that is there is replaced when the new one is
-            complete, so that a run that is killed at any moment leaves the old or the new one.
+            Created if missing. An existing checkpoint is replaced once the new one is complete, so
+            a run killed at any moment leaves the old or the new one.
 
         Raises
         ------
         InputError
-            On all ranks: the folder holds something else or cannot be written.
+            On all ranks: the folder has other contents or cannot be written.
 
         Examples
         --------
@@ -877,28 +878,28 @@ class Solver:
         from crms_fenicsx import checkpoint
 
         checkpoint.save(folder, self.scene, self._run)
-        self._increments.restart_h0()  # what goes on from the checkpoint takes the same way
+        self._increments.restart_h0()  # so that a resumed run repeats the same iterations
 
     @collective
     def load(self, folder: str | Path) -> None:
-        """Go on from a state that `save` has saved, on any number of processes. Collective.
+        """Continue from a checkpoint of `save`, on any number of processes. Collective.
 
         The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and
-        bars of the checkpoint replace those given so far; cables and bars of the same name stay the
-        objects. What follows is as if the run had not ended; results go on too, if the solver's
-        folder has them.
+        bars of the checkpoint replace those defined so far; cables and bars of the same name keep
+        their Python objects. The run continues as if uninterrupted, and so do results files that
+        exist in the solver's folder.
 
         Parameters
         ----------
         folder
-            Where the checkpoint is.
+            Folder of the checkpoint.
 
         Raises
         ------
         InputError
-            On all ranks: a solver that has made steps, a checkpoint of another mesh, material or
-            law (it says which), one that is missing or damaged, or results in a folder to which
-            another solver writes. The scene is then as before.
+            On all ranks: a solver with load steps, a checkpoint of another mesh, material or law
+            (the message names it), a missing or damaged one, or results in a folder that another
+            solver writes. The scene is then unchanged.
 
         Examples
         --------

@@ -4,9 +4,9 @@
 The air-supported roof of a stadium with a net of sliding cables, on any number of ranks.
 
 A spherical cap of 200 m span and 28 m rise of glass-fibre fabric, held down by two families of 14
-steel cables 8.5 m apart that cross at right angles: a roof of the size of the Tokyo Dome's. The
-cables are laid along great circles, just taut, and held at their ends only; over the fabric and
-over each other they slide without friction. The roof is inflated, and then the pressure is raised
+steel cables, 8.5 m apart, that cross at right angles: a roof of the size of the Tokyo Dome's. The
+cables run along great circles, just taut, and are anchored at their ends only; they slide without
+friction over the fabric and over each other. The roof is inflated, and the pressure is then raised
 as for a storm. Units: m, kN.
 
 ::
@@ -14,8 +14,8 @@ as for a storm. Units: m, kN.
     ./run python demos/air_dome.py [UNKNOWNS] [--resume]
     ./run mpirun -n 2 python demos/air_dome.py 100000
 
-with the approximate number of unknowns of the fabric, 10 000 by default. The mesh grows
-with this number; the work for the cables grows with its square root.
+with the approximate number of unknowns of the fabric, 10 000 by default. The mesh grows with this
+number; the work for the cables grows with its square root.
 """
 
 import sys
@@ -37,7 +37,7 @@ CALM, STORM = 0.3, 0.5  # kPa
 # The script is the same for any number of processes: ``mpirun`` distributes the mesh over them.
 unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
-size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # of equilateral triangles
+size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # equilateral triangles
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
@@ -78,8 +78,8 @@ if scene.comm.rank == 0:
         print(f"{name:6} tensions from {forces.min():.0f} to {forces.max():.0f} kN")
     print(f"the air lifts the roof with {lift / 1e3:.2f} MN; the cables hold {-ends / 1e3:.2f} MN")
 
-# All of the lift ends in the supports, but for what the rim's polygon lacks to a circle.
+# The supports take all of the lift, except for the area between the rim's polygon and the circle.
 np.testing.assert_allclose(boundary.total[2], -lift, rtol=2 * (size / RADIUS) ** 2 / 3)
-# Measured by this program with 1500 and 3000 unknowns: means of 277 and 273 kN in the calm.
+# Measured with this program: means of 277 and 273 kN in calm air with 1500 and 3000 unknowns.
 np.testing.assert_allclose(tensions["calm"].mean(), 277.0, rtol=0.1)
 assert np.all(tensions["storm"] > 1.5 * tensions["calm"])

@@ -4,8 +4,8 @@
 From a ground plan to a report: an air-supported hall of 36 x 36 m under a net of sliding cables.
 
 Form finding gives the shape. A net of 12 steel cables is laid over the hall and tightened. Weight,
-snow, wind from two directions and inner pressure are combined, with the pressure set by fans or
-with sealed air in a gust. The report has pictures, section forces, utilisations, envelopes, cable
+snow, wind from two directions and inner pressure are combined; fans control the pressure, or the
+hall is sealed in a gust. The report has pictures, section forces, utilisations, envelopes, cable
 forces, reactions and the verification of all combinations, with CSV tables beside the page. Loads,
 factors, coefficients and strengths are examples in the style of EN 1990 and 1991; use those of your
 code and site. Units: m, kN.
@@ -14,7 +14,7 @@ code and site. Units: m, kN.
 
     ./run python demos/air_hall.py [SIZE] [--resume]
 
-with the cells' size, 1.8 m by default. The pictures docs/air_hall.png and docs/report.png are this
+with the cell size, 1.8 m by default. The pictures docs/air_hall.png and docs/report.png are this
 demo's both.png and pages of its report.html.
 """
 
@@ -28,16 +28,16 @@ from crms_fenicsx.form_finding import find_form
 from crms_fenicsx.output import draw, join_pictures
 
 RESULTS = "results/air_hall"
-HALF = 18.0  # of the plan's sides
-CALM, STORM, MELT = 0.3, 0.4, 0.6  # kPa inside: in operation, in storms, under snow
+HALF = 18.0  # half the side of the plan
+CALM, STORM, MELT = 0.3, 0.4, 0.6  # kPa, inner pressure: in operation, in storms, under snow
 SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
 
 # %%
 # Form
 # ----
-# A film of equal section forces over the plan, under the pressure of operation: p R = 2 s, so that
-# 3.78 kN/m give a rise of 9.5 m. The fabric is cut to that shape and has these forces as prestress.
-# It is PVC-coated polyester, with a strength of 84 and 80 kN/m divided by 4.
+# A film of equal section forces over the plan, under operating pressure: p R = 2 s, so 3.78 kN/m
+# give a rise of 9.5 m. The fabric, PVC-coated polyester with a strength of 84 and 80 kN/m divided
+# by 4, is cut to that shape and has these forces as prestress.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
 plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
@@ -49,9 +49,9 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # Net
 # ---
 # Two families of 6 spiral strands of 16 mm run from side to side, each along the shortest path
-# between its anchors, where a cable without friction stays; a cable straight in plan would be too
-# long. The cables slide over the fabric and over each other. The net is 1 % shorter than the shape,
-# so that it carries load.
+# between its anchors, where a frictionless cable stays; a cable straight in plan would be too long.
+# The cables slide over the fabric and over each other. They are 1 % shorter than their paths, and
+# so carry load.
 for family, side in (("A", 1.0), ("B", -1.0)):
     for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
         ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))
@@ -86,18 +86,18 @@ draw(solver, f"{RESULTS}/operation.png", title=f"In operation: {CALM} kPa inside
 # Snow and wind
 # -------------
 # Snow lies on slopes of up to 30 degrees, and decreases to zero at 60 (EN 1991-1-3); drifted snow
-# lies on one half only. The wind's coefficients are those of vaulted roofs with this rise (EN
-# 1991-1-4, 7.2.8), as a function of how far the surface faces the wind: +0.7 at the windward foot,
-# -1.0 over the top, -0.4 behind.
+# lies on one half only. The wind coefficients are those of vaulted roofs of this rise (EN 1991-1-4,
+# 7.2.8), as a function of how far the surface faces the wind: +0.7 at the windward foot, -1.0 over
+# the top, -0.4 leeward.
 def snow(points, normals):
-    """Force per area in plan on the current surface."""
+    """Load per plan area on the current surface."""
     slope = np.degrees(np.arccos(np.clip(normals[2], -1.0, 1.0)))
     s = 0.8 * SNOW * np.clip((60.0 - slope) / 30.0, 0.0, 1.0)
     return np.stack([0 * s, 0 * s, -s])
 
 
 def wind_to(x, y):
-    """Pressure coefficients of a wind that blows to (x, y)."""
+    """Pressure coefficients of wind that blows to (x, y)."""
 
     def coefficient(points, normals):
         away = (x * normals[0] + y * normals[1]) / np.hypot(x, y)
@@ -116,8 +116,8 @@ scene.put_wind(GUST, wind_to(1.0, 1.0), name="diagonal wind")
 # %%
 # Combinations
 # ------------
-# The fans raise the pressure as snow falls. Each combination starts from the hall in operation, and
-# so costs one load step instead of a complete run.
+# The fans raise the pressure under snow. Each combination starts from the hall in operation, so it
+# takes one load step instead of a complete run.
 fans = FanControl("snow", factors=[0.0, 0.5, 1.0], pressures=[CALM, 0.45, MELT])
 cases = solver.combine(
     {
@@ -133,8 +133,8 @@ cases = solver.combine(
 # %%
 # Gust on a sealed hall
 # ---------------------
-# A gust of seconds is faster than fans. In the mean wind, half of the gust, the hall is
-# sealed: suction draws the roof up, the volume grows, and the pressure falls by the gas law.
+# A gust of seconds is faster than the fans. The hall is sealed in the mean wind, half of the gust;
+# suction lifts the roof, the volume grows, and the pressure falls by the gas law.
 calm = solver.snapshot()
 solver.advance(load={"wind": 0.75}, pressure=STORM)
 scene.seal(volume=form.volume + scene.volume, exponent=1.4)
@@ -146,7 +146,7 @@ solver.restore(calm)
 # %%
 # Report
 # ------
-# One page of HTML to attach to a calculation. The strength of the strands of 16 mm is 130 kN.
+# One HTML page to attach to a calculation. The strength of the 16 mm strands is 130 kN.
 solver.report(
     f"{RESULTS}/report.html",
     cases,
@@ -178,8 +178,8 @@ if scene.comm.rank == 0:
     print(f"in operation tensions from {operation.min():.1f} to {operation.max():.1f} kN, the air"
           f" lifts {lift:.0f} kN, fabric weighs {weight:.1f} kN")  # fmt: skip
 
-# Measured by this program at sizes 1.8 and 2.0: in operation 16.7 and 17.0 kN on the mean, 74.2 and
-# 74.3 kN in the storm, 85.1 and 85.8 kN in the diagonal one, 0.385 and 0.384 kPa in the gust.
+# Measured with this program at sizes 1.8 and 2.0: 16.7 and 17.0 kN on average in operation, 74.2
+# and 74.3 kN in the storm, 85.1 and 85.8 kN in the diagonal one, 0.385 and 0.384 kPa in the gust.
 rtol = 0.03 if size < 2.1 else 0.2
 largest = [found[name][0] for name in ("Storm", "Diagonal storm", "Drifted snow")]
 np.testing.assert_allclose(operation.mean(), 16.8, rtol=rtol)

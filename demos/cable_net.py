@@ -4,17 +4,17 @@
 An air dome with a net of sliding cables, inflated and then loaded by wind.
 
 A spherical cap of 40 m span, 10 m high, of PVC-coated fabric; two families of 7 steel cables cross
-obliquely on it. They are laid along great circles, just taut, and held at their ends only: over the
-fabric and over each other they slide without friction. After inflation the wind blows from -x. Wind
-pressure pushes the windward side in; cables there lose most of their tension and lift off (striped
-in the pictures). Suction acts on the rest of the dome, where the tensions triple. Units: m, kN.
+obliquely on it. The cables run along great circles, just taut, and are anchored at their ends only;
+they slide without friction over the fabric and over each other. After inflation the wind blows from
+-x. It pushes the windward side in; cables there lose most of their tension and lift off (striped in
+the pictures). Suction acts on the rest of the dome, where tensions triple. Units: m, kN.
 
 ::
 
     ./run python demos/cable_net.py [SIZE] [--resume]
 
-with the cells' size, 1.6 m by default. The picture of the README, docs/cable_net.png, is this
-demo's both.png.
+with the cell size, 1.6 m by default. The picture of the README, docs/cable_net.png, is this demo's
+both.png.
 """
 
 import itertools
@@ -28,8 +28,8 @@ from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/cable_net"
 RADIUS, HEIGHT = 20.0, 10.0
-PRESSURE, GUST = 0.4, 0.75  # kPa, of the air inside and of the wind (35 m/s)
-COEFFICIENTS = {-RADIUS: 0.8, 0.0: -1.0, RADIUS: -0.3}  # of the wind's pressure, over x (ours)
+PRESSURE, GUST = 0.4, 0.75  # kPa, inner pressure and velocity pressure (35 m/s)
+COEFFICIENTS = {-RADIUS: 0.8, 0.0: -1.0, RADIUS: -0.3}  # of pressure, over x (our assumption)
 LOOK = {
     "view": (-140.0, 32.0),
     "box": ((-21.0, -21.0, 0.0), (21.0, 21.0, 11.0)),
@@ -46,14 +46,14 @@ LOOK = {
 # %%
 # Wind
 # ----
-# Pressure coefficients over the dome, and two measures of how far cables slide.
+# Pressure coefficients over the dome, and two measures of sliding.
 def coefficient(points, normals):
-    """Pressure coefficient of the wind at the current place."""
+    """Pressure coefficient at the current positions."""
     return np.interp(points[0], list(COEFFICIENTS), list(COEFFICIENTS.values()))
 
 
 def on_fabric(name):
-    """Where the cables touch the fabric, on the stress-free dome."""
+    """Stress-free positions of the cable points that touch the fabric."""
     lines = []
     for cable in scene.cables:
         gaps = np.flatnonzero(np.isnan(cable.reference_positions[:, 0]))
@@ -64,7 +64,7 @@ def on_fabric(name):
 
 
 def farthest(lines, others):
-    """The largest distance of the points of some lines from other lines."""
+    """Largest distance of the points of some lines from other lines."""
     t = np.linspace(0.0, 1.0, 20)[:, None]
     pairs = [pair for line in others for pair in itertools.pairwise(line.points)]
     dense = [a + t * (b - a) for a, b in pairs]
@@ -75,8 +75,8 @@ def farthest(lines, others):
 # %%
 # The net
 # -------
-# ``nets.great_circle`` returns a route in space. The length of each cable makes it just taut on
-# the smooth surface behind the facets of the mesh.
+# ``nets.great_circle`` returns a route in space. Each cable's length makes it just taut on the
+# smooth surface, not on the facets of the mesh.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
@@ -97,7 +97,7 @@ shape = scene.positions()
 # %%
 # Storm
 # -----
-# Wind acts along the normals of the surface, also as the dome deforms.
+# Wind acts normal to the surface, also as the dome deforms.
 scene.put_wind(GUST, coefficient)
 solver.advance(load=1.0, steps=2)
 draw(solver, f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
@@ -119,9 +119,9 @@ if scene.comm.rank == 0:
     print(f"       {lifted} cables lifted off somewhere; the membrane moved up to {way:.2f} m,")
     print(f"       cables slid over it up to {slid:.2f} m")
 
-# Measured by this program at sizes 1.6, 2.0 and 3.0: mean tensions in the calm of 10.98, 11.14 and
-# 11.21 kN, greatest ones under the wind of 37.58, 37.72 and 38.93; gmsh may mesh it otherwise
-# elsewhere. docs/benchmarks/cable_accuracy.md shows the influence of a coarse mesh.
+# Measured with this program at sizes 1.6, 2.0 and 3.0: mean tensions of 10.98, 11.14 and 11.21 kN
+# in calm air, largest tensions of 37.58, 37.72 and 38.93 in the wind; another gmsh may mesh
+# differently. docs/benchmarks/cable_accuracy.md shows the influence of a coarse mesh.
 rtol = 0.03 if size == 1.6 else 0.25
 np.testing.assert_allclose((calm.mean(), windy.max()), (10.98, 37.58), rtol=rtol)
 assert lifted >= 3

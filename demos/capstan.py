@@ -3,19 +3,18 @@
 
 A cable over an air hall, tightened from one end against friction.
 
-An air hall of 16 m width, 24 m depth and 8 m height: a half-cylinder with rounded ends. Two cables
-cross it from ground to ground, each bent by about half a turn. A winch at the right end of each
-cable takes in 25 cm in 5 steps and lets 8 cm out again in 4. One cable slides without friction and
-has the same tension everywhere. The other has a coefficient of friction of 0.3: once the whole
-cable slides, its tension falls from the winch to the far end by the capstan's law, exp(0.3 x
-angle). Let out, it slides back near the winch only, and the largest tension stays in its middle.
-Units: m, kN.
+An air hall, 16 m wide, 24 m deep and 8 m high: a half-cylinder with rounded ends. Two cables cross
+it from ground to ground, each bent by about half a turn. A winch at each cable's right end takes in
+25 cm in 5 steps, and lets out 8 cm in 4. One cable slides without friction and has the same tension
+everywhere. The other has a coefficient of friction of 0.3: once the whole cable slides, its tension
+falls from the winch to the far end by the capstan equation, exp(0.3 x angle). Let out, it slides
+back near the winch only, and the largest tension remains in its middle. Units: m, kN.
 
 ::
 
     ./run python demos/capstan.py [SIZE] [--resume]
 
-with the cells' size, 1.2 m by default.
+with the cell size, 1.2 m by default.
 """
 
 import sys
@@ -48,19 +47,19 @@ rough = scene.lay_cable(
 # Two measures
 # ------------
 def wind(length, steps):
-    """Take in, or let out, some length at the cables' ends."""
+    """Take in, or let out, some length at the cables' right ends."""
     solver.advance(L0={cable: cable.L0 - length for cable in (free, rough)}, steps=steps)
 
 
 def turned(cable):
-    """Angle by which a cable turns between its ends."""
+    """Total turn of a cable between its ends."""
     way = np.diff(cable.line, axis=0)
     way /= np.linalg.norm(way, axis=1)[:, None]
     return np.arccos(np.clip(np.sum(way[1:] * way[:-1], axis=1), -1.0, 1.0)).sum()
 
 
 def profile(cable, places):
-    """Tension at distances from the far end, as parts of the length."""
+    """Tension at distances from the far end, relative to the length."""
     size = np.linalg.norm(np.diff(cable.line, axis=0), axis=1)
     middles = np.cumsum(size) - size / 2
     return np.interp(places * size.sum(), middles, cable.tensions)
@@ -106,12 +105,12 @@ if scene.comm.rank == 0:
 # %%
 # Check
 # -----
-# The ratio is 0.999 to 1.000 of the law's at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from strains
-# of a thousandth and are 5.57, 5.53, 5.11 and 4.75 kN in the free cable; gmsh may mesh it otherwise
-# elsewhere.
+# The ratio is 0.999 to 1.000 of the capstan ratio at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from
+# strains of a thousandth: 5.57, 5.53, 5.11 and 4.75 kN in the frictionless cable; another gmsh may
+# mesh differently.
 np.testing.assert_allclose(ends["taken in"][3], 1.0, atol=0.05)
 if size == 1.2:
     np.testing.assert_allclose(ends["taken in"][:3], (3.06, 7.48, 7.48), rtol=0.06)
     np.testing.assert_allclose(ends["let out"][:3], (3.12, 4.65, 2.83), rtol=0.06)
-np.testing.assert_allclose(rough.tension, free.tension, rtol=0.05)  # their means
+np.testing.assert_allclose(rough.tension, free.tension, rtol=0.05)  # mean tensions
 assert ends["let out"][1] > 1.3 * max(ends["let out"][0], ends["let out"][2])  # in the middle

@@ -1,19 +1,19 @@
 """Clamped net of an air hall
 ==========================
 
-A tennis hall under a net of 12 cables, whose crossings slide or are clamped, in a diagonal storm.
+A tennis hall under a net of 12 cables, sliding or clamped at its crossings, in a diagonal storm.
 
-The hall is that of the air hall tutorial: 36 x 36 m in plan, found as a soap film under the
-pressure of operation, with a net of 12 steel cables that is 1 % shorter than the form. In operation
-all crossings of the net are clamped, or none; then the wind blows over a corner. Clamps take no
-part until the load differs along the cables: then each cable has one tension from clamp to clamp,
-and the cables that cross it take the differences. Units: m, kN.
+The hall is that of the air hall tutorial: 36 x 36 m in plan, found as a soap film under operating
+pressure, with a net of 12 steel cables that is 1 % shorter than the form. In operation all
+crossings of the net are clamped, or none; then the wind blows over a corner. Clamps transfer no
+force until the load varies along the cables: then each cable has one tension from clamp to clamp,
+and the crossing cables take the differences. Units: m, kN.
 
 ::
 
     ./run python demos/clamped_net.py [SIZE] [--resume]
 
-with the cells' size, 2.4 m by default.
+with the cell size, 2.4 m by default.
 """
 
 import sys
@@ -47,7 +47,7 @@ def hall():
 
 
 def wind(points, normals):
-    """Pressure coefficients of a wind that blows to (1, 1)."""
+    """Pressure coefficients of wind that blows to (1, 1)."""
     away = (normals[0] + normals[1]) / np.sqrt(2.0)
     return np.interp(away, [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4])
 
@@ -95,15 +95,15 @@ for name in ("sliding", "clamped"):
 # %%
 # Which is better
 # ---------------
-# Under air pressure and suction, which act all over, the cables of both nets carry alike: clamps
-# hold a few per cent of the largest tension, and the hall moves a little less. So a net whose lines
-# are geodesics needs clamps to keep its meshes while it is hauled up, and against loads on small
-# parts of the roof, rather than for a storm; an equidistant net needs them to carry at all.
+# Under air pressure and suction, which act everywhere, the cables of both nets carry alike: clamps
+# transfer a few per cent of the largest tension, and the hall moves a little less. A net of
+# geodesics thus needs clamps to keep its meshes during erection and under loads on small parts of
+# the roof, rather than for a storm; an equidistant net needs them to carry load at all.
 if scene.comm.rank == 0:
     pictures = [f"{RESULTS}/{name}.png" for name in found]
     join_pictures(f"{RESULTS}/both.png", pictures, upright=True)
 
-# Measured by this program at size 2.4: 87.7 and 86.2 kN, .44 and .42 m, 2.6 kN
+# Measured with this program at size 2.4: 87.7 and 86.2 kN, .44 and .42 m, 2.6 kN
 free, held = found["sliding"], found["clamped"]
 rtol = 0.03 if size < 2.5 else 0.2
 np.testing.assert_allclose(free["largest tension"], 87.7, rtol=rtol)

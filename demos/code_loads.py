@@ -1,19 +1,18 @@
 """Vaulted roof under loads by code
 ================================
 
-A membrane between two arches, with snow, wind and combinations by the Eurocodes, up to the report.
+A membrane between two arches under snow, wind and combinations by the Eurocodes, with a report.
 
-The roof spans 14 m between its two straight feet, and 9 m between arches of 4.5 m rise. It has no
-inner pressure: the fabric hangs from arch to arch, and a valley cable holds it down in the middle.
-Snow is that of a cylindrical roof (EN 1991-1-3, 5.3.5), even and drifted to either side, wind that
-of a vaulted roof (EN 1991-1-4, 7.2.8), and the combinations those of EN 1990, expression (6.10).
-Units: m, kN.
+The roof spans 14 m between its straight feet, and 9 m between arches of 4.5 m rise. It has no inner
+pressure: the fabric hangs from arch to arch, and a valley cable holds it down in the middle. Snow
+follows EN 1991-1-3, 5.3.5 (cylindrical roof, even and drifted to either side), wind EN 1991-1-4,
+7.2.8 (vaulted roof), and the combinations EN 1990, expression (6.10). Units: m, kN.
 
 ::
 
     ./run python demos/code_loads.py [SIZE] [--resume]
 
-with the cells' size, 0.5 m by default.
+with the cell size, 0.5 m by default.
 """
 
 import sys
@@ -35,14 +34,14 @@ VIEW = (-55.0, 28.0)
 # Form
 # ----
 # The feet along y stay on the ground. The ends of the sheet are lifted onto the arches, which are
-# parts of circles. Where the arches are, the film can only sag between them.
+# circular. Between the arches the film can only sag.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.5))
 plan = meshes.rectangle(MPI.COMM_WORLD, SPAN, BAY, size, corner=(-SPAN / 2, -BAY / 2))
 RADIUS = (SPAN**2 / 4 + RISE**2) / (2 * RISE)
 
 
 def arch(points):
-    """Movement of points of an edge (3, n) onto its arch."""
+    """Displacement (3, n) of an edge's points (3, n) onto its arch."""
     up = np.sqrt(RADIUS**2 - points[0] ** 2) - (RADIUS - RISE)
     return np.stack([0 * up, 0 * up, up])
 
@@ -64,7 +63,7 @@ solver.advance(load={"weight": 1.0}, L0={valley: 0.985 * valley.L0})
 # %%
 # Loads
 # -----
-# Coefficients belong to the shape at the time of the call: that of the prestressed roof, which
+# Coefficients refer to the shape at the time of the call: the prestressed roof, which
 # ``codes.vault`` measures.
 vault = {"crown": (0.0, 0.0), "span": SPAN, "rise": RISE}
 shapes = {
@@ -80,15 +79,15 @@ scene.put_wind(GUST, wind, name="wind")
 # %%
 # Strengths
 # ---------
-# PVC-coated polyester, type I, has 60 kN/m along warp and weft. They are divided by 1.5 for the
-# material and, as long as snow lies, by 1.6 more.
+# PVC-coated polyester, type I, has 60 kN/m along warp and weft, divided by 1.5 for the material
+# and, under snow, by another 1.6.
 scene.set_strengths((60.0 / 1.5, 60.0 / 1.5), factors=dict.fromkeys(shapes, 1.6))
 
 # %%
 # Combinations
 # ------------
-# Loads whose names begin with the same kind exclude each other. The favourable and the unfavourable
-# factor of the weight, and each variable load as the leading one, give 22 combinations.
+# Loads whose names begin with the same kind exclude each other. Favourable and unfavourable weight,
+# and each variable load as the leading one, give 22 combinations.
 table = codes.combinations(codes.en1990, permanent=["weight"], variable=[*shapes, "wind"])
 found = solver.combine(table)
 solver.report(
@@ -135,8 +134,8 @@ if scene.comm.rank == 0:
 # Checks
 # ------
 # By hand: mu_3 = min(0.2 + 10 h/b, 2), and the supports carry 1.5 x 0.8 s_k on the width l_s where
-# the arch is not steeper than 60 degrees. Measured by this program at sizes 0.5 and 1.4: fabric
-# used to 68 and 70 %, 31.4 and 33.4 kN in the cable.
+# the arch is no steeper than 60 degrees. Measured with this program at sizes 0.5 and 1.4: fabric
+# utilisation of 68 and 70 %, 31.4 and 33.4 kN in the cable.
 width = shapes["snow"].width
 np.testing.assert_allclose(shapes["snow drifted"].mu_3, min(0.2 + 10 * RISE / SPAN, 2.0))
 np.testing.assert_allclose(width, 2 * RADIUS * np.sin(np.pi / 3))

@@ -1,26 +1,25 @@
 """Friction
 ========
 
-A cable dragged sideways over an orthotropic fabric, with friction (the paper's model 3).
+A cable dragged sideways over an orthotropic fabric with friction (the paper's model 3).
 
-The paper compares this model with an experiment, whose drawing and measured curves are lost. The
-data of fabric, cable and friction are the paper's. The sheet is an assumption: 100 cm square, flat
-and stress-free, clamped along the two edges to which the warp runs, free along the other two. A
-cable lies across the sheet. Its ends, 10 cm beside the free edges, are moved 10 cm down in 5 steps,
-which presses the cable into the fabric like the valley cable of a tent, and then 10 cm sideways,
-along the warp, in 10 steps.
+The paper compares this model with an experiment, whose drawing and measured curves are lost. Data
+of fabric, cable and friction are the paper's; the sheet is an assumption: 100 cm square, flat and
+stress-free, clamped along the two edges at the ends of the warp, free along the other two. A cable
+lies across the sheet. Its ends, 10 cm beside the free edges, are moved 10 cm down in 5 steps, which
+presses the cable into the fabric like the valley cable of a tent, and then 10 cm sideways along the
+warp in 10 steps.
 
-Without friction the cable follows its ends at once. With mu = 0.7 the cable sticks and drags the
-fabric along, less and less from the ends inwards, until the ends are some 4 cm aside; then the
-whole cable slides. `Friction(0.7, static=1.0)` would distinguish static and kinetic friction; here
-the cable comes loose gradually from its ends inwards, and the distinction changes little. Units:
-kgf, cm.
+Without friction the cable follows its ends at once. With mu = 0.7 it sticks and drags the fabric
+along, less and less from the ends inwards, until the ends have moved some 4 cm; then the whole
+cable slides. `Friction(0.7, static=1.0)` would distinguish static from kinetic friction; here the
+cable slips gradually from its ends inwards, and the distinction changes little. Units: kgf, cm.
 
 ::
 
     ./run python demos/friction_experiment.py [SIZE] [--resume]
 
-with the cells' size, 5 cm by default.
+with the cell size, 5 cm by default.
 """
 
 import sys
@@ -51,7 +50,7 @@ DOWN, SIDEWAYS, ALONG = 5, 10, np.linspace(0.0, 100.0, 101)
 # The experiment
 # --------------
 def experiment(name):
-    """Where the cable is after each step, along the sheet: y and z; its tensions; the solver."""
+    """Positions y, z of the cable along the sheet after each step; its tensions; the solver."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=SIZE)
     scene = Scene(mesh, FABRIC)
     scene.fix("front")
@@ -128,15 +127,15 @@ if solver.scene.comm.rank == 0:
 # %%
 # Check
 # -----
-# The paper finds that friction changes the sideways displacement most, the vertical one little.
+# As in the paper, friction mainly changes the sideways displacement, hardly the vertical one.
 lag = np.abs(smooth - rough)[DOWN:].max()
 sag = np.abs(results["smooth"][0] - results["rough"][0])[:, 1].max()
 assert lag > 3.5 and sag < 0.6
-# A cable that sticks gains tension; one that slides freely hardly does.
+# A sticking cable gains tension; a freely sliding one hardly does.
 assert tensions["smooth"][-1] < 1.04 * tensions["smooth"][DOWN - 1]
 assert tensions["rough"][-1] > 1.25 * tensions["rough"][DOWN - 1]
-assert np.all(np.diff(work) >= 0.0) and work[-1] > 800.0  # friction never gives energy back
-# Measured by this program at mesh sizes 5, 3.5 and 2.5 cm: tensions of 385.59, 385.60 and 385.63
+assert np.all(np.diff(work) >= 0.0) and work[-1] > 800.0  # friction only dissipates
+# Measured with this program at mesh sizes 5, 3.5 and 2.5 cm: tensions of 385.59, 385.60 and 385.63
 # without friction and 493.9, 493.0, 493.1 with it; the middle at 9.872 and at 5.93, 5.95, 5.95.
 np.testing.assert_allclose(tensions["smooth"][-1], 385.6, rtol=2e-3)
 np.testing.assert_allclose(tensions["rough"][-1], 494.0, rtol=1e-2)

@@ -3,10 +3,10 @@
 
 A cable tightened over an inflated square membrane (the paper's model 2).
 
-The square is inflated in 5 steps. Then a cable is laid across its middle, anchored 80 cm beside the
-square (the paper's drawing is lost; this position is assumed), and both ends are pulled down by 15
-cm in 5 steps. At first the cable touches only the top of the membrane, at the end its whole width.
-No mesh line lies under the cable: it folds the cells that it crosses. Units: kgf, cm.
+The square is inflated in 5 steps. A cable is then laid across its middle, anchored 80 cm beside the
+square (assumed, as the paper's drawing is lost), and both ends are pulled down by 15 cm in 5 steps.
+At first the cable touches only the top of the membrane, at the end its whole width. No mesh line
+lies under the cable: it folds the cells that it crosses. Units: kgf, cm.
 
 ::
 
@@ -36,8 +36,8 @@ LOOK = {
 # %%
 # The membrane
 # ------------
-# A mesh, a material and a support make a scene. A solver brings it from one equilibrium to the
-# next, and with ``results`` writes each one for ParaView.
+# A mesh, a material and supports make a scene. A solver advances the scene from one equilibrium to
+# the next, and with ``results`` writes each one for ParaView.
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=4.0, structured=True)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -46,7 +46,7 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Inflation
 # ---------
-# The sheet starts flat and without tension, so the first load step is the hardest one.
+# The sheet starts flat and without stress, so the first load step is the hardest.
 solver.advance(pressure=0.01, steps=5)
 draw(solver, f"{RESULTS}/inflated.png", title="Inflated: 0.01 kgf/cm²", **LOOK)
 top, inflated = scene.comm.allreduce(scene.positions()[:, 2].max(), MPI.MAX), scene.energy
@@ -65,7 +65,7 @@ middle = np.interp(50.0, cable.line[:, 0], cable.line[:, 2])
 # %%
 # The result
 # ----------
-# On several processes each process has a part of the membrane, and the first one prints.
+# With several processes, each holds a part of the membrane, and the first one prints.
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/inflated.png", f"{RESULTS}/tightened.png"])
     print(f"inflated   highest vertex   {top:8.3f} cm")
@@ -74,7 +74,7 @@ if scene.comm.rank == 0:
     print(f"           cable's tension  {cable.tension:8.2f} kgf")
     print(f"           energy           {scene.energy:8.2f} kgf cm")
 
-# Measured by this program at this mesh. At size=1.0 it gives 10.1841 (no vertex lies in the middle
-# at 4.0), -375.559, 1.9526, 253.002 and 8.598; the continuum's inflated square 10.1845, -375.649.
+# Measured with this program on this mesh. At size=1.0 it gives 10.1841 (no vertex lies in the
+# middle at 4.0), -375.559, 1.9526, 253.002, 8.598; the continuum's square 10.1845, -375.649.
 measured = (top, inflated, middle, cable.tension, scene.energy)
 np.testing.assert_allclose(measured, (10.1501, -374.208, 1.9507, 253.137, 10.4891), rtol=1e-4)

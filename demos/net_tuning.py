@@ -1,18 +1,18 @@
 """Tuning a net
 ============
 
-The 12 cables of an air hall are tuned to one tension, and ordered.
+The 12 cables of an air hall are tuned to one tension, and their lengths written for fabrication.
 
 The hall is that of the clamped net tutorial. Its cables, all 1 % shorter than the form, have
 different tensions in operation. The unstressed lengths for one tension follow from the derivatives
-of all tensions by all lengths, by the exact tangent of the equilibrium; a few load steps suffice.
-Then the lengths to be cut are written to a table. Units: m, kN.
+of all tensions by all lengths, computed from the exact tangent; a few load steps suffice. The
+fabrication lengths are then written to a table. Units: m, kN.
 
 ::
 
     ./run python demos/net_tuning.py [SIZE]
 
-with the cells' size, 2.4 m by default.
+with the cell size, 2.4 m by default.
 """
 
 import sys
@@ -25,7 +25,7 @@ from crms_fenicsx.form_finding import find_form
 from crms_fenicsx.output import draw
 
 RESULTS = "results/net_tuning"
-HALF, CALM, WANTED = 18.0, 0.3, 17.0  # m, kPa inside in operation, kN
+HALF, CALM, WANTED = 18.0, 0.3, 17.0  # m, kPa in operation, kN
 size = float(sys.argv[1]) if len(sys.argv) > 1 else 2.4
 
 # %%
@@ -42,9 +42,9 @@ solver.advance(pressure=CALM, L0={cable: 0.99 * cable.L0 for cable in cables})
 before = np.array([cable.tension for cable in cables])
 
 # %%
-# What shortening one cable does
-# ------------------------------
-# It tightens itself, and slackens those beside it.
+# Shortening one cable
+# --------------------
+# A shortened cable gains tension, and its neighbours lose some.
 found = solver.sensitivities([*cables, "energy"], cables)
 own, others = np.diag(found.values), found.values[:-1] - np.diag(np.diag(found.values))
 more, less = -own.min() / 100, others.max() / 100
@@ -64,8 +64,8 @@ draw(solver, f"{RESULTS}/tuned.png", title=f"All cables at {WANTED:g} kN", colou
 # %%
 # Order
 # -----
-# The cables are cut on a bench at 10 kN and 15 kelvin less than on the roof, with 0.35 m more for
-# each of the two fittings.
+# The cables are cut on a bench at 10 kN and at 15 kelvin below the roof's temperature, with 0.35 m
+# more for each of the two fittings.
 order = nets.lengths_to_order(scene, tension=10.0, temperature=-15.0, allowance=0.35)
 order.write(f"{RESULTS}/order.csv")
 cut = [one.cut for one in order.cables.values()]

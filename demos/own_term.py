@@ -1,7 +1,7 @@
 """An energy term of your own
 ==========================
 
-Bars tie down an inflated square: a term of the energy that is not in the package.
+Bars tie down an inflated square: an energy term that the package does not have.
 
 Bars run from the vertices around the middle of the sheet to one anchor below it, each with the
 strain energy of a spring. A cable is then tightened beside the bars. Units: kgf, cm.
@@ -26,8 +26,8 @@ RESULTS = "results/own_term"
 # %%
 # The term
 # --------
-# A term has one method for its value and one for its gradient. The stiffness is optional; it makes
-# stiff terms converge fast.
+# A term has methods for its value and for its gradient. The stiffness is optional; it makes stiff
+# terms converge fast.
 class Bars(EnergyTerm):
     """Strain energy ``EA/(2 L0) (l - L0)^2`` of bars from vertices to an anchor.
 
@@ -36,7 +36,7 @@ class Bars(EnergyTerm):
     vertices
         Local degrees of freedom, as `Scene.vertices` returns them.
     anchor
-        Their other end, (3,).
+        Common end of the bars, (3,).
     EA, L0
         Axial stiffness (force) and unstressed length of each bar.
     """
@@ -48,7 +48,7 @@ class Bars(EnergyTerm):
 
     def attach(self, unknowns: Any) -> None:
         super().attach(unknowns)
-        self.own = self.vertices[self.vertices < unknowns.n_vertices]  # the others are ghosts here
+        self.own = self.vertices[self.vertices < unknowns.n_vertices]  # the others are ghosts
         self.pattern = ElementPattern(np.arange(len(self.own) + 1), self.own)
         self.patterns = (self.pattern,)
 
@@ -75,7 +75,7 @@ class Bars(EnergyTerm):
 # %%
 # The scene
 # ---------
-# ``taylor_test`` checks that the gradient belongs to the energy: the order must be 2.
+# ``taylor_test`` checks the gradient against the energy: the order must be 2.
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=5.0)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -101,5 +101,5 @@ if scene.comm.rank == 0:
     print(f"              pull    {bars_pull[2]:8.3f} kgf")
     print(f"cable         tension {cable.tension:8.3f} kgf")
 
-# Supports and bars balance the lift of the pressure on the whole area.
+# Supports and bars balance the pressure on the whole area.
 np.testing.assert_allclose(bars_pull[2] - supports[2], 0.01 * 100.0**2, rtol=1e-6)

@@ -1,22 +1,21 @@
 """Cutting patterns of an air hall
 ================================
 
-From a form to sheets for the workshop, and back: the hall is sewn of its pieces and meets a storm.
+From a form to sheets for the workshop and back: the hall, sewn from its pieces, meets a storm.
 
 The air hall of 36 x 36 m under its net of sliding cables (`demos/air_hall.py`) is cut into strips
-along geodesics, which are laid flat with the least strain energy and compensated for the section
-forces of the form. Sewn together again the pieces are not quite the form, as it is curved in two
-directions: the last table shows what that does to the cables, with and without compensation, and
-for a hall that is cut into gores instead of strips.
-Units: m, kN.
+along geodesics, which are flattened with the least strain energy and compensated for the section
+forces of the form. Sewn together, the flat pieces only approximate the doubly curved form: the last
+table shows the effect on the cables, with and without compensation, and for a hall cut into gores
+instead of strips. Units: m, kN.
 
 ::
 
     ./run python demos/patterns.py [SIZE]
 
-with the size of the cells under the net, 1.8 m by default. The pieces are made of cells a quarter
-as wide, nine columns to most strips: sewn of pieces with three the hall is found 5 cm off its form
-instead of 1 cm.
+with the cell size under the net, 1.8 m by default. The pieces have cells a quarter as wide, nine
+columns in most strips: sewn from pieces with three columns, the hall is 5 cm off its form instead
+of 1 cm.
 """
 
 import importlib.util
@@ -31,20 +30,20 @@ from crms_fenicsx.form_finding import find_form
 from crms_fenicsx.output import draw
 
 RESULTS = "results/patterns"
-HALF = 18.0  # of the plan's sides
+HALF = 18.0  # half the side of the plan
 WANTED = 3.78  # kN/m, along warp and weft, at a pressure of 0.3 kPa
-CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa inside, and q_p of the wind
+CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa: inner pressure, and velocity pressure
 size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.8
 fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
-warnings.simplefilter("ignore", PatternWarning)  # of the coarse cells under the net
+warnings.simplefilter("ignore", PatternWarning)  # the cells under the net are coarse
 
 
 # %%
 # Form, seams and pieces
 # ----------------------
-# Strips from front to back, of a fabric 5 m wide, with welds of 80 mm, half of them on each side.
+# Strips from front to back, of 5 m wide fabric, with welds of 80 mm, half of them on each side.
 def cut_hall(size):
-    """Form and pieces of the hall on cells of a size."""
+    """Form and pieces of the hall at a cell size."""
     plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
     form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)
     seams = patterns.strips(form.mesh, "front", "back", width=5.0, allowance=0.04)
@@ -56,15 +55,15 @@ _, pieces = cut_hall(size / 4)
 # %%
 # Flat pieces
 # -----------
-# The warp runs along the seams. Compensation is what the fabric is stretched by in its form: .29 %
-# along the warp and .50 % along the weft.
+# The warp runs along the seams. Compensation shrinks the pieces by the fabric's strain in the form:
+# .29 % along the warp and .50 % along the weft.
 shrink = patterns.shrink_for(fabric, WANTED)
 pattern = patterns.flatten(pieces, fabric, warp="seams", shrink=shrink)
 
 # %%
 # Sheets
 # ------
-# The pieces as they lie on the roll, with allowances, and match marks every 2 m.
+# Pieces as laid out on the roll, with allowances, and match marks every 2 m.
 sheet = patterns.Sheet(roll=5.2, allowance=0.04, rim=0.15, marks=2.0, gap=0.05)
 patterns.draw_sheets(pattern, f"{RESULTS}/roll.png", sheet, unit="m")
 patterns.draw_sheets(pattern, f"{RESULTS}/sheets.pdf", sheet, unit="m")
@@ -75,10 +74,9 @@ if importlib.util.find_spec("ezdxf"):
 # %%
 # Sewn back
 # ---------
-# The roof as it will be built, inflated without cables: what forces it gets, and how far it is off
-# the form.
+# The roof as built, inflated without cables: its section forces, and its distance from the form.
 def inflated(pattern):
-    """The hall sewn of a pattern, in operation."""
+    """The hall sewn from a pattern, in operation."""
     scene = patterns.sew(pattern)
     scene.fix("boundary")
     solver = Solver(scene)
@@ -95,11 +93,11 @@ draw(built, f"{RESULTS}/built.png", colour="warp", view=(-125.0, 30.0), unit="m"
 # %%
 # Net and storm
 # -------------
-# The same net and the same storm on four halls: the ideal one, whose fabric has its prestress
-# everywhere, one sewn of strips without compensation, one with, and one sewn of 32 gores, whose
-# seams run from the crown to the foot along geodesics; on coarse cells, which cables need no finer.
+# The same net and storm on four halls: the ideal one, with its prestress everywhere; one sewn from
+# strips without compensation; one with; and one sewn from 32 gores, whose seams run along geodesics
+# from the crown to the foot. The cells are coarse, as cables need no finer ones.
 def gores(form, count=32):
-    """Pieces between the crown and the foot."""
+    """Gores between the crown and the foot."""
     x = np.concatenate(form.comm.allgather(form.mesh.mesh.geometry.x))
     crown = x[np.hypot(x[:, 0], x[:, 1]).argmin(), :2]  # a vertex, where all seams meet
     seams = []
@@ -112,13 +110,13 @@ def gores(form, count=32):
 
 
 def suction(points, normals):
-    """Pressure coefficients of a wind along x."""
+    """Pressure coefficients of wind along x."""
     away = [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0]
     return np.interp(normals[0], away, [0.7, 0.0, -1.0, -1.0, -0.4, -0.4])
 
 
 def netted(scene, **options):
-    """Solver and the cables' tensions in operation and in the storm."""
+    """Solver and cable tensions, in operation and in the storm."""
     for family, side in (("A", 1.0), ("B", -1.0)):
         for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
             ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))
@@ -151,7 +149,7 @@ found = {
 # %%
 # Report
 # ------
-# With the pieces, their sheets and what they make of the form.
+# The report shows the pieces, their sheets and the deviation from the form.
 solver = found["compensated"][0]
 sections = patterns.report_sections(pattern, sheet, got, unit="m", force="kN")
 solver.report(
@@ -175,9 +173,9 @@ if form.comm.rank == 0:
         print(f"{name:14}" + "".join(f"{a:10.1f}{b:8.1f}" for a, b in row.reshape(-1, 2)))
 
 calm, storm = (np.array([tensions[k].mean() for tensions in found.values()]) for k in (1, 2))
-# Measured by this program at 1.8 m, and at 0.9 m to 2 %: what is not compensated gives the cables
-# 6 % more in operation and 7 % in the storm, and with compensation they have what was planned. Of
-# gores single cables differ more, as the warp runs from the crown to the foot all around.
+# Measured with this program at 1.8 m, and at 0.9 m to 2 %: without compensation the cables carry
+# 6 % more in operation and 7 % more in the storm; with compensation, what was planned. With gores
+# single cables differ more, as the warp runs from the crown to the foot all around.
 rtol = 0.02 if size < 2.0 else 0.1
 np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98, 0.98], rtol=rtol)
 np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99, 1.01], rtol=rtol)

@@ -3,10 +3,10 @@
 
 One folded element and one cable (the paper's model 1).
 
-A cable lies across a single triangle whose corners are held. Its ends are moved normal to the
-triangle, once up and once down, so that the cable tightens and folds the triangle. A sleeve keeps
-the cable from lifting off on the way up. The only unknowns are the six coordinates of the two
-sliding nodes. Units: kgf, cm.
+A cable lies across a single triangle with held corners. Its ends are moved normal to the triangle,
+once up and once down, so that the cable tightens and folds the triangle. A sleeve keeps the cable
+from lifting off when it moves up. The only unknowns are the six coordinates of the two sliding
+nodes. Units: kgf, cm.
 
 ::
 
@@ -74,10 +74,10 @@ if MPI.COMM_WORLD.rank == 0:
 # %%
 # Check
 # -----
-# Measured by this program; the six unknowns have no mesh to refine.
+# Measured with this program; six unknowns leave no mesh to refine.
 np.testing.assert_allclose(tensions, 102.3595, rtol=1e-6)
 np.testing.assert_allclose(tracks[0].points[-1], [11.8361, 28.4117, 8.3503], atol=1e-4)
 np.testing.assert_allclose(tracks[1].points[-1], [49.8790, 26.3681, 8.6131], atol=1e-4)
-# The element is flat at the start, so that down is the mirror image of up.
+# The element starts flat, so down mirrors up.
 for up, down in zip(tracks[:2], tracks[2:], strict=True):
     np.testing.assert_allclose(up.points * (1, 1, -1), down.points, atol=1e-6)

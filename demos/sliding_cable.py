@@ -4,10 +4,10 @@
 A cable that slides sideways to its equilibrium.
 
 The cable is laid over a flat square in an arc, up to 15 cm beside the straight line between its
-ends, with the length of that line. It slides to the straight line at once, over the edges of the
-mesh. Then the square is inflated in 5 steps, bulges beside the cable, and pushes the cable towards
-the nearer side. The cable's path over the fabric (the material curve) differs from its path in
-space, because the fabric moves too. Units: kgf, cm.
+ends, with the length of that line. It slides to the straight line at once, across mesh edges. Then
+the square is inflated in 5 steps, bulges beside the cable, and pushes the cable towards the nearer
+side. The cable's path on the fabric (the material curve) differs from its path in space, because
+the fabric moves too. Units: kgf, cm.
 
 ::
 
@@ -40,10 +40,10 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Inflation
 # ---------
-# In each load step the solver minimises the energy, pulls the cable's path taut on the resulting
+# In each load step the solver minimises the energy, straightens the cable's path on the resulting
 # shape, and minimises again if the path has changed.
 def middle(points):
-    """Where a curve passes x = 50."""
+    """Point at which a curve passes x = 50."""
     points = points[np.isfinite(points[:, 0])]  # anchors are not on the fabric
     return np.array([np.interp(50.0, points[:, 0], points[:, i]) for i in range(3)])
 
@@ -62,8 +62,8 @@ for pressure in np.linspace(0.0, 0.01, 6):
 # %%
 # Pictures
 # --------
-# ``cable.line`` is the cable in space, ``cable.reference_positions`` its place on the stress-free
-# fabric.
+# ``cable.line`` is the cable in space, ``cable.reference_positions`` its positions on the
+# stress-free fabric.
 fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
 draw_paths(
     scene,
@@ -86,11 +86,11 @@ if scene.comm.rank == 0:
 # %%
 # Check
 # -----
-# The reference, made with a mesh whose lines follow the material curve and refined to the
-# continuum: T = 103.0532, the middle at y = 29.6063, z = 3.5132, on the fabric at y = 29.3913, and
+# The reference comes from a mesh whose lines follow the material curve, refined to the continuum:
+# T = 103.0532, the middle at y = 29.6063, z = 3.5132, on the fabric at y = 29.3913, and
 # W = -298.765. The tolerances are the errors of meshes of about this size: that of W, 0.53 here,
 # falls with the square of the size (0.97 at 4.0); sideways, where the energy is flattest, a cable
-# can stay by a vertex that is up to 0.02 cell sizes off its place (0.001 here, 0.06 at 2.9).
+# can stay at a vertex up to 0.02 cell sizes off its place (0.001 here, 0.06 at 2.9).
 np.testing.assert_allclose(cable.tension, 103.0532, atol=0.1)
 np.testing.assert_allclose((y, on_fabric), (29.60632, 29.39128), atol=0.065)
 np.testing.assert_allclose(z, 3.51323, atol=0.01)

@@ -1,19 +1,19 @@
 """A tent on masts and guys
 ========================
 
-A four-point tent, from a flat sheet to a report: form finding, masts and guys, snow and wind.
+A four-point tent from a flat sheet to a report: form finding, masts and guys, snow and wind.
 
 A sail of PVC-coated polyester (type II) between two high points on masts, 16 m apart, and two low
-points, 14 m apart. Cables of 18 mm run in the pockets of its edges. Each mast leans outward and is
-held by two guys; each low point is held by a tie. Nothing else holds the tent. Loads, factors and
-strengths are examples, not taken from a code. Units: m, kN.
+points, 14 m apart. Cables of 18 mm run in the edge pockets. Two guys hold each mast, which leans
+outward; a tie holds each low point. The tent has no other supports. Loads, factors and strengths
+are examples, not taken from a code. Units: m, kN.
 
 ::
 
     ./run python demos/tent.py [SIZE] [--resume]
 
-with the cells' size, 0.42 m by default. The picture of the README, docs/tent.png, is the snow.png
-of this demo.
+with the cell size, 0.42 m by default. The picture of the README, docs/tent.png, is this demo's
+snow.png.
 """
 
 import sys
@@ -37,7 +37,7 @@ EDGE_CABLE = Cable(EA=31.5e3)  # spiral strand of 18 mm
 BELT = Cable(EA=1500.0)  # two polyester belts of 50 mm
 MAST = Bar(EA=846e3, EI=2.1e8 * 1.297e-5, strength=860.0)  # steel tube of 168.3 x 8 mm
 GUY = Bar(EA=39e3, tension_only=True, strength=170.0)  # spiral strand of 20 mm
-STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # of the fabric, warp and weft
+STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # fabric, warp and weft
 CABLE_STRENGTH = 140.0
 VIEW = (-72.0, 30.0)
 
@@ -64,8 +64,8 @@ found = find_form(
 # Masts, guys and ties
 # --------------------
 # ``found.reactions`` has the force at each corner. A tie takes the direction of this force. A mast
-# and two guys can balance any force in the wedge between them: the bar forces follow from the
-# reaction, and the unstressed lengths from the bar forces. The corners are free, and do not move.
+# and two guys balance any force in the wedge between them: the bar forces follow from the reaction,
+# and the unstressed lengths from the bar forces. The corners are free, and do not move.
 bars = []
 for corner, (x, y, _) in HIGH.items():
     out = np.sign(x)
@@ -80,15 +80,15 @@ for corner, place in LOW.items():
 # %%
 # Belts
 # -----
-# A cable slides in its pocket. It carries the fabric's pull across the edge, but not along the
-# edge. The pull along the edge would gather at the corners: without belts the snow below uses the
-# fabric there to six times its strength. Polyester belts, sewn along the pockets, carry this pull.
-# They start without force.
+# A cable in a pocket carries the fabric's pull across the edge, but not along it. The pull along
+# the edge would concentrate at the corners: without belts the snow below loads the fabric there to
+# six times its strength. Polyester belts sewn along the pockets carry this pull. They start without
+# force.
 scene = found.scene(FABRIC, EDGE_CABLE, bars=bars, belts=BELT)
 scene.set_strengths(STRENGTHS)
 
 # %%
-# The first load step moves nothing: the form is in equilibrium on its masts and guys.
+# The first load step moves nothing: masts and guys hold the form in equilibrium.
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance()
 moved = solver.summary().displacement.value
@@ -99,9 +99,9 @@ draw(solver, f"{RESULTS}/form.png", colour="height", unit="m", force="kN", view=
 # %%
 # Loads
 # -----
-# The wind comes along x: it presses on the windward quarter and lifts the rest.
+# Wind along x presses on the windward quarter and lifts the rest.
 def coefficient(points, normals):
-    """Pressure coefficient, upper less lower side."""
+    """Pressure coefficient, upper minus lower side."""
     return np.where(points[0] < -4.0, 0.3, -0.7)
 
 
@@ -113,7 +113,7 @@ scene.put_wind(0.5, coefficient, name="wind along x")
 # %%
 # Combinations and report
 # -----------------------
-# ``combine`` sums the factored loads and solves each combination from the prestressed tent.
+# ``combine`` applies the factored loads of each combination to the prestressed tent.
 combinations = solver.combine(
     {
         "Permanent": {"weight": 1.35},
@@ -135,7 +135,7 @@ solver.report(
 )
 
 # %%
-# The summary has the forces for the design checks: fabric, edge cables, masts against buckling.
+# The summary has the forces for the design checks: fabric, edge cables, buckling of masts.
 summaries = {}
 for name, one in combinations.items():
     solver.restore(one.snapshot)
@@ -165,8 +165,8 @@ for name, one in summaries.items():
 # %%
 # Checks
 # ------
-# The supports carry the loads: 1.35 times the weight, and 1.5 times the snow on the plan area
-# within the edge cables. The other figures are known results of this script.
+# The supports carry 1.35 times the weight, and 1.5 times the snow on the plan area within the edge
+# cables. The other figures are known results of this script.
 plans = [cable.path.T[:2] for cable in found.cables]
 plan_area = sum(abs(x[:-1] @ y[1:] - x[1:] @ y[:-1]) for x, y in plans) / 2.0
 more = np.subtract(summaries["Snow"].reaction, summaries["Permanent"].reaction)

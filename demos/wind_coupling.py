@@ -1,14 +1,14 @@
 """Coupling with a wind model
 ==========================
 
-An inflated roof in a wind tunnel, solved together with a model of the flow in plain DOLFINx.
+An inflated roof in a wind tunnel, coupled with a flow model in plain DOLFINx.
 
-The air streams between the roof and the tunnel's ceiling. Where the roof rises the gap is narrower,
-the air is faster, and by Bernoulli's law it sucks more: the roof rises further. The programs are
-independent: the flow takes heights and gives pressures, the membrane takes forces and gives
-displacements. Each has its own mesh. Iterations with Aitken's relaxation continue until both agree.
-Each iteration starts from the same *snapshot*, because friction of the cable depends on the path.
-This is how `preCICE <https://precice.org>`_ couples programs. Units: m, kN, s.
+The air streams between the roof and the tunnel's ceiling. Where the roof rises, the gap narrows,
+the air accelerates, and by Bernoulli's law its suction grows: the roof rises further. The programs
+are independent, each with its own mesh: the flow takes heights and returns pressures, the membrane
+takes forces and returns displacements. Iterations with Aitken's relaxation continue until both
+agree. Each starts from the same *snapshot*, because friction of the cable depends on the path.
+`preCICE <https://precice.org>`_ couples programs in this way. Units: m, kN, s.
 
 ::
 
@@ -28,13 +28,13 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output import draw
 
 SIDE, CEILING, BESIDE, BEFORE = 20.0, 3.0, 5.0, 10.0
-"""Side of the roof, height of the tunnel; tunnel beside, before and behind the roof."""
-DENSITY, SPEED = 1.25e-3, 25.0  # of the air (t/m3), and where it comes in (m/s)
+"""Side of the roof, height of the tunnel; tunnel width beside, length before and behind."""
+DENSITY, SPEED = 1.25e-3, 25.0  # air density (t/m3) and inflow velocity (m/s)
 comm = MPI.COMM_WORLD
 
 
 def everywhere(values):
-    """Values of all ranks, one after the other: both meshes are small."""
+    """Values of all ranks, concatenated: both meshes are small."""
     return np.concatenate(comm.allgather(values))
 
 
@@ -42,7 +42,7 @@ def everywhere(values):
 # The wind
 # --------
 # The gap is shallow, so the velocity is constant over its height h and has a potential in plan:
-# ``div(h grad phi) = 0``. Bernoulli's law gives the pressure, relative to that of the incoming air.
+# ``div(h grad phi) = 0``. Bernoulli's law gives the pressure relative to the incoming air.
 class Wind:
     """Potential flow through a gap of given height."""
 
@@ -65,7 +65,7 @@ class Wind:
         self.places = V.tabulate_dof_coordinates()[:, :2]
 
     def answer(self, points, heights):
-        """Pressure at points in plan (n, 2) of a roof with heights (m,) at all of its vertices."""
+        """Pressure at points in plan (n, 2) of a roof with vertex heights (m,)."""
         roof = LinearNDInterpolator(*heights, fill_value=0.0)
         self.h.x.array[:] = CEILING - roof(self.places)
         A, b = petsc.assemble_matrix(self.flow, [self.bc]), petsc.assemble_vector(self.inflow)
@@ -102,8 +102,8 @@ cable = scene.lay_cable(Cable(EA=5e3, friction=0.3), [(9.3, 0.0), (11.2, SIDE)],
 solver.advance()
 
 # %%
-# The wind's pressure becomes forces on the vertices, along the normals of the current surface, with
-# a form of DOLFINx. The wind in turn needs the heights of the roof.
+# A DOLFINx form turns the wind pressure into nodal forces along the normals of the current surface.
+# The wind in turn needs the heights of the roof.
 p = fem.Function(fem.functionspace(mesh.mesh, ("Lagrange", 1)))
 forces = fem.Function(scene.V)
 J = ufl.Jacobian(mesh.mesh)
@@ -115,7 +115,7 @@ n = scene.V.dofmap.index_map.size_local
 
 
 def blow(pressure):
-    """Bring the roof to the equilibrium under a pressure at its vertices, from `calm`."""
+    """Solve for the roof under pressures at its vertices, from `calm`."""
     p.x.array[:] = pressure
     forces.x.array[:] = 0.0
     fem.assemble_vector(forces.x.array, push)
@@ -126,7 +126,7 @@ def blow(pressure):
 
 
 def answer():
-    """Pressure of the wind at the roof's vertices."""
+    """Wind pressure at the roof's vertices."""
     at = scene.positions()
     shape = everywhere(at[:n, :2]), everywhere(at[:n, 2])
     return wind.answer(at[:, :2], shape)
@@ -141,7 +141,7 @@ calm, wind = solver.snapshot(), Wind(1.0)
 
 
 def dot(x, y):
-    """Scalar product of values at the vertices, each counted by the rank that owns it."""
+    """Scalar product of vertex values, each counted on its owner."""
     return comm.allreduce(float(x[:n] @ y[:n]))
 
 
@@ -163,8 +163,8 @@ for iteration in range(1, 21):
 # %%
 # The result
 # ----------
-# With the pressure of the wind over the undeformed roof, as in the first iteration, the rise is too
-# small. The flow conserves mass.
+# The wind pressure on the undeformed roof, as in the first iteration, gives too small a rise. The
+# flow conserves mass.
 flux = comm.allreduce(fem.assemble_scalar(wind.flux))
 lift = comm.allreduce(forces.x.array[: 3 * n].reshape(-1, 3).sum(axis=0))[2]
 more = (crowns[-1] - crowns[0]) / (crowns[1] - crowns[0]) - 1.0

@@ -1,1 +1,1 @@
-"""Run time against error: what `benchmarks/accuracy_vs_time.py` is made of."""
+"""Run time against error: the parts of `benchmarks/accuracy_vs_time.py`."""

@@ -1,8 +1,8 @@
-"""Membranes of revolution with a ring around them: what cables over them come to in the continuum.
+"""Continuum references of membranes of revolution with a ring cable around them.
 
-The profile (y, r) is a function of the stress-free arc s. Green-Lagrange strains, a linear law that
-wrinkles along meridians, exact follower pressure: the membrane of the package, reduced to one
-dimension, with quadratic finite elements of its own.
+The profile (y, r) is a function of the stress-free arc s. Green-Lagrange strains, a linear law with
+wrinkling along meridians and exact follower pressure: the package's membrane, reduced to one
+dimension, with separate quadratic finite elements.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The cases: scenes on a mesh of n cells, load steps, and the two numbers that are compared."""
+"""The cases: scenes on a mesh of n cells, load steps, and the two compared numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kratos on the cases that it can do: the scene out, its positions back, the results from them."""
+"""Kratos on the cases it supports: exports the scene, imports positions, evaluates results."""
 
 from __future__ import annotations
 

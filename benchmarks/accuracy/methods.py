@@ -1,4 +1,4 @@
-"""The methods that are compared."""
+"""The compared methods."""
 
 from __future__ import annotations
 

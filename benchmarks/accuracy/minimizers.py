@@ -1,6 +1,6 @@
-"""Minimisers to compare with: BLMVM on its own, TAO's Newton method and SciPy's L-BFGS.
+"""Minimisers for comparison: BLMVM alone, TAO's Newton method and SciPy's L-BFGS.
 
-Each takes the place of the package's minimiser, under the same load steps, paths and contacts.
+Each replaces the package's minimiser under the same load steps, paths and contacts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the cases of this benchmark come to in the continuum, with error bars and sources.
+"""Continuum solutions of the benchmark's cases, with error bars and sources.
 
 Units: kgf and cm; the dome net m and kN.
 """

@@ -1,4 +1,4 @@
-"""One run of the benchmark, in a process of its own: its results, times, counts and memory."""
+"""One run of the benchmark in a separate process: results, times, counts and memory."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Random scenes, what must be true of their answers, and how to look at one of them."""
+"""Random scenes, the properties that their answers must have, and tools to inspect one."""

@@ -1,4 +1,4 @@
-"""Random scenes of many features at once, as plain data, and how they are built.
+"""Random scenes of many features at once, as plain data, and their construction.
 
 Lengths are m, forces kN; a `Frame` puts the same scene elsewhere, turned and in other units.
 """

@@ -1,4 +1,4 @@
-"""Builds random scenes of many features, and does to them what is to be done."""
+"""Builds random scenes of many features, and applies their actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs random scenes, and checks what must be true of every answer."""
+"""Runs random scenes, and checks the properties of every answer."""
 
 from __future__ import annotations
 

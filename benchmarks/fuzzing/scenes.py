@@ -1,4 +1,4 @@
-"""Random scenes as plain data: meshes, materials, cables, and what is done to them.
+"""Random scenes as plain data: meshes, materials, cables and actions.
 
 A scene follows from its number alone. Sizes are those of a square of 100 cm with E t = 24 kgf/cm.
 """

@@ -3,12 +3,12 @@
     PYTHONPATH=KRATOS python membrane.py SCENE.npz RESULT.npz RUNS ENOUGH
 
 SCENE.npz has ``points`` (n, 3), ``start`` (n, 3; the first guess), ``triangles`` (m, 3), ``held``
-(k,), ``cable`` (l,; vertices in order, maybe none), and the numbers ``E``, ``nu``, ``thickness``,
-``pressure``, ``EA`` and ``steps``. Needs no DOLFINx. Kratos' pressure has a tangent that is only
-right up to a factor with a length in it; in metres instead of the scene's centimetres Newton's
-method converges, though not quadratically. The membrane is St. Venant-Kirchhoff's: with Kratos'
-wrinkling law the inflated square has the height of ours in all digits, at n = 16, 32 and 64, but
-takes two to four times as long.
+(k,), ``cable`` (l,; vertices in order, may be empty), and the numbers ``E``, ``nu``, ``thickness``,
+``pressure``, ``EA`` and ``steps``. Needs no DOLFINx. Kratos' pressure tangent is right only up to a
+factor with a length in it; in metres instead of the scene's centimetres Newton's method converges,
+though not quadratically. The membrane is of St. Venant-Kirchhoff type: with Kratos' wrinkling law
+the inflated square has our height in all digits, at n = 16, 32 and 64, but takes two to four times
+as long.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Sweeps of `benchmarks/stability.py`: parameters taken to where numbers become difficult."""
+"""Sweeps of `benchmarks/stability.py`: parameters taken to numerical extremes."""

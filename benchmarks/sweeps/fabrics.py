@@ -1,4 +1,4 @@
-"""Sweeps over what the membrane and its mesh are: orthotropy, slivers, jumps of size."""
+"""Sweeps over membrane and mesh: orthotropy, slivers, jumps of size."""
 
 from __future__ import annotations
 

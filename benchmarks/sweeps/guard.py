@@ -1,4 +1,4 @@
-"""Bounds for one point of a sweep: a number of evaluations, and seconds on the wall."""
+"""Limits for one point of a sweep: number of evaluations, and wall time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a point of a sweep is, and how it is judged: converged, refused, wrong or hanging."""
+"""A point of a sweep and its verdict: converged, refused, wrong or hanging."""
 
 from __future__ import annotations
 

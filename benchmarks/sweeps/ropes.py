@@ -1,4 +1,4 @@
-"""Sweeps over cables: stiffness, place, length, slackening, ends that move, friction."""
+"""Sweeps over cables: stiffness, place, length, slackening, moving ends, friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the sweeps have in common: the inflated square, its meshes and its cables.
+"""Shared scene of the sweeps: the inflated square, its meshes and its cables.
 
 100 cm wide, clamped, E t = 24 kgf/cm, nu = 0.25, 0.01 kgf/cm2, cables of EA = 32000 kgf.
 """

@@ -1,4 +1,4 @@
-"""Sweeps over what the method adds to the mechanics: penalty, smoothings, units."""
+"""Sweeps over numerical parameters of the method: penalty, smoothings, units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a state is what a solver says that it is: an equilibrium, seen from the outside.
+"""Independent check that a solved state is an equilibrium.
 
 For scenes on one process whose membrane is held all around in a horizontal plane.
 """

@@ -13,6 +13,7 @@ from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.clamp import Clamp, ClampedParts
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, floats
 
 TOUCHING = 0.05
@@ -43,18 +44,23 @@ def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
     with np.errstate(divide="ignore", invalid="ignore"):
         s = dot(cross(apart, v[None]), across) / square
         t = dot(cross(apart, u[:, None]), across) / square
-    low, high = -1e-9, 1 + 1e-9
-    inside = (low <= s) & (s <= high) & (low <= t) & (t <= high)
+        gap = np.abs(dot(apart, across)) / np.sqrt(square)
+        # Where they bend, cables that lie apart may do so beyond the ends of all parts there.
+        ends = [SAME_PLACE + gap / np.sqrt(dot(way, way)) for way in (u[:, None], v[None])]
+    inside = (-ends[0] <= s) & (s <= 1 + ends[0]) & (-ends[1] <= t) & (t <= 1 + ends[1])
     found: list[CablesMeeting] = []
     for i, j in np.argwhere(inside & (square > OBLIQUE**2 * sizes)):
-        first, second = x[i] + s[i, j] * u[i], y[j] + t[i, j] * v[j]
+        along = [float(np.clip(share[i, j], 0.0, 1.0)) for share in (s, t)]
+        first, second = x[i] + along[0] * u[i], y[j] + along[1] * v[j]
         place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2
-        gap = float(norm(second - first))
-        same = [k for k, one in enumerate(found) if norm(one.place - place) < 1e-6 * one.reach]
-        if not same and gap < reach:
-            at = _share(a, int(i), float(s[i, j])), _share(b, int(j), float(t[i, j]))
-            found.append(CablesMeeting(place, gap, reach, at))
-    return sorted(found, key=lambda one: one.at)
+        at = _share(a, int(i), along[0]), _share(b, int(j), along[1])
+        found.append(CablesMeeting(place, float(norm(second - first)), reach, at))
+    kept: list[CablesMeeting] = []
+    for one in sorted(found, key=lambda one: one.gap):
+        near = max(1e-6 * one.reach, 2 * one.gap)
+        if one.gap < one.reach and all(norm(k.place - one.place) >= near for k in kept):
+            kept.append(one)
+    return sorted(kept, key=lambda one: one.at)
 
 
 def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:

@@ -1,9 +1,8 @@
-"""Dataclasses of numbers, texts, arrays and each other as data for JSON, and back.
+"""Encode dataclasses of numbers, texts, arrays and other dataclasses as JSON data, and decode them.
 
-What is read must have the fields, types and array shapes that the type hints of its class say.
-Numbers survive to the last digit; NaN in an array is None in JSON. Arrays whose hints name `Rows`
-of the mesh go to files of their own, handles become their names, and fields that are marked
-`UNSAVED` are left out: `Storage` does that.
+Decoded data must have the fields, types and array shapes of the class's type hints. Numbers keep
+every digit; NaN in an array becomes None. `Storage` writes arrays hinted as `Rows` of the mesh to
+separate files, replaces handles by their names, and omits fields marked `UNSAVED`.
 """
 
 from __future__ import annotations
@@ -33,34 +32,34 @@ from crms_fenicsx.runtime.arrays import Rows
 from crms_fenicsx.runtime.handle import Handle
 
 Plain = dict[str, Any]
-"""Data for JSON: dictionaries and lists of numbers, texts and None."""
+"""JSON data: dictionaries and lists of numbers, texts and None."""
 
 Kind = TypeVar("Kind")
 
 
 class Storage(Protocol):
-    """Where what is no plain data is kept; paths are the names of the fields that lead to it."""
+    """Stores objects that are not plain data, by the path of fields that leads to them."""
 
     def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
-        """Write a distributed array, and return what tells it. Collective."""
+        """Write a distributed array and return its description. Collective."""
 
     def read(
         self, path: str, rows: Rows, dtype: np.dtype[Any], shape: tuple[int, ...], data: Any
     ) -> np.ndarray[Any, Any]:
-        """Read the rows (n, *shape) of this rank. Collective."""
+        """Read this rank's rows, (n, *shape). Collective."""
 
     def reduce(self, value: Any) -> Any:
-        """Plain data of an object that is no plain dataclass, or the value itself."""
+        """Plain data for a special object, or the value itself."""
 
     def restore(self, kind: type, data: Any, path: str) -> Any:
-        """An object from what `reduce` made of it; `NotImplemented` of other classes."""
+        """Restore an object reduced by `reduce`; `NotImplemented` for other classes."""
 
     def unsaved(self, kind: type) -> Mapping[str, Any]:
-        """The present values of the fields of a class that are not kept."""
+        """Present values of a class's fields that are not saved."""
 
 
 def encode(value: Any, storage: Storage | None = None, path: str = "") -> Any:
-    """Data for JSON from a dataclass: the fields that it is made from, but for unsaved ones."""
+    """JSON data of a dataclass: its constructor fields except unsaved ones."""
     if storage is not None:
         value = storage.reduce(value)
     if isinstance(value, Handle):
@@ -95,7 +94,7 @@ def _below(path: str, name: str | int) -> str:
 
 
 def _rows(hint: Any) -> Rows | None:
-    """What the rows of a field's array belong to; None of any other field."""
+    """Mesh entity of an array field's rows; None for other fields."""
     if get_origin(hint) in (Union, UnionType):
         return next((rows for one in get_args(hint) if (rows := _rows(one)) is not None), None)
     marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
@@ -109,7 +108,7 @@ def _without_nan(value: Any) -> Any:
 
 
 def decode(kind: type[Kind], data: object, storage: Storage | None = None, path: str = "") -> Kind:
-    """A dataclass from what `encode` has made of it."""
+    """Restore a dataclass from the data of `encode`."""
     hints = _hints(kind)  # type: ignore[arg-type]
     if not isinstance(data, dict) or data.keys() != hints.keys():
         found = sorted(data) if isinstance(data, dict) else data
@@ -123,23 +122,23 @@ def decode(kind: type[Kind], data: object, storage: Storage | None = None, path:
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The type hints of the fields that a dataclass is made from and files keep."""
+    """Type hints of a dataclass's saved constructor fields."""
     saved = {f.name: f.type for f in fields(kind) if f.init and "UNSAVED" not in str(f.type)}
     names = vars(sys.modules[kind.__module__])
     return get_type_hints(SimpleNamespace(__annotations__=saved), names, include_extras=True)
 
 
 class _Reader:
-    """Decodes the fields of one dataclass, whose arrays share the names of their sizes."""
+    """Decodes the fields of one dataclass, whose arrays share named sizes."""
 
     def __init__(self, storage: Storage | None) -> None:
         self._storage = storage
         self._sizes: dict[str, int] = {}
 
     def decoded(self, hint: Any, data: Any, path: str) -> Any:
-        """The value of a hint."""
+        """Decode the value of a type hint."""
         origin, args = get_origin(hint), get_args(hint)
-        if hasattr(origin, "__value__"):  # NumPy's NDArray is an alias by name since 2.5
+        if hasattr(origin, "__value__"):  # since 2.5 NumPy's NDArray is a named alias
             return self.decoded(origin.__value__[args], data, path)
         if self._storage is not None and isinstance(hint, type):
             made = self._storage.restore(hint, data, path)
@@ -176,7 +175,7 @@ class _Reader:
         raise ValueError(f"{data!r} where {getattr(hint, '__name__', hint)} is due")
 
     def _one_of(self, hints: Iterable[Any], data: Any, path: str) -> Any:
-        """The data as the first type that they fit."""
+        """Decode data as the first matching type."""
         error: Exception | None = None
         for hint in hints:
             if (hint is NoneType) == (data is None):
@@ -195,7 +194,7 @@ def _array(data: Any, dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
 
 
 def _shaped(value: Any, shape: tuple[int | str, ...], sizes: dict[str, int]) -> Any:
-    """An array or a tuple, if it has a shape; names in this stand for the sizes found before."""
+    """The array or tuple if its shape matches; names stand for sizes found before."""
     if isinstance(value, np.ndarray) and value.shape == (0,) and len(shape) > 1:
         value = value.reshape(0, *shape[1:])
     found = value.shape if isinstance(value, np.ndarray) else (len(value),)

@@ -1,4 +1,4 @@
-"""Contents of a checkpoint besides the fields, and the fingerprint of its scene."""
+"""Contents of a checkpoint except its arrays, and the fingerprint of its scene."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from crms_fenicsx.steps.load_step import Step
 
 @dataclass(frozen=True)
 class Run:
-    """What a solver knows of its load steps, besides the scene."""
+    """A solver's record of its load steps."""
 
-    steps: list[Step]  # the accepted steps
+    steps: list[Step]  # accepted load steps
     rows: list[Mapping[str, int | float | str]]  # rows of the history
-    tried: TriedPaths | None  # paths that cables have not taken; None before any were tried
+    tried: TriedPaths | None  # paths tried and rejected; None before the first
 
 
 @dataclass(frozen=True)
 class Contents:
-    """All that a checkpoint holds but for the arrays on the mesh."""
+    """Contents of a checkpoint except the arrays on the mesh."""
 
-    scene: Plain  # what tells the scene from others, see `fingerprint`
-    positions: Plain  # of the file with the stress-free vertices
+    scene: Plain  # identifies the scene, see `fingerprint`
+    positions: Plain  # description of the file of stress-free vertices
     state: Plain  # a `SceneState`
-    state_version: int  # as in the scene's versions
-    in_equilibrium: bool  # whether nothing had changed since the last load step
+    state_version: int  # of the scene's versions
+    in_equilibrium: bool  # whether the scene was unchanged since the last load step
     run: Run
-    # the call of `Solver.advance` that the checkpoint belongs to; None if to none
+    # call of `Solver.advance` that the checkpoint belongs to, if any
     call: Plain | None
 
 
 def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
-    """Refuse a state that does not fit together, or the parts and vertices of a mesh."""
+    """Refuse an inconsistent state, or one that does not fit the mesh's parts and vertices."""
     net, loads, joints = state.net, state.loads, {joint.name for joint in state.frame.joints}
     if net.laid < len(net.cables):
         raise ValueError(f"{net.laid} cables were laid, but {len(net.cables)} are there")
@@ -96,7 +96,7 @@ def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
-    """What a script must build alike, as numbers and texts by name. Collective."""
+    """What a script must rebuild identically, as numbers and texts by name. Collective."""
     refuse_history(scene)
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)
@@ -123,7 +123,7 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
 
 
 def refuse_history(scene: Scene) -> None:
-    """Refuse to make checkpoints of a scene with terms whose history they would not keep."""
+    """Refuse to checkpoint a scene whose terms have a history that would be lost."""
     for term in scene.terms:
         if term.has_history:
             raise InputError(
@@ -133,7 +133,7 @@ def refuse_history(scene: Scene) -> None:
 
 
 def check_same(saved: dict[str, Any], scene: Scene) -> None:
-    """Compare a scene with a fingerprint. Collective."""
+    """Refuse a scene that does not match a saved fingerprint. Collective."""
     for name, value in fingerprint(scene).items():
         was = saved.get(name)
         if not _same(was, value):
@@ -153,7 +153,7 @@ def _same(a: object, b: object) -> bool:
 
 
 def described(material: MembraneMaterial) -> list[Any]:
-    """A material in numbers and texts."""
+    """A material as numbers and texts."""
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
     values = [float(value) for value in material.parameters]
@@ -163,5 +163,5 @@ def described(material: MembraneMaterial) -> list[Any]:
 
 
 def mixed(scene: Scene, rows: Integers) -> str:
-    """A number of all ranks' rows of integers, whatever their order. Collective."""
+    """Hash of all ranks' integer rows, independent of their order. Collective."""
     return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)

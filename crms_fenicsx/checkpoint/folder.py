@@ -1,7 +1,7 @@
-"""Folders that are complete at any moment, whenever the run is killed.
+"""Replace folders so that a complete one exists whenever the run is killed.
 
-A new one is written beside the old one, which then moves away, the new one into its place, and the
-old one goes. Where a run is killed between the two moves, the old one is still there, aside.
+The new folder is written beside the old one; then the old one is moved aside, the new one takes its
+place, and the old one is deleted. A run killed between the two moves leaves the old one aside.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ def _aside(folder: Path) -> Path:
 
 
 def complete(folder: Path) -> Path:
-    """The folder, or the one that was there before if a run was killed while replacing it."""
+    """The folder, or the one set aside if a run was killed while replacing it."""
     return _aside(folder) if _aside(folder).exists() and not folder.exists() else folder
 
 
 @contextmanager
 def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Path]:
-    """Yield a folder to fill, which then takes the place of `folder`, `mark` last. Collective."""
+    """Yield a folder to fill, then put it in the place of `folder`, `mark` last. Collective."""
     partial, aside = partial_of(folder), _aside(folder)
     with raised_together(comm), explained(folder):
         if comm.rank == 0:
@@ -61,7 +61,7 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
                         os.replace(aside, folder)
                     raise
                 flush(folder.parent)
-                shutil.rmtree(aside, ignore_errors=True)  # else the next one does
+                shutil.rmtree(aside, ignore_errors=True)  # else the next call does
     except BaseException:
         if comm.rank == 0:
             shutil.rmtree(partial, ignore_errors=True)

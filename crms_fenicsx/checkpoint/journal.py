@@ -1,9 +1,9 @@
-"""Checkpoints of a run's calls of `Solver.advance`, and the fingerprints of these calls.
+"""Checkpoints of all calls of `Solver.advance` in a run, and fingerprints of these calls.
 
-Each call has a folder of its own, numbered from 1: a checkpoint of its last load step, and what it
-was called with. Started again, the script makes the same calls. What a call has come to before is
-taken from its folder instead of being computed, so that all that the script does in between finds
-the scene as it was; the call that was interrupted goes on from its last load step.
+Each call has a folder, numbered from 1, with the checkpoint of its last load step and the call's
+arguments. A script that is started again makes the same calls. Completed calls are restored from
+their folders instead of being computed, so that code between them finds the scene as it was; the
+interrupted call continues from its last load step.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partia
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 1e-7
-"""Difference of numbers, relative to the largest beside them, that other numbers of processes and
-their rounding make."""
+"""Difference of numbers, relative to the largest beside them, that is attributed to rounding on
+another number of processes."""
 
 
 def _name(key: object) -> str:
@@ -46,7 +46,7 @@ def _name(key: object) -> str:
 
 
 def scene_record(scene: Scene) -> Plain:
-    """A scene as numbers and texts, the same on any number of ranks up to rounding. Collective."""
+    """A scene as numbers and texts, independent of the number of ranks to rounding. Collective."""
     mesh = scene.mesh.mesh
     own = scene.V.dofmap.index_map.size_local
     ids = scene.membrane.vertex_ids
@@ -103,7 +103,7 @@ def scene_record(scene: Scene) -> Plain:
 
 
 def _sums(scene: Scene, ids: Integers, values: Array) -> list[float]:
-    """Sums of the components over all ranks, weighted by the vertices' ids."""
+    """Sums of the components over all ranks, weighted by vertex ids."""
     weights = 0.5 + (0.6180339887498949 * ids) % 1.0
     total: Array = scene.comm.allreduce(weights @ values)
     return [float(x) for x in total]
@@ -130,7 +130,7 @@ def _described(cable: LaidCable) -> Plain:
 
 
 def difference(was: object, now: object) -> str | None:
-    """Where plain data differ by more than rounding, in words; None if they do not."""
+    """First difference of plain data beyond rounding, in words; None if there is none."""
     if isinstance(was, dict) and isinstance(now, dict):
         for name in {**was, **now}:
             found = difference(was.get(name), now.get(name))
@@ -161,7 +161,7 @@ def _close(was: object, now: object) -> bool:
 
 
 def _numeric(value: object) -> bool:
-    """Whether it is a number that may be rounded, or a list of such."""
+    """Whether the value is a rounded number, or a list of such."""
     values: list[Any] = value if isinstance(value, list) and value else [value]
     return all(isinstance(one, float) for one in values)
 
@@ -174,22 +174,22 @@ def _short(value: object) -> str:
 logger = logging.getLogger("crms_fenicsx")
 
 FOLDER = "checkpoints"
-"""Name of the folder with those of the calls, in the one of the results."""
+"""Name of the checkpoint folder inside the results folder."""
 _OURS = re.compile(rf"({re.escape(PARTIAL)}|{re.escape(ASIDE)})?(\d{{4,9}})")
 
 
 @dataclass(frozen=True)
 class CallProgress:
-    """How far a call has come."""
+    """Progress of a call."""
 
-    # number of its increments that are done; with a part if increments were halved
+    # increments done; fractional if increments were halved
     done: float = 0.0
-    increment: float = 1.0  # the next one, 1 if it is whole
-    failure: str | None = None  # why it has given up; None if it has not
+    increment: float = 1.0  # next increment, 1 if whole
+    failure: str | None = None  # why the call failed; None if it has not
 
 
 class Journal:
-    """Keeps what the calls of `Solver.advance` have come to."""
+    """Records the progress of all calls of `Solver.advance`."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm, options: Plain, resume: bool) -> None:
         self.folder, self.comm, self.options = folder.resolve(), comm, options
@@ -197,11 +197,11 @@ class Journal:
         self._call: Plain = {}
         self._number = 0
         self._outdated = 1
-        """Number of the first call whose folder is not of this run; 0 if there are none."""
+        """Number of the first call whose folder is from another run; 0 if there are none."""
         checks.from_first(comm, lambda: make_writable(self.folder))
 
     def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[CallProgress, Run | None]:
-        """Begin a call, and restore its saved progress and run, None without any. Collective."""
+        """Begin a call; restore its saved progress and run (None if unsaved). Collective."""
         refuse_history(scene)
         steps, move, L0 = given["steps"], given["move"], given["L0"]
         loads = {name: encode(one) for name, one in given.items() if name not in ("move", "L0")}
@@ -240,8 +240,8 @@ class Journal:
         return progress, run
 
     def make_way(self) -> None:
-        """Remove the folders of calls to be computed anew, the last one first. Collective."""
-        # Each at once, the last one first: a run killed meanwhile leaves folders it can go on from.
+        """Remove the folders of calls that are computed anew. Collective."""
+        # One by one from the last: a run killed meanwhile leaves folders it can resume from.
         first, self._outdated = self._outdated, 0
         if first == 0:
             return
@@ -258,7 +258,7 @@ class Journal:
     def keep(
         self, scene: Scene, run: Run, done: float, increment: float, failure: str | None
     ) -> None:
-        """Write the checkpoint of a load step of the call; see `CallProgress`. Collective."""
+        """Checkpoint a load step of the call; see `CallProgress`. Collective."""
         self.make_way()
         progress = CallProgress(done, increment, failure)
         save(self._place, scene, run, self._call | {"progress": encode(progress)})
@@ -268,14 +268,14 @@ class Journal:
         return self.folder / f"{self._number:04d}"
 
     def _saved(self) -> Saved | None:
-        """What the call has come to before; None if it has not begun."""
+        """Checkpoint of this call; None if it has not begun."""
         place = complete(self._place)
         there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
         return read(place, self.comm) if there else None
 
 
 def _remove(path: Path, folder: Path) -> None:
-    """Remove a folder, its name first, so that none is ever there in parts."""
+    """Remove a folder, renaming it first so that none is ever left incomplete."""
     partial = partial_of(folder)
     if path != partial:
         if partial.exists():

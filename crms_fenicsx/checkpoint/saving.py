@@ -1,4 +1,4 @@
-"""Saving a scene with its run to a folder, and taking it from there."""
+"""Save a scene and its run to a folder, and restore them."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from crms_fenicsx.scene.state import SceneState
 
 STATE = "state.json"
 POSITIONS = "positions"
-"""Name of the file with the stress-free vertices."""
+"""File name of the stress-free vertices."""
 FORMAT = "crms_fenicsx checkpoint 10"
-"""What a checkpoint says it is; the number grows when its content changes."""
+"""Format mark of a checkpoint; its number grows with each change of the content."""
 
 
 def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
@@ -62,25 +62,25 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
 
 
 class SceneStorage:
-    """Reads and writes a scene's arrays in files, by the mesh's own numbers, and its handles."""
+    """Stores a scene's arrays in files, in the mesh's original numbering, and handles by name."""
 
     def __init__(self, folder: Path, scene: Scene) -> None:
         self.folder, self.scene, self.comm = folder, scene, scene.comm
         vertices = scene.V.dofmap.index_map
         self._own, self._vertices = vertices.size_local, vertices.size_global
         self._ids = scene.membrane.vertex_ids
-        self._held_edges: Booleans | None = None  # those that have been read
+        self._held_edges: Booleans | None = None  # as read
         held: list[Handle[Any]] = [*scene.cables, *scene.joints, *scene.bars]
         self._handles: dict[tuple[type, str], Any] = {(type(one), one.name): one for one in held}
 
     def reduce(self, value: Any) -> Any:
-        """A strip by the vertices all whose cells it has, a material by its numbers."""
+        """A strip as its complete vertices, those with all their cells; a material as numbers."""
         if isinstance(value, Strip):
             return sorted(value.complete)
         return numbers(value) if isinstance(value, MembraneMaterial) else value
 
     def restore(self, kind: type, data: Any, path: str) -> Any:
-        """A handle of the scene, or a new one, by its name; a strip; a material."""
+        """Restore a handle by name (making new ones), a strip or a material."""
         if issubclass(kind, Handle):
             if not isinstance(data, str):
                 raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
@@ -92,14 +92,14 @@ class SceneStorage:
         return NotImplemented
 
     def unsaved(self, kind: type) -> dict[str, Any]:
-        """The terms and numbers of the present scene."""
+        """Terms and versions of the present scene."""
         if kind is not SceneState:
             return {}
         scene = self.scene
         return {"terms": scene.terms, "version": scene.versions.current, "scene": scene}
 
     def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
-        """Write a distributed array; returns its digest and number of rows. Collective."""
+        """Write a distributed array; return its digest and number of rows. Collective."""
         file = self.folder / f"{path}.npy"
         if rows is Rows.EDGES:
             own = self.scene.mesh.mesh.topology.index_map(1).size_local
@@ -117,7 +117,7 @@ class SceneStorage:
     def read(
         self, path: str, rows: Rows, dtype: np.dtype[Any], shape: tuple[int, ...], data: Any
     ) -> np.ndarray[Any, Any]:
-        """Read this rank's rows, (n, *shape); of shares the owner gets all. Collective."""
+        """Read this rank's rows, (n, *shape); shared values go to their owner. Collective."""
         if not isinstance(data, dict) or data.keys() != {"digest", "rows"}:
             raise ValueError(f"{data!r} where a file {path}.npy is due")
         file, due = self.folder / f"{path}.npy", str(data["digest"])
@@ -136,7 +136,7 @@ class SceneStorage:
         return values.reshape(-1, *shape)
 
     def check_mesh(self, data: Any) -> None:
-        """Refuse another mesh than the one whose vertices have been written. Collective."""
+        """Refuse a mesh with other vertices than the saved ones. Collective."""
         X = self.read(POSITIONS, Rows.VERTICES, np.dtype(float), (3,), data)
         here, size = self.scene.membrane.stress_free, self.scene.membrane.size
         with raised_together(self.comm):
@@ -150,20 +150,20 @@ class SceneStorage:
 
 
 def cell_ids(scene: Scene) -> tuple[Integers, int]:
-    """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
+    """Numbers of this rank's cells in the mesh as given, and their global count."""
     topology = scene.mesh.mesh.topology
     ids = np.asarray(topology.original_cell_index, dtype=np.int64)
     return ids, topology.index_map(2).size_global
 
 
 def edge_vertices(scene: Scene) -> Integers:
-    """Ids of the ends of this rank's edges, (m, 2)."""
+    """End ids of this rank's edges, (m, 2)."""
     mesh = scene.mesh.mesh
     return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
 
 
 def signed(data: Plain) -> str:
-    """The text of a file of plain data with its digest."""
+    """JSON text of plain data with its digest."""
     content = json.dumps(data, allow_nan=False)
     return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
 
@@ -174,28 +174,28 @@ def _digest(content: str) -> str:
 
 @dataclass(frozen=True)
 class Saved:
-    """What has been read of a checkpoint, the same on all ranks."""
+    """Contents of a checkpoint, the same on all ranks."""
 
-    file: Path  # the file
-    contents: Contents  # all that it holds
+    file: Path  # path of state.json
+    contents: Contents  # decoded contents
 
 
 def read(folder: Path, comm: MPI.Intracomm) -> Saved:
-    """Read a checkpoint, but for its fields. Collective."""
+    """Read a checkpoint without its arrays. Collective."""
     data = checks.from_first(comm, lambda: _read(folder / STATE))
     with reading(folder / STATE):
         return Saved(folder / STATE, decode(Contents, data))
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
-    """Restore a scene from a folder, and return the run; see `Solver.load`. Collective."""
+    """Restore a scene from a folder and return its run; see `Solver.load`. Collective."""
     checks.same(scene.comm, "load", folder=folder)
     place = checks.file("load: folder", folder).resolve()
     return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
-    """Restore a scene from a checkpoint, and return the run. Collective."""
+    """Restore a scene from a checkpoint and return its run. Collective."""
     contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
@@ -234,7 +234,7 @@ def _read(file: Path) -> Plain:
 
 
 def _finite(text: str) -> float:
-    """A number of a JSON text, which may name some that JSON does not have."""
+    """A finite number of a JSON text, where Python also accepts NaN and infinity."""
     number = float(text)
     if not math.isfinite(number):
         raise ValueError(f"it has the number {text[:20]}")
@@ -246,12 +246,12 @@ def reading(file: Path) -> Iterator[None]:
     """Name the file in errors of decoding."""
     try:
         yield
-    except InputError:  # it names the file
+    except InputError:  # already names the file
         raise
     except (
         ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
     ) as error:  # fmt: skip
-        why = repr(error)  # of a text that cannot be decoded it has all of it
+        why = repr(error)  # a decoding error quotes the whole text
         why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
         raise InputError(
             f"{file} is damaged or of another version ({why}); take another checkpoint"

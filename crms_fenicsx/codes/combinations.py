@@ -38,7 +38,7 @@ class CombinationRules:
     kinds
         Kinds of variable loads; for EN 1990 with their factors psi.
     states
-        Design situations, such as "ULS" or "strength"; the first one is the default.
+        Limit states, such as "ULS" or "strength"; the first one is the default.
     """
 
     name: str
@@ -83,11 +83,11 @@ def combinations(
     state: str | None = None,
     also: Mapping[str, object] | None = None,
 ) -> dict[str, dict[str, object]]:
-    """Table of load combinations of a standard, for `Solver.combine`.
+    """Return a standard's table of load combinations, for `Solver.combine`.
 
-    All permanent loads have one common factor, once unfavourable and once favourable. Of each kind
-    of variable loads one acts at a time, as wind has one direction; in every set of kinds each one
-    leads in turn. Each combination lists all loads, those not acting with the factor 0.
+    All permanent loads share one factor, the unfavourable or the favourable one. One variable load
+    of each kind acts at a time, as wind comes from one direction; each kind leads in turn. Every
+    combination names all loads, with the factor 0 if they do not act.
 
     Parameters
     ----------
@@ -95,10 +95,10 @@ def combinations(
         `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the latest edition.
     permanent
         Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
-        to the base state of the combinations.
+        to the initial state of the combinations.
     variable
         Names of variable loads that begin with their kind ("snow", "snow drifted", "wind x"), or a
-        mapping of names to kinds; see ``rules.kinds``.
+        mapping of names to kinds, out of ``rules.kinds``.
     state
         One of ``rules.states``; by default the first, the ultimate limit state.
     also
@@ -107,13 +107,13 @@ def combinations(
     Returns
     -------
     dict
-        Load factors by combination name, which spells them out:
-        "ULS: 1.35 weight + 1.5 snow + 0.9 wind x".
+        Factors of the loads, by names of combinations such as "ULS: 1.35 weight + 1.5 snow +
+        0.9 wind x".
 
     Raises
     ------
     InputError
-        Invalid rules, an unknown state or kind, no loads, or a duplicate name.
+        No rules, an unknown state or kind, no loads at all, or a repeated name.
 
     Examples
     --------

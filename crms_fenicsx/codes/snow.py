@@ -47,12 +47,13 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     pitch
         Pitches, 0 to 90 degrees.
     retained
-        Whether snow guards or parapets prevent sliding; mu is then at least 0.8, 5.3.2(2).
+        Whether snow guards or parapets keep the snow from sliding off: mu is then at least 0.8,
+        5.3.2(2).
 
     Returns
     -------
     numpy.ndarray
-        0.8 up to 30 degrees, then linear to 0 at 60 degrees; same shape as `pitch`.
+        mu_1 in the shape of `pitch`: 0.8 up to 30 degrees, then linear to 0 at 60 degrees.
 
     Raises
     ------
@@ -90,7 +91,7 @@ class PitchedSnow:
     Parameters
     ----------
     pitch
-        Pitch of the whole roof (degrees); None takes the local slope.
+        Pitch of the whole roof (degrees); by default the local slope counts.
     retained
         As for `snow_on_pitch`.
 
@@ -129,7 +130,7 @@ class DuopitchSnow:
     Raises
     ------
     InputError
-        An unknown case, a zero direction, or a pitch out of range.
+        An unknown case, a direction without length, or a pitch out of range.
     """
 
     ridge: Sequence[float]
@@ -160,8 +161,7 @@ class CylindricalSnow:
     crown
         A point (x, y) below the crown (length).
     across
-        Direction (x, y) in plan across the roof; the drift is heavier on the side to which it
-        points.
+        Direction (x, y) in plan across the roof, towards the side with the heavier drift.
     span, rise
         Width b and height h of the roof's arc (length).
     case
@@ -170,14 +170,14 @@ class CylindricalSnow:
     Attributes
     ----------
     width : float
-        Width l_s in plan (length) over which the tangent of a circular arc is at most 60 degrees
-        steep. Beyond it there is no snow.
+        Width l_s with snow, in plan (length), where the tangent of a circular arc has up to
+        60 degrees.
 
     Raises
     ------
     InputError
-        An unknown case, a zero direction, a span or rise that is not positive, or a rise above half
-        the span, which the figure does not cover.
+        An unknown case, a direction without length, a span or rise that is not positive, or a rise
+        of more than half the span, beyond the figure.
     """
 
     crown: Sequence[float]
@@ -220,20 +220,20 @@ class DriftedSnow:
     Parameters
     ----------
     wall
-        A point (x, y) on the taller works' wall (length).
+        Point (x, y) of the wall of the taller works (length).
     away
         Direction (x, y) in plan from the wall across the roof.
     height
-        Height h from the roof to the top of the taller works (m).
+        Height h of the taller works above the roof (m).
     upper, lower
         Widths b_1 of the taller works and b_2 of this roof (m).
     s_k
         Characteristic snow load on the ground (kN/m^2).
     upper_pitch, upper_slope
         Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof.
-        Above 15 degrees half of the largest snow load on it slides down.
+        Above 15 degrees half of its largest snow load slides down.
     weight
-        Weight density gamma of snow (kN/m^3).
+        Weight of snow by volume, gamma (kN/m^3).
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class DriftedSnow:
 
     Notes
     -----
-    The recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m require input in m and kN/m^2.
+    Use m and kN/m^2, the units of the recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m.
     """
 
     wall: Sequence[float]

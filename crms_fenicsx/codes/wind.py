@@ -109,14 +109,14 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     Returns
     -------
     tuple
-        Coefficients in zones A, B and C. They approximate the figure's lines and were not compared
-        with a copy of it; for a design, read the figure and give ``zones=``.
+        Coefficients in the zones A, B and C. They approximate the figure's lines and were not
+        compared with a copy of it; for a design read them there and give ``zones=``.
 
     Raises
     ------
     InputError
-        A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
-        read it and give ``zones=`` to `vault`.
+        A rise outside the figure, or walls, for which it has two values in part of its range: read
+        them there and give ``zones=`` to `vault`.
 
     Examples
     --------
@@ -141,20 +141,20 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
     rise
         Ratio r of rise to span, up to 0.6.
     raised
-        Whether the roof stands on walls rather than on the ground.
+        Whether the roof stands on walls, not on the ground.
     alternative
-        Whether the windward quarter has the second value 6 r - 2.1, to be considered as well for
+        Whether to take 6 r - 2.1 in the windward quarter, which is to be considered, too, for
         0.2 <= r <= 0.3.
 
     Returns
     -------
     tuple
-        Coefficients in the windward quarter, the central half and the leeward quarter.
+        Coefficients in the windward quarter, central half and leeward quarter.
 
     Raises
     ------
     InputError
-        A rise outside the figure, or an alternative outside its range.
+        A rise outside the figure, or outside the range of the alternative.
 
     Examples
     --------
@@ -181,18 +181,18 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
 
 @dataclass(frozen=True)
 class ArchWind:
-    """Wind on a vaulted roof or a dome, made by `vault` or `dome`.
+    """Wind on a vault or dome, from `vault` or `dome`.
 
     Attributes
     ----------
     roof
         Dimensions of the roof along the wind.
     zones
-        Coefficients A, B and C along a circular arc over the roof.
+        Coefficients A, B and C along the arc of a circle over the roof.
     stepped
-        True for a vault: A, B and C apply to the windward quarter, central half and leeward quarter
-        of the arc. False for a dome: they apply at windward edge, crown and leeward edge, linear
-        between.
+        True for vaults: A on the windward quarter of the arc, B on the central half, C on the
+        leeward quarter. False for domes: A, B and C at the windward edge, the crown and the leeward
+        edge, linear between.
     """
 
     roof: Footprint
@@ -209,17 +209,16 @@ class ArchWind:
 
 @dataclass(frozen=True)
 class CanopyWind:
-    """Net wind on a canopy, made by `canopy`.
+    """Net wind on a canopy, from `canopy`.
 
     Attributes
     ----------
     roof
         Dimensions of the roof along its slope.
     zones
-        Net coefficients by zone: A, B and C, for duopitch canopies also D; or "overall" alone, for
-        the whole structure.
+        Net coefficients of the zones A, B and C, on duopitch canopies also D; or "overall" alone.
     loaded
-        Loaded range of the depth, within 0 to 1.
+        Range of the depth that is loaded, within 0 to 1.
     """
 
     roof: Footprint
@@ -264,24 +263,24 @@ def vault(
     zones: Zones | None = None,
     part: str | None = None,
 ) -> ArchWind:
-    """Wind across a vaulted roof in its current shape, EN 1991-1-4, 7.2.8. Collective.
+    """Make wind across a vault in its current shape, EN 1991-1-4, 7.2.8. Collective.
 
-    A is the windward quarter of the arc, B the central half, C the leeward quarter.
+    Zone A is the windward quarter of the arc, B the central half, C the leeward quarter.
 
     Parameters
     ----------
     scene
-        Scene of the roof.
+        Scene with the membrane.
     direction
-        Direction (x, y) in plan towards which the wind blows, across the vault. The figure has no
-        coefficients for wind along it.
+        Direction (x, y) in plan towards which the wind blows, across the vault; for wind along it
+        the figure has no coefficients.
     height
         Height h of the walls below the vault (length).
     zones
-        Coefficients of A, B and C instead of `en1991_vault_zones`, such as those for walls, of a
-        national annex, or `asce7_arch_zones`.
+        Coefficients of A, B and C in place of `en1991_vault_zones`, such as for walls, from a
+        national annex, or from `asce7_arch_zones`.
     part
-        Part of the mesh that forms the roof; by default the whole mesh.
+        Part of the mesh for the roof; all of it by default.
 
     Returns
     -------
@@ -291,7 +290,8 @@ def vault(
     Raises
     ------
     InputError
-        On all ranks: a zero direction, an unknown part, or a roof or walls outside the figure.
+        On all ranks: a direction without length, an unknown part, or a roof or walls outside the
+        figure.
 
     Examples
     --------
@@ -314,17 +314,17 @@ def dome(
     zones: Zones | None = None,
     part: str | None = None,
 ) -> ArchWind:
-    """Wind on a dome in its current shape, EN 1991-1-4, 7.2.8, figure 7.12. Collective.
+    """Make wind on a dome in its current shape, EN 1991-1-4, 7.2.8, figure 7.12. Collective.
 
-    Coefficients are constant on planes across the wind, and linear along arcs from A via B to C.
+    Coefficients are constant on planes across the wind and linear along arcs from A over B to C.
 
     Parameters
     ----------
     scene, direction, part
         As for `vault`.
     zones
-        Coefficients of A, B and C, read off figure 7.12 for f/d and h/d; by default those of a
-        hemisphere on the ground, the only ones available.
+        Coefficients of A, B and C, read off figure 7.12 for f/d and h/d. The default is those of a
+        hemisphere on the ground, the only ones known here.
 
     Returns
     -------
@@ -334,7 +334,7 @@ def dome(
     Raises
     ------
     InputError
-        On all ranks: as for `vault`, or missing zones for a dome that is no hemisphere.
+        On all ranks: as for `vault`, or no zones for a dome that is no hemisphere.
 
     Examples
     --------
@@ -365,30 +365,30 @@ def canopy(
     take: Literal["overall", "zones", "first", "second"] = "zones",
     part: str | None = None,
 ) -> CanopyWind:
-    """Net wind on a canopy roof, EN 1991-1-4, 7.3, tables 7.6 and 7.7. Collective.
+    """Make net wind on a canopy, EN 1991-1-4, 7.3, tables 7.6 and 7.7. Collective.
 
     Parameters
     ----------
     scene, part
         As for `vault`.
     direction
-        Direction (x, y) in plan along the slope, across the ridge or trough.
+        Direction (x, y) in plan, along the slope and across the ridge or trough.
     kind, pitch
-        "monopitch" of 0 to 30 degrees, or "duopitch" of -20 (trough) to -5 and 5 to 30 degrees.
+        "monopitch" with 0 to 30 degrees, or "duopitch" with -20 (trough) to -5 or 5 to 30 degrees.
     effect
         "down" takes the largest coefficients, "up" the smallest.
     blockage
         Degree of blockage phi below the canopy, 0 to 1, 7.3(2).
     take
-        "zones": the local coefficients c_p,net, for fabric and fixings; "overall": the force
-        coefficient c_f everywhere, for the structure; "first" and "second": c_f on that half of a
-        duopitch canopy alone, 7.3(6).
+        "zones": local coefficients c_p,net, for fabric and fixings; "overall": force coefficient
+        c_f everywhere, for the structure; "first" or "second": c_f on that half of a duopitch
+        canopy only, 7.3(6).
 
     Returns
     -------
     CanopyWind
-        Coefficients for `Scene.put_wind`, positive downward. In corners the zone with the larger
-        load counts. Compare the coefficients with your copy of the tables.
+        For `Scene.put_wind`, positive downward. In corners the zone with the larger load counts.
+        Compare the coefficients with your copy of the tables.
 
     Raises
     ------

@@ -71,7 +71,7 @@ class Chains:
     smoothing: Array
     span: Indices
     # pointers, blocks, place: blocks along the edges of fold points near this rank's cells, and
-    # position of the fold point among them; see `crms_fenicsx.energies.lateral_friction.Slips`
+    # position of the fold point among them; see `crms_fenicsx.energies.segments.EdgePoints`
     pointers: Indices
     blocks: Indices
     place: Indices

@@ -116,8 +116,10 @@ def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyp
     (m,) (length). Returns the number of iterations, -1 if there were too many."""
     m = span.shape[0]
     bad = unstressed(rest, L0, s, d) <= 0.0
-    for k in range(m):  # the gradient of a slack span vanishes
-        bad = bad or d[k] >= span[k]
+    for k in range(m):
+        # The gradient of a slack span vanishes; a span without unstressed length is so stiff that
+        # the others are lost in rounding beside it.
+        bad = bad or d[k] >= span[k] or d[k] < (1.0 - INSIDE) * span[k]
     if bad:
         spread_evenly(span, rest, L0, s)
         unstressed(rest, L0, s, d)

@@ -12,33 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import (
+    EdgePoints,
     add_slip_curvature,
     add_slip_forces,
     edge_fractions,
     slip_stiffness,
 )
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @dataclass(frozen=True)
-class HeldPoints(ElementTable):
+class HeldPoints(EdgePoints):
     """This rank's points that are held on their edges."""
 
-    # pointers, blocks: blocks along the edge of each point in CSR form: its first vertex, the
-    # points on it, its last vertex
-    pointers: Indices
-    blocks: Indices
-    place: Indices  # (n,) position of the point among them
     rest: Array  # (n,) its initial fraction s0 of the edge
     stiffness: Array  # (n,) k a^2 (force x length)
-    addresses = ("blocks",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return self.pointers, self.blocks
 
 
 class HeldLine(EnergyTerm):
@@ -84,16 +74,7 @@ class HeldLine(EnergyTerm):
         self.pattern.add(A)
 
     def elements_on(self, chosen: Booleans) -> HeldPoints | None:
-        t = self.table
-        rows = t.rows_on(chosen)
-        if len(rows) == 0:
-            return None
-        counts = np.diff(t.pointers)[rows]
-        pointers = np.append(0, np.cumsum(counts))
-        own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        return HeldPoints(
-            pointers.astype(np.int32), t.blocks[own], t.place[rows], t.rest[rows], t.stiffness[rows]
-        )
+        return self.table.points_on(chosen)
 
     def of_elements(self, table: HeldPoints, sums: Array) -> HeldLine:
         return HeldLine(table)

@@ -18,6 +18,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
 from crms_fenicsx.runtime.arrays import Array
 
 
@@ -39,8 +40,10 @@ class Integral:
         form: Callable[[Any, Any, ufl.Measure], Any],
         prepare: Callable[[], None] | None = None,
         cell_tags: Any = None,
+        inputs: FormInputs | None = None,
     ) -> None:
         self.V, self.form, self.prepare, self.cell_tags = V, form, prepare, cell_tags
+        self.inputs = inputs
         self.value = 0.0
         self.gradient: Array = np.zeros((0, 3))
         self.passes: dict[tuple[Integral, ...], FusedAssembly] = {}
@@ -48,7 +51,7 @@ class Integral:
 
 
 class FusedAssembly:
-    """Assembles several integrals with one form, compiled here."""
+    """Assembles several integrals with one form."""
 
     def __init__(self, integrals: Sequence[Integral]) -> None:
         self.integrals = integrals
@@ -58,14 +61,19 @@ class FusedAssembly:
         assert np.array_equal(space.dofmap.list, V.dofmap.list)
         dofs = space.dofmap.index_map
         self._entries: Array = np.zeros((dofs.size_local + dofs.num_ghosts, size))
-        test = ufl.TestFunction(space)
         tags = next((i.cell_tags for i in integrals if i.cell_tags is not None), None)
-        dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
-        form: Any = 0
-        for k, integral in enumerate(integrals):
-            v = ufl.as_vector([test[4 * k + i] for i in range(3)])
-            form += integral.form(v, test[4 * k + 3], dx)
-        self._form: fem.Form = fem.form(form)
+
+        def write() -> ufl.Form:
+            test, form = ufl.TestFunction(space), 0
+            dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
+            for k, integral in enumerate(integrals):
+                v = ufl.as_vector([test[4 * k + i] for i in range(3)])
+                form += integral.form(v, test[4 * k + 3], dx)
+            return form
+
+        known = [integral.inputs for integral in integrals if integral.inputs is not None]
+        inputs = FormInputs.joint(known) if len(known) == len(integrals) else None
+        self._form: fem.Form = compiled_form(inputs, [space], write, tags)
 
     @classmethod
     def of(cls, integrals: Sequence[Integral]) -> FusedAssembly:

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import (
+    EdgePoints,
     add_slip_curvature,
     add_slip_forces,
     edge_fractions,
@@ -32,27 +32,17 @@ from crms_fenicsx.energies.smooth_coulomb import (
     tangent_stiffness,
 )
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @dataclass(frozen=True)
-class Slips(ElementTable):
+class Slips(EdgePoints):
     """This rank's nodes with friction."""
 
-    # pointers, blocks: blocks along the edge of each node in CSR form: its first vertex, the points
-    # on it, its last vertex
-    pointers: Indices
-    blocks: Indices
-    place: Indices  # (n,) position of the node among them
     slope: Array  # slope, offset: (n,) slip as a function of the edge fraction (length)
     offset: Array
     bound: Array  # (n,) friction force F of a sliding node (force)
     eps: Array  # (n,) slip at which it is reached (length)
-    addresses = ("blocks",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return self.pointers, self.blocks
 
 
 class LateralFriction(EnergyTerm):
@@ -109,17 +99,7 @@ class LateralFriction(EnergyTerm):
         slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness * t.slope**2, values)
 
     def elements_on(self, chosen: Booleans) -> Slips | None:
-        t = self.table
-        rows = t.rows_on(chosen)
-        if len(rows) == 0:
-            return None
-        counts = np.diff(t.pointers)[rows]
-        pointers = np.append(0, np.cumsum(counts))
-        own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        return Slips(
-            pointers.astype(np.int32), t.blocks[own], t.place[rows], t.slope[rows],
-            t.offset[rows], t.bound[rows], t.eps[rows],
-        )  # fmt: skip
+        return self.table.points_on(chosen)
 
     def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
         return LateralFriction(table)

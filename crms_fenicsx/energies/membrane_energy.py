@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, FormPattern
 from crms_fenicsx.dofs.layout import Unknowns, edge_ends
+from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import (
     Kinematics,
@@ -79,13 +80,44 @@ class MembraneEnergy(EnergyTerm):
         areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
         self._area = float(areas.sum())
         self._rest = float(np.abs(self.rest_strains(cells)).max(initial=0.0))
-        weight, sewn_basis = self._sewn(frames)
-        self._parameters: dict[int, fem.Constant] = {}
-        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
-        for tag, material in materials.items():
-            basis = sewn_basis or tangent_basis(mesh, self.warps[tag])
-            kinematics = Kinematics(u, basis, rest=frames is not None)
-            parameters = self._parameters[tag] = fem.Constant(mesh, material.parameters)
+        self._sewn = None if frames is None else self._sewn_fields(frames)
+        self._parameters = {
+            tag: fem.Constant(mesh, material.parameters) for tag, material in materials.items()
+        }
+        self.renew_materials()
+        stiffness = compiled_form(self._inputs("stiffness"), [V, V], self._stiffness, cell_tags)
+        self._pattern = FormPattern(stiffness, V)
+        self.patterns = (self._pattern,)
+        prepare = None if self.tension_field is None else self.tension_field.update
+        self.integral = Integral(V, self._variation, prepare, cell_tags, self._inputs("energy"))
+        self._cell_values: dict[int, fem.Expression] = {}
+
+    def _inputs(self, form: str) -> FormInputs | None:
+        """What a form takes from the mesh; None with a material of the user's own law."""
+        laws = tuple(
+            (tag, material.law, self.warps[tag] is None) for tag, material in self.materials.items()
+        )
+        if any(law == UFL_LAW for _, law, _ in laws):
+            return None
+        functions = [self.u, self.plain, *(self._sewn or ())]
+        functions += [warp for warp in self.warps.values() if warp is not None]
+        if self.tension_field is not None:
+            functions += [self.tension_field.values, self.tension_field.tangents]
+        stiffening = self.stiffening
+        constants = stiffening.prestress, stiffening.floor, stiffening.compression
+        key = f"{form} of the membrane", laws, self.cell_tags is None, self._sewn is None
+        return FormInputs(key, tuple(functions), (*constants, *self._parameters.values()))
+
+    @cached_property
+    def terms(self) -> dict[int, tuple[LawTerms, Kinematics]]:
+        """Law and kinematics of each material, in UFL."""
+        found = {}
+        for tag, material in self.materials.items():
+            basis = tangent_basis(self.u.function_space.mesh, self.warps[tag])
+            if self._sewn is not None:
+                basis = self._sewn[1:]
+            kinematics = Kinematics(self.u, basis, rest=self.frames is not None)
+            parameters = self._parameters[tag]
             if material.law == ORTHOTROPIC_TENSION_FIELD:
                 assert self.tension_field is not None
                 law = self.tension_field.terms(parameters)
@@ -93,16 +125,13 @@ class MembraneEnergy(EnergyTerm):
                 law = material.law_terms(kinematics.strain(), parameters)
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
-            self.terms[tag] = (law, kinematics)
-        self._part = self.plain if weight is None else self.plain * weight
-        self.renew_materials()
-        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-        dx = one_point(mesh, subdomain_data=cell_tags)
-        self._pattern = FormPattern(fem.form(self._stiffness(v, du, dx)), V)
-        self.patterns = (self._pattern,)
-        prepare = None if self.tension_field is None else self.tension_field.update
-        self.integral = Integral(V, self._variation, prepare, cell_tags)
-        self._cell_values: dict[int, fem.Expression] = {}
+            found[tag] = law, kinematics
+        return found
+
+    @property
+    def _part(self) -> Any:
+        """Area weight of each cell, relative to its area in the mesh."""
+        return self.plain if self._sewn is None else self.plain * self._sewn[0]
 
     def renew_materials(self) -> None:
         """Update the parameters from `materials`; laws and warps are unchanged."""
@@ -131,8 +160,11 @@ class MembraneEnergy(EnergyTerm):
             variation += self._part * (law.energy * q + work) * self._on(tag, dx)
         return variation
 
-    def _stiffness(self, v: Any, du: Any, dx: ufl.Measure) -> Any:
+    def _stiffness(self) -> ufl.Form:
         """The form of the stiffness, positive semidefinite."""
+        V = self.u.function_space
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        dx = one_point(V.mesh, subdomain_data=self.cell_tags)
         stiffness: Any = 0
         for tag, (law, kinematics) in self.terms.items():
             linear = self.materials[tag].law == LINEAR
@@ -170,19 +202,16 @@ class MembraneEnergy(EnergyTerm):
         axes = duals if self.frames is None else self.frames[cells]
         return TensionField(self.u, cells, axes, duals, rest, parameters, row)
 
-    def _sewn(self, frames: Array | None) -> tuple[fem.Function | None, Any]:
-        """Area ratios of the cells' own shapes to those in the mesh, and frames, as UFL."""
-        if frames is None:
-            return None, None
+    def _sewn_fields(self, frames: Array) -> tuple[fem.Function, fem.Function, fem.Function]:
+        """Area ratios of the cells' own shapes to those in the mesh, and both frame vectors."""
         mesh = self.u.function_space.mesh
         weight = fem.Function(self.plain.function_space)
         weight.x.array[:] = own_areas(frames)
-        basis = []
-        for a in (0, 1):
-            axis = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
-            axis.x.array[:] = frames[:, a].ravel()
-            basis.append(axis)
-        return weight, tuple(basis)
+        vectors = fem.functionspace(mesh, ("DG", 0, (3,)))
+        first, second = fem.Function(vectors), fem.Function(vectors)
+        for axis, values in zip((first, second), np.moveaxis(frames, 1, 0), strict=True):
+            axis.x.array[:] = values.ravel()
+        return weight, first, second
 
     def rest_strains(self, cells: Indices) -> Array:
         """Strains (n, 3) of cells in the mesh: 0 if it is their stress-free shape."""

@@ -28,6 +28,7 @@ from dolfinx import fem, la
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, FormPattern
 from crms_fenicsx.dofs.layout import Unknowns, edge_ends
+from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
@@ -58,37 +59,40 @@ class FollowerPressure(EnergyTerm):
         pressure: fem.Constant,
         origin: Array,
     ) -> None:
-        mesh = u.function_space.mesh
         self.u, self.cells, self.pressure = u, cells, pressure
         self._hessian: FormPattern | None = None
-        e1, e2 = tangent_basis(mesh, None)
-        F = Kinematics(u, (e1, e2)).F
-        self.origin = fem.Constant(mesh, origin)
-        X = ufl.SpatialCoordinate(mesh) - self.origin
+        self.origin = fem.Constant(u.function_space.mesh, origin)
+        inputs = FormInputs("pressure", (u, cells), (pressure, self.origin))
+        self.integral = Integral(u.function_space, self._variation, inputs=inputs)
+
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
+        """The form of volume and forces for `Integral`."""
+        e1, e2 = tangent_basis(self.u.function_space.mesh, None)
+        F = Kinematics(self.u, (e1, e2)).F
+        X = ufl.SpatialCoordinate(self.u.function_space.mesh) - self.origin
         # V - V0 per area, term by term, so that small changes are not lost in a large volume.
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
-        change = ufl.dot(u, n) + ufl.dot(X, n - n0)
-        x = X + u
-
-        def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
-            # derivative of u . n + X . n by hand: UFL's has twice as many products
-            dF = [ufl.dot(ufl.grad(v), e) for e in (e1, e2)]
-            work = ufl.dot(v, n) + ufl.dot(dF[0], ufl.cross(F[1], x))
-            work += ufl.dot(dF[1], ufl.cross(x, F[0]))
-            return cells / 3 * (change * q - pressure * work) * dx
-
-        self.integral = Integral(u.function_space, variation)
+        change = ufl.dot(self.u, n) + ufl.dot(X, n - n0)
+        # derivative of u . n + X . n by hand: UFL's has twice as many products
+        x, dF = X + self.u, [ufl.dot(ufl.grad(v), e) for e in (e1, e2)]
+        work = ufl.dot(v, n) + ufl.dot(dF[0], ufl.cross(F[1], x))
+        work += ufl.dot(dF[1], ufl.cross(x, F[0]))
+        return self.cells / 3 * (change * q - self.pressure * work) * dx
 
     def _hessian_form(self) -> fem.Form:
         """The form of the second derivatives, compiled on first use."""
-        V = self.u.function_space
-        e1, e2 = tangent_basis(V.mesh, None)
-        F = Kinematics(self.u, (e1, e2)).F
-        n = ufl.cross(F[0], F[1])
-        volume = self.cells / 3 * ufl.dot(ufl.SpatialCoordinate(V.mesh) - self.origin + self.u, n)
-        energy = -self.pressure * volume * one_point(V.mesh)
-        force = ufl.derivative(energy, self.u, ufl.TestFunction(V))
-        return fem.form(ufl.derivative(force, self.u, ufl.TrialFunction(V)))
+        V, inputs = self.u.function_space, self.integral.inputs
+        assert inputs is not None
+
+        def write() -> ufl.Form:
+            F = Kinematics(self.u, tangent_basis(V.mesh, None)).F
+            x, n = ufl.SpatialCoordinate(V.mesh) - self.origin + self.u, ufl.cross(F[0], F[1])
+            energy = -self.pressure * (self.cells / 3 * ufl.dot(n, x)) * one_point(V.mesh)
+            force = ufl.derivative(energy, self.u, ufl.TestFunction(V))
+            return ufl.derivative(force, self.u, ufl.TrialFunction(V))
+
+        named = FormInputs("pressure's second derivatives", inputs.functions, inputs.constants)
+        return compiled_form(named, [V, V], write)
 
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)

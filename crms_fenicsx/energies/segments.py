@@ -13,9 +13,14 @@ are prescribed and may coincide.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numba
 import numpy as np
+
+from crms_fenicsx.dofs.layout import ElementTable
+from crms_fenicsx.runtime.arrays import Booleans, Indices
 
 
 @numba.njit(cache=True, inline="always")
@@ -91,6 +96,34 @@ def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-u
             for j in range(3):
                 blocks[s, i, j] = -k * r[i] * r[j]
             blocks[s, i, i] += c
+
+
+@dataclass(frozen=True)
+class EdgePoints(ElementTable):
+    """This rank's points on edges, each with the blocks along its edge."""
+
+    # pointers, blocks: blocks of each edge in CSR form: its first vertex, the points on it, its
+    # last vertex
+    pointers: Indices
+    blocks: Indices
+    place: Indices  # (n,) which of them the point is
+    addresses = ("blocks",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks on the edges of the points."""
+        return self.pointers, self.blocks
+
+    def points_on(self, chosen: Booleans) -> Self | None:
+        """Points with chosen blocks on their edges."""
+        rows = self.rows_on(chosen)
+        if len(rows) == 0:
+            return None
+        counts = np.diff(self.pointers)[rows]
+        pointers = np.append(0, np.cumsum(counts))
+        own = np.repeat(self.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
+        of_points = [getattr(self, field.name)[rows] for field in fields(self)[2:]]
+        return type(self)(pointers.astype(np.int32), self.blocks[own], *of_points)
 
 
 @numba.njit(cache=True)

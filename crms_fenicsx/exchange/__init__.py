@@ -1,4 +1,4 @@
-"""Shapes in and out: drawings (DXF), triangles (OBJ, STL, PLY), meshes of compas."""
+"""Import and export of shapes: drawings (DXF), triangles (OBJ, STL, PLY), meshes of compas."""
 
 from crms_fenicsx.exchange.compas_mesh import from_compas, to_vertices_and_faces
 from crms_fenicsx.exchange.drawings import Lines, read_dxf

@@ -1,4 +1,4 @@
-"""Meshes of compas, for Rhino and Grasshopper, by their vertices and faces."""
+"""Exchange vertices and faces with compas, for Rhino and Grasshopper."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ VerticesAndFaces = tuple[Sequence[Sequence[float]], Sequence[Sequence[int]]]
 
 
 def from_compas(comm: MPI.Intracomm, mesh: Any, **options: Any) -> MembraneMesh:
-    """Make a membrane of a compas mesh, or of vertices and faces.
+    """Make a membrane mesh from a compas mesh, or from vertices and faces.
 
     Parameters
     ----------
     comm
         Communicator of the mesh; the call is collective.
     mesh
-        A ``compas.datastructures.Mesh``, or ``(vertices, faces)``: places (x, y, z) (length), and
-        the vertices of each face. A face of more than three is cut into triangles from its first
-        vertex on. Only rank 0's counts.
+        A ``compas.datastructures.Mesh``, or ``(vertices, faces)``: coordinates (x, y, z) (length),
+        and the vertices of each face. Faces with more than three vertices are split into triangles
+        from their first vertex. Only rank 0's argument is used.
     **options
-        ``outside`` and ``ranks``, as for `meshes.from_arrays`.
+        ``outside`` and ``ranks``, as in `meshes.from_arrays`.
 
     Raises
     ------
     MeshError
-        On all ranks: no mesh, a face with fewer than three vertices, or what `meshes.from_arrays`
-        refuses.
+        On all ranks: not a mesh, a face with fewer than three vertices, or input that
+        `meshes.from_arrays` refuses.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def from_compas(comm: MPI.Intracomm, mesh: Any, **options: Any) -> MembraneMesh:
 def to_vertices_and_faces(
     scene: Scene,
 ) -> tuple[list[list[float]], list[list[int]]] | None:
-    """The current shape as vertices and faces, cells that cables fold as several. Collective.
+    """The current shape as vertices and faces; folded cells are split. Collective.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def to_vertices_and_faces(
     Raises
     ------
     InputError
-        On all ranks: it is no scene.
+        On all ranks: not a scene.
 
     Examples
     --------

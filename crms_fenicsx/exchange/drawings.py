@@ -1,4 +1,4 @@
-"""Outlines and points from DXF drawings."""
+"""Read outlines and points from DXF drawings."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0}
-"""Lengths (m) of the units that the format has codes for."""
+"""Lengths (m) of DXF unit codes."""
 
 CHORD = 1e-3
-"""How far curves may be from their chords, relative to the size of the drawing."""
+"""Largest distance of a curve from its chords, relative to the drawing's size."""
 
 
 @dataclass(frozen=True)
 class Lines:
-    """What a layer of a drawing has.
+    """Contents of a drawing's layer.
 
     Attributes
     ----------
     outlines
-        Closed lines, (n, 3) each (length), without the first corner at their end.
+        Closed lines, (n, 3) each (length), without repeating the first corner.
     lines
         Open lines, (n, 3) each (length).
     points
@@ -39,31 +39,31 @@ class Lines:
 
 
 def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]:
-    """Read outlines, lines and points of a DXF drawing, by layers.
+    """Read outlines, lines and points of a DXF drawing, by layer.
 
-    Lines, polylines, circles, arcs, ellipses, splines and points of the model space are read;
-    blocks, texts and hatches are not. It is not collective: with several ranks read on one and hand
-    on, or on all.
+    Lines, polylines, circles, arcs, ellipses, splines and points of the model space are read, but
+    not blocks, texts and hatches. The call is not collective: read on one rank and broadcast, or
+    read on all.
 
     Parameters
     ----------
     path
-        The file. Needs ezdxf.
+        The file. Requires ezdxf.
     unit
-        Length of the drawing's unit; by default in m, by the unit that the file names. Of a file
-        that names none 1.
+        Length of the drawing's unit; by default in m, from the file's unit, or 1 if the file names
+        none.
 
     Returns
     -------
     dict
-        `Lines` by the layers' names.
+        `Lines` by layer name.
 
     Raises
     ------
     InputError
-        No such file, one that is no DXF, or a unit that is not positive.
+        The file does not exist or is no DXF, or the unit is not positive.
     ImportError
-        There is no ezdxf.
+        ezdxf is missing.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]
             continue
         try:
             curves.append((entity.dxf.layer, paths.make_path(entity)))
-        except TypeError:  # what is no curve
+        except TypeError:  # not a curve
             continue
     ends = [tuple(one.start) for _, one in curves] + [tuple(one.end) for _, one in curves]
     size = float(np.linalg.norm(np.ptp(np.array(ends), axis=0))) if ends else 0.0

@@ -1,4 +1,4 @@
-"""The current shape with its cables and bars as files of other programs."""
+"""Write the current shape with its cables and bars for other programs."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.views.view_data import Surface, surface_piece, whole_surface
 
 UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
-"""Units by the codes of DXF."""
+"""DXF codes of units."""
 
 SUFFIXES = (".dxf", ".obj", ".stl", ".ply")
 
 FORBIDDEN = '<>/\\":;?*|=`,'
-"""What DXF does not allow in the names of layers."""
+"""Characters that DXF forbids in layer names."""
 
 
 @collective
 def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
-    """Write the current shape to a file, such as a found form. Collective.
+    """Write the current shape, such as a found form, to a file. Collective.
 
-    A .dxf file has the surface as 3D faces on the layer MEMBRANE, the cables, bars and supported
-    vertices on layers of their own, "CABLE ridge", "BAR mast" and "SUPPORTS"; it needs ezdxf.
+    A .dxf file has the surface as 3D faces on the layer MEMBRANE, and cables, bars and supported
+    vertices on layers of their own ("CABLE ridge", "BAR mast", "SUPPORTS"); it requires ezdxf.
     Files .obj, .stl and .ply have the triangles of the surface, written by meshio.
 
     Parameters
@@ -37,17 +37,17 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
     scene
         The scene.
     filename
-        Of the file. One that is there is replaced when the new one is complete.
+        Name of the file. An existing file is replaced once the new one is complete.
     unit
-        Unit of length of the scene, which .dxf files name: "mm", "cm", "m", "in" or "ft".
+        Unit of length of the scene, recorded in .dxf files: "mm", "cm", "m", "in" or "ft".
 
     Raises
     ------
     InputError
-        On all ranks, with nothing written: no scene, another suffix, a unit that is not known,
-        displacements that are not finite, or a file that cannot be written.
+        On all ranks, with nothing written: not a scene, an unknown suffix or unit, displacements
+        that are not finite, or a file that cannot be written.
     ImportError, MeshError
-        On all ranks: there is no ezdxf, or no meshio.
+        On all ranks: ezdxf or meshio is missing.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
 
 
 def _document(scene: Scene, surface: Surface, held: Any, unit: str) -> Any:
-    """The drawing as a document of ezdxf."""
+    """The drawing as an ezdxf document."""
     try:
         import ezdxf
     except ImportError:

@@ -1,4 +1,4 @@
-"""Form finding: the shape that belongs to section forces, cables, supports and inner pressure."""
+"""Form finding: the shape in equilibrium with given section forces, cables and pressure."""
 
 from crms_fenicsx.form_finding.find_form import find_form
 from crms_fenicsx.form_finding.form_bars import FormBar

@@ -1,7 +1,9 @@
-"""A film of prescribed section forces, with its inner pressure."""
+"""A film of prescribed section forces and its inner pressure."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,18 +13,19 @@ from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
 from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Booleans
 
 SOFTEST, STIFFEST = 0.1, 10.0
-"""Modulus times thickness of the elasticity that holds vertices in the surface, relative to the
-section forces, at first and at most. The form hardly depends on it."""
+"""First and largest membrane stiffness E t of the elasticity that holds vertices within the
+surface, relative to the section forces. The form hardly depends on it."""
 
 
 class Film:
-    """Section forces that keep their size per current length, on a mesh that moves.
+    """A film whose section forces per current length stay constant while the mesh moves.
 
     Forces per length s1 along the warp and s2 across it do the virtual work
 
@@ -30,12 +33,12 @@ class Film:
 
     over the current surface, with the projection w of a direction d in space. The stiffness is its
     exact derivative, or that of the updated reference strategy, int S : grad(v)^T grad(w) da with
-    the stress S held, which is positive definite (K.-U. Bletzinger and E. Ramm, Int. J. Space
+    constant stress S, which is positive definite (K.-U. Bletzinger and E. Ramm, Int. J. Space
     Structures 14, 1999; for soap films U. Pinkall and K. Polthier, Experimental Math. 2, 1993).
 
-    A film does not tell where in the surface its vertices are. On demand an elasticity holds them,
-    by the Green-Lagrange strain from a `reference` shape; `modulus`: its modulus times thickness
-    over the section forces. Places `start` (n, 3) (length) count from `origin`.
+    A film does not determine the place of its vertices within the surface. An optional elasticity
+    holds them, by the Green-Lagrange strain from a `reference` shape; `modulus` is its E t over
+    the section forces. Positions `start` (n, 3) (length) count from `origin`.
     """
 
     def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
@@ -57,11 +60,31 @@ class Film:
             fem.Constant(domain, np.float64(value)) for value in (0.0, 1.0, 0.0, 0.0)
         )
         self.modulus = SOFTEST
-        basis, dx = tangent_basis(domain, None), one_point(domain)
+        self._inputs = FormInputs(
+            ("film", self.isotropic),
+            (self.u, start, self.reference, s1, s2, d),
+            (self._exact, self._stressed, self._holding, self._pressure),
+        )
+        spaces = {"force": [self.V], "growth": [self.V], "volume": [], "area": []}
+        self._forms = {name: self._form(name, of) for name, of in spaces.items()}
+        self._stiffness: Any = self._form("stiffness", [self.V, self.V])
+        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
+        self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+
+    def _form(self, name: str, spaces: list[fem.FunctionSpace]) -> fem.Form:
+        """A form, which is written where it has not been compiled before."""
+        key = self._inputs.key, name
+        return compiled_form(replace(self._inputs, key=key), spaces, lambda: self._written[name])
+
+    @cached_property
+    def _written(self) -> dict[str, Any]:
+        """Forms, and stress and sides of the cells, in UFL."""
+        _, start, _, s1, s2, d = self._inputs.functions
+        basis, dx = tangent_basis(self.V.mesh, None), one_point(self.V.mesh)
         F, Fr = Kinematics(self.u, basis).F, Kinematics(self.reference, basis).F
         C, G = (ufl.as_matrix([[ufl.dot(a, b) for b in A] for a in A]) for A in (F, Fr))
         inverse, J, lifted = ufl.inv(C), ufl.sqrt(ufl.det(C)), ufl.inv(G)
-        # second Piola-Kirchhoff forces of the start mesh
+        # second Piola-Kirchhoff section forces of the start mesh
         S: Any = s2 * J * inverse
         if not self.isotropic:
             along = inverse * ufl.as_vector([ufl.dot(a, d) for a in F])
@@ -74,16 +97,21 @@ class Film:
         force: Any = sum(S[i, j] * ufl.dot(F[i], dv[j]) for i, j in pairs) * dx
         held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
         volume: Any = ufl.dot(start + self.u, ufl.cross(*F)) / 3 * dx
-        growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # the volume's derivative inside the rim
-        self._forms = {"force": force, "volume": volume, "growth": growth, "area": J * dx}
-        self._forms = {name: fem.form(form) for name, form in self._forms.items()}
+        growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # derivative of the volume inside the rim
         exact = ufl.derivative(force - self._pressure * growth, self.u, w)
-        self._stiffness = fem.form((1 - self._exact) * held + self._exact * exact)
-        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
-        self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+        stiffness = (1 - self._exact) * held + self._exact * exact
         stress = ufl.as_vector([S[i, j] / J for i, j in ((0, 0), (0, 1), (1, 1))])
-        values = [stress, ufl.as_vector([A[i] for A in F for i in range(3)])]
-        self._cell_values = [fem.Expression(value, np.array([[1 / 3, 1 / 3]])) for value in values]
+        sides = ufl.as_vector([A[i] for A in F for i in range(3)])
+        return {
+            "force": force, "volume": volume, "growth": growth, "area": J * dx,
+            "stiffness": stiffness, "stress": stress, "sides": sides,
+        }  # fmt: skip
+
+    @cached_property
+    def _cell_values(self) -> list[fem.Expression]:
+        """Stress and sides of the cells."""
+        middle, names = np.array([[1 / 3, 1 / 3]]), ("stress", "sides")
+        return [fem.Expression(self._written[name], middle) for name in names]
 
     def area(self) -> float:
         """Area of the current surface (length squared). Collective."""
@@ -94,12 +122,13 @@ class Film:
         return float(self.comm.allreduce(fem.assemble_scalar(self._forms["volume"])))
 
     def forces(self, holding: bool) -> Array:
-        """Nodal forces of this rank's vertices, those of the film's stress, (n, 3). Collective."""
+        """Nodal forces of the film's stress on this rank's vertices, (n, 3). Collective."""
         self._holding.value = self.modulus if holding else 0.0
         return self._vector("force")
 
     def growth(self) -> Array:
-        """The volume's derivatives by this rank's vertices, (n, 3) (length squared). Collective."""
+        """Derivatives of the volume by this rank's vertices, (n, 3) (length squared).
+        Collective."""
         return self._vector("growth")
 
     def _vector(self, name: str) -> Array:
@@ -109,21 +138,21 @@ class Film:
         return self.gathered(array.reshape(-1, 3))
 
     def gathered(self, local: Array) -> Array:
-        """Sum up vectors at vertices, (n, 3) with ghosts, to those of the owned. Collective."""
+        """Sum vertex vectors, (n, 3) with ghosts, on their owners. Collective."""
         self._sum.array[:] = local.ravel()
         self._sum.scatter_reverse(la.InsertMode.add)
         n = self.V.dofmap.index_map.size_local
         return self._sum.array[: 3 * n].reshape(n, 3).copy()
 
     def positions(self) -> Array:
-        """Current places of the vertices from `origin`, (n, 3), with ghosts (length)."""
+        """Current positions of the vertices from `origin`, (n, 3), with ghosts (length)."""
         return self.start + self.u.x.array.reshape(-1, 3)
 
     def assemble(
         self, matrix: PETSc.Mat, *, exact: bool, modulus: float, pressure: float = 0.0,
         stressed: bool = True,
     ) -> None:  # fmt: skip
-        """Assemble a stiffness, to which cables can be added; pressure (force per area)."""
+        """Assemble a stiffness, ready for cables to be added; pressure (force per area)."""
         self._exact.value, self._stressed.value = float(exact), float(stressed)
         self._pressure.value, self._holding.value = pressure, modulus
         matrix.zeroEntries()
@@ -143,14 +172,14 @@ class Film:
 
 
 MIDDLE = 1e-6
-"""Height that a vertex must have over others for each length that it is farther from the centre."""
+"""Height that outweighs a unit of distance from the centre in the choice of the crown."""
 
 
 class Inflation:
-    """The inner pressure (force per area), given or found for a volume or a rise.
+    """The inner pressure (force per area), given or sought for a volume or a rise.
 
-    `gap`, `gap_slope`, `size`: error of volume or rise, its derivatives by this rank's vertices (n,
-    3), and what it is relative to.
+    `gap`, `gap_slope`, `size`: error of volume or rise, its derivatives by this rank's vertices
+    (n, 3), and its reference value.
     """
 
     def __init__(
@@ -171,13 +200,13 @@ class Inflation:
         self.gap_slope: Array = np.zeros((0, 3))
 
     def measure(self, x: Array) -> None:
-        """Take volume and rise. Collective. Shapes and units: x (n, 3) (length)."""
+        """Measure volume and rise. Collective. Shapes and units: x (n, 3) (length)."""
         self.growth = self.film.growth()
         if self._volume is not None:
             self.gap, self.gap_slope = self.film.volume() - self._volume, self.growth
         elif self._rise is not None:
             x, comm = x[: len(self.growth)], self.film.comm
-            # on a flat mesh all are as high: the one in the middle
+            # on a flat mesh all vertices are equally high: take the central one
             away = np.linalg.norm(x, axis=1)
             heights = np.where(self._free, x[:, 2] - MIDDLE * away, -np.inf)
             own = (float(np.max(heights, initial=-np.inf)), comm.rank)

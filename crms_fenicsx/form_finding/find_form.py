@@ -1,4 +1,4 @@
-"""Find the form of a membrane from its section forces, cables, supports and inner pressure."""
+"""Find the form of a membrane from section forces, cables, supports and inner pressure."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 logger = logging.getLogger("crms_fenicsx")
 
 TOLD, COARSE = 0.05, 0.1
-"""Difference of section forces from those prescribed, relative to the largest of them, that is
-told, and that a mesh may make; where those along warp and weft differ, by as much on top."""
+"""Deviation of section forces from the prescribed ones, relative to the largest: reported above
+the first, refused above the second, plus the relative difference of warp and weft forces."""
 DISTURBED = 0.01
-"""Relative change of area and forces by what holds the vertices that is told."""
+"""Relative change of area and forces by the residual section forces above which it is reported."""
 
 
 @collective
@@ -54,54 +54,54 @@ def find_form(
 ) -> FoundForm:
     """Find the equilibrium of prescribed section forces, cables and inner pressure. Collective.
 
-    The membrane has no stiffness here: its section forces are what is given, whatever its
-    strain. Free edges need a cable.
+    The membrane has no stiffness: its section forces are prescribed and independent of strain. Free
+    edges need a cable.
 
     Parameters
     ----------
     mesh
-        Where to start, such as a flat mesh. It stays as it is.
+        Start mesh, such as a flat one; it is not changed.
     stress
-        Section force (force per length), equal in all directions or (along warp, along weft), of
-        the membrane or of each part by its name.
+        Section force (force per length), equal in all directions or (along warp, along weft), for
+        the membrane or for each part by name.
     fixed
-        Groups of edges or points that are held, or by group the directions in which they are, out
-        of "xyz".
+        Held groups of edges or points, or by group the held directions out of "xyz".
     lifted
-        Movement of held groups from the start mesh to where they belong (length).
+        Displacement of held groups from the start mesh to their final places (length).
     cables
-        Cables along edges of the mesh.
+        Cables along mesh edges.
     warp
-        Direction of the warp in space, or of each part; its projection on the surface counts. By
-        default along x. A scene of the form has it, whether the section forces differ or not.
+        Warp direction in space, or of each part, projected on the surface; by default along x. A
+        scene of the form takes it over, whether or not the section forces differ.
     pressure
-        Inner pressure (force per area) to the membrane's outer side. The rim must be held.
+        Inner pressure (force per area), acting outward. The rim must be held.
     volume
-        Volume (length cubed) that the membrane encloses with the cone from its rim to the rim's
-        centre, which of a plane rim is its plane; the pressure is found.
+        Volume (length cubed) enclosed by the membrane and the cone from its rim to the rim's
+        centre, for a plane rim its plane; the pressure is found.
     rise
-        Height (length) of the highest vertex over the rim's centre; the pressure is found.
+        Height (length) of the highest vertex above the rim's centre; the pressure is found.
     prefix
-        Prefix of the linear solver's options in PETSc's options database.
+        Prefix of the linear solver's PETSc options.
 
     Returns
     -------
     FoundForm
-        The form as a mesh, and what is needed to analyse it.
+        The form as a mesh, with the data to analyse it.
 
     Raises
     ------
     InputError
-        On all ranks: an argument that cannot be used, a free edge without a cable, or pressure
-        within a rim that is not held.
+        On all ranks: invalid arguments, a free edge without a cable, or pressure within a rim that
+        is not held.
     ConvergenceError
-        On all ranks: there is no such form, or none is found.
+        On all ranks: no such form exists, or none was found.
 
     Notes
     -----
-    Some updates of the reference lead from afar to where Newton's method converges.
-    It balances the forces across the surface and across cables; within the surface and along
-    cables it places the vertices. Then an elasticity holds these.
+    Updates of the reference strategy lead from a distant start into the convergence range of
+    Newton's method. Newton's method balances the forces across the surface and across cables, and
+    only places the vertices within the surface and along cables, where an elasticity then
+    holds them.
 
     Examples
     --------
@@ -156,7 +156,7 @@ def find_form(
 
 
 def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
-    """Check arguments by themselves; return whether there is pressure. Collective."""
+    """Check single arguments; return whether there is pressure. Collective."""
     checks.of_type("find_form: mesh", mesh, MembraneMesh)
     checks.same(mesh.comm, "find_form", **inflations, **given)
     named = {name: value for name, value in inflations.items() if value is not None}
@@ -175,7 +175,7 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
 
 
 def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
-    """Largest relative change of the form's figures by what holds its vertices. Collective."""
+    """Largest relative change of the form's figures by the elasticity. Collective."""
     if not search.holding or search.freely is None:
         return 0.0
     (before, free), (numbers, held) = search.freely, search.figures()
@@ -190,7 +190,7 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
 def _check_deviation(
     deviation: float, disturbance: float, stress: PrescribedStress, mesh: MembraneMesh
 ) -> None:
-    """Refuse forms that stand by other section forces than those prescribed."""
+    """Refuse forms whose section forces differ from those prescribed."""
     forces = np.array(list(stress.forces.values()))
     incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
     if deviation > incompatible + COARSE:

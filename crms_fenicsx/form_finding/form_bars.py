@@ -1,4 +1,4 @@
-"""Masts and guys that take the place of a form's supports."""
+"""Masts and guys that replace supports of a form."""
 
 from __future__ import annotations
 
@@ -15,32 +15,31 @@ from crms_fenicsx.runtime.errors import InputError, as_text
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 1e-9
-"""Part of a reaction that bars may leave, and relative size of what is singular in their ways."""
+"""Part of a reaction that bars may leave, and relative size of singular values taken as zero."""
 
 
 @dataclass(frozen=True)
 class FormBar:
-    """A bar that helps to hold a point of a form in place of its support: a mast, a guy, a tie.
+    """A bar (mast, guy or tie) that replaces a form's support at a point, with others there.
 
     Parameters
     ----------
     group
-        The support: a point group of one vertex.
+        The support: a point group with one vertex.
     bar
-        Its data.
+        Properties of the bar.
     foot
-        Place of its other end (3,) (length), which becomes an anchor.
+        Place (3,) of the other end (length), which is anchored.
     name
-        Name in results; "bar 1", "bar 2" ... by default.
+        Name in results, by default "bar 1", "bar 2" ...
     force
-        Its force (force), tension positive; by default the one by which the support's bars balance
-        the reaction.
+        Axial force (force), tension positive; by default such that the support's bars balance the
+        reaction.
 
     Raises
     ------
     InputError
-        Data that is no `Bar`, a foot that is no place, or a force that is not finite or that a guy
-        cannot have.
+        Not a `Bar`, an invalid foot, or a force that is not finite or compresses a guy.
     """
 
     group: str
@@ -58,11 +57,11 @@ class FormBar:
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Name in messages."""
         return repr(self.name) if self.name else f"a bar of {self.group!r}"
 
     def unstressed(self, length: float, force: float) -> float:
-        """Length at which it has no force (length), from that at which it has one.
+        """Unstressed length (length) of a bar from its length under a force.
 
         Raises
         ------
@@ -79,7 +78,7 @@ class FormBar:
 
 
 def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
-    """Add the bars that hold points in place of supports. Collective. Shapes: reactions (3,)."""
+    """Add bars in place of supports at points. Collective. Shapes: reactions (3,)."""
     frame = scene.frame
     for group in dict.fromkeys(bar.group for bar in bars):
         own = [bar for bar in bars if bar.group == group]
@@ -109,7 +108,7 @@ def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBa
 
 
 def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
-    """Forces (n,) of the bars along `ways` (n, 3) that sum up to a reaction (force)."""
+    """Forces (n,) of bars along `ways` (n, 3) that sum to a reaction (force)."""
     group = bars[0].group
     found = np.array([np.nan if bar.force is None else bar.force for bar in bars])
     asked = np.isnan(found)

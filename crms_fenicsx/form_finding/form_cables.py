@@ -1,4 +1,4 @@
-"""Cables along edges of the mesh whose tension is prescribed, or found for a length."""
+"""Cables along mesh edges, with prescribed tension, or with tension sought for a length."""
 
 from __future__ import annotations
 
@@ -22,30 +22,29 @@ LAWS = ("tension", "force_density", "length")
 
 @dataclass(frozen=True)
 class FormCable:
-    """A cable along edges of the mesh, by one of its tension, force density or length.
+    """A cable along mesh edges, given by its tension, force density or length.
 
-    Its tension is the same over its whole length, as that of a cable that slides freely.
+    The tension is constant over the whole length, as in a cable that slides freely.
 
     Parameters
     ----------
-    group
-        Edge group of the mesh: one line of edges from one end to the other, at the rim of the
+    Edge group of the mesh: one continuous line of edges, along the rim or inside the membrane.
         membrane or inside.
     tension
         Tension T (force).
     force_density
-        T / L, with the length L of the whole cable (force per length). What is known as the force
-        density of one of n equal links is n times that.
+        T / L, with the length L of the whole cable (force per length): n times the usual force
+        density of one of n equal links.
     length
         L (length); T is found.
     bonded
-        Whether the cable of the scene is bonded to the fabric, as a belt or a bolt rope; else it
-        slides in a pocket, inside the membrane in a sleeve.
+        Whether the scene's cable is bonded to the fabric, as a belt or bolt rope is; otherwise it
+        slides, in a pocket at the rim or in a sleeve inside the membrane.
 
     Raises
     ------
     InputError
-        None or several of them are given, or one is not positive.
+        None or several of the three are given, or one is not positive.
     """
 
     group: str
@@ -66,40 +65,40 @@ class FormCable:
 
 @dataclass
 class EdgeLine:
-    """The edges of a cable; along the cable each edge keeps its share of the length."""
+    """Edges of a cable; each keeps its share of the cable's length."""
 
-    cable: FormCable  # what is prescribed of it
-    ids: Integers  # (k,) its vertices from end to end, by their numbers in the mesh as it was given
-    # (m, 2) vertices of the edges that this rank owns, by local degree of freedom, along the cable
+    cable: FormCable  # prescribed data
+    ids: Integers  # (k,) vertices from end to end, numbered as in the mesh given
+    # (m, 2) vertices of this rank's owned edges, by local degree of freedom, along the cable
     edges: Indices
-    shares: Array  # (m,) parts of the start mesh's length that these edges have
+    shares: Array  # (m,) shares of these edges in the start mesh's length
     tension: float = 0.0  # current tension (force)
     length: float = 0.0  # current length of the whole cable (length)
     _sides: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def measure(self, x: Array, comm: MPI.Intracomm) -> None:
-        """Take the edges and the length at places x (n, 3). Collective."""
+        """Measure edges and length at positions x (n, 3). Collective."""
         self._sides = x[self.edges[:, 1]] - x[self.edges[:, 0]]
         self.length = comm.allreduce(float(np.linalg.norm(self._sides, axis=1).sum()))
 
     @property
     def equation(self) -> tuple[float, float]:
-        """Error of what is prescribed instead of a tension, and what it is relative to."""
+        """Error of the prescribed length or force density, and its reference value."""
         if self.cable.length is not None:
             return self.length - self.cable.length, self.cable.length
         force = (self.cable.force_density or 0.0) * self.length
         return force - self.tension, force
 
     def slope(self, n: int) -> Array:
-        """This rank's share of the length's gradient at its n vertices, (n, 3)."""
+        """This rank's share of the gradient of the length by its n vertices, (n, 3)."""
         return self._pulled(self._sides / np.linalg.norm(self._sides, axis=1)[:, None], n)
 
     def even_slope(self, n: int) -> Array:
-        """As `slope`, with each edge pulling in proportion to its length over its share, (n, 3)."""
+        """`slope` with each edge's pull scaled by its length over its nominal length, (n, 3)."""
         return self._pulled(self._sides / (self.shares * self.length)[:, None], n)
 
     def tangents(self, n: int) -> Array:
-        """This rank's share of vectors along the cable at its n vertices, (n, 3)."""
+        """This rank's share of tangent vectors of the cable at its n vertices, (n, 3)."""
         along = np.zeros((n, 3))
         for end in self.edges.T:
             np.add.at(along, end, self._sides)
@@ -112,14 +111,14 @@ class EdgeLine:
         return slope
 
     def add_stiffness(self, A: PETSc.Mat) -> None:
-        """Add the derivative of `slope` times the tension."""
+        """Add the derivative of `slope`, times the tension."""
         lengths = np.linalg.norm(self._sides, axis=1)
         t = self._sides / lengths[:, None]
         block = np.eye(3) - t[:, :, None] * t[:, None, :]
         self._add(A, block * (self.tension / lengths)[:, None, None])
 
     def add_even_stiffness(self, A: PETSc.Mat) -> None:
-        """Add that of `even_slope` at constant length, which is positive definite."""
+        """Add the derivative of `even_slope` at constant length, which is positive definite."""
         self._add(A, np.eye(3) * (self.tension / (self.shares * self.length))[:, None, None])
 
     def _add(self, A: PETSc.Mat, blocks: Array) -> None:
@@ -129,7 +128,7 @@ class EdgeLine:
 
 
 def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine]:
-    """Find the edges of cables. Collective."""
+    """Edges of each cable. Collective."""
     mesh, topology = membrane.mesh, membrane.mesh.mesh.topology
     with raised_together(mesh.comm):
         for cable in cables:
@@ -163,7 +162,7 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
 
 
 def chained(pairs: Integers, name: str) -> Integers:
-    """The vertices of a line of edges from end to end, (k + 1,), from their pairs, (k, 2)."""
+    """Vertices of a line of edges from end to end, (k + 1,), from vertex pairs (k, 2)."""
     line, ends = line_of((int(a), int(b)) for a, b in pairs)
     if ends != 2 or len(line) != len(pairs) + 1:
         raise InputError(
@@ -174,7 +173,7 @@ def chained(pairs: Integers, name: str) -> Integers:
 
 
 def places_of(membrane: Membrane, ids: Integers) -> Array:
-    """Current places (length) of vertices by their numbers in the mesh as given. Collective."""
+    """Current positions (length) of vertices numbered as in the mesh given. Collective."""
     n = membrane.V.dofmap.index_map.size_local
     numbers = np.zeros(len(membrane.held), dtype=np.int64)
     numbers[vertex_dofs(membrane.V)] = vertex_ids(membrane.mesh.mesh)

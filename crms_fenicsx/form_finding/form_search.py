@@ -1,4 +1,4 @@
-"""The search for a form: updates of the reference, then Newton's method."""
+"""Search for a form: updated reference strategy, then Newton's method."""
 
 from __future__ import annotations
 
@@ -15,35 +15,34 @@ from crms_fenicsx.runtime.errors import ConvergenceError, as_text
 from crms_fenicsx.runtime.progress import progress
 
 TOLERANCE = 1e-12
-"""Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
+"""Tolerance of unbalanced forces, relative to the forces in the cells, and of other equations."""
 BALANCED, SMALL = 1e-6, 0.1
-"""Unbalanced force across the form from which on vertices are held: relative to the forces in the
-cells, and to the unbalanced force within it."""
+"""Unbalanced force across the form at which vertices are held, relative to the forces in the cells
+and to the unbalanced force within the form."""
 UPDATES, MOST = 2, 200
-"""Updates of the reference before Newton's method is tried, and most iterations of either."""
+"""Reference updates before Newton's method is tried, and the most iterations of either."""
 FALLEN, FALLING = 0.5, 0.9
-"""Largest part of the residual that an iteration of Newton's method leaves, to be any good: alone,
-and where an elasticity damps it."""
+"""Largest residual ratio of a useful Newton iteration, undamped and damped by an elasticity."""
 MUCH = 0.05
-"""Largest section force of the elasticity that holds vertices, relative to those prescribed, from
-which on they are let go once more."""
+"""Section forces of the holding elasticity, relative to those prescribed, above which vertices are
+released once more."""
 WEAKEST, STRONGEST = 1.0, 10.0
-"""Modulus of the elasticity that damps Newton's method, as those that hold vertices."""
+"""Range of the modulus that damps Newton's method, relative to the section forces."""
 THINNEST = 1e-3
-"""Smallest area of a cell over the square of its longest side, relative to the start mesh."""
+"""Smallest ratio of a cell's area to the square of its longest side, relative to the start mesh."""
 JUMP = 5.0
-"""Largest factor by which a tension changes in an iteration."""
+"""Largest factor of change of a tension in an iteration."""
 
 State = tuple[Array, list[float], float]
 """Displacements, tensions and the pressure."""
 
 
 Figures = tuple[Array, Array]
-"""Area, lengths and tensions of cables and pressure of a form, and forces (n, 3) of supports."""
+"""Area, cable lengths and tensions, and pressure of a form; forces (n, 3) of supports."""
 
 
 class FormSearch:
-    """Moves a film and its cables to equilibrium, with the unknown tensions and pressure."""
+    """Moves a film and its cables to equilibrium, and finds the unknown tensions and pressure."""
 
     def __init__(
         self,
@@ -60,17 +59,17 @@ class FormSearch:
         self._found = [line for line in lines if line.cable.tension is None]
         self._force = film.largest * membrane.size
         self._thickness = self._shapes()
-        for line in lines:  # what is not known as for an arc of its length
+        for line in lines:  # estimate unknown tensions as for an arc of the cable's length
             line.measure(film.positions(), self.comm)
             density = line.cable.force_density or film.largest
             line.tension = line.cable.tension or line.length * density
         self.iterations = 0
         self.holding = False
-        """Whether the elasticity that holds vertices is part of the equilibrium found."""
+        """Whether the equilibrium includes the elasticity that holds vertices."""
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
         self.freely: Figures | None = None
-        """Those of the form before the vertices were held."""
+        """Figures of the form before its vertices were held."""
         self._damping = 0.0
         self._held_at = self._state()
         self._share = np.inf
@@ -101,7 +100,7 @@ class FormSearch:
                 if self.holding and found <= TOLERANCE and self._may_move_on():
                     self.holding, self.film.modulus = False, SOFTEST
                     found = self._measure()
-                within = newton and updates == 0 and not self.holding  # all else is found
+                within = newton and updates == 0 and not self.holding  # the rest is found
                 within = within and self._across < max(BALANCED, SMALL * self._within)
                 error = self._hold() if within else found
                 if error < best:
@@ -115,7 +114,7 @@ class FormSearch:
                 )
 
     def _may_move_on(self) -> bool:
-        """Whether vertices that were held can be let go once more. Collective."""
+        """Whether releasing the held vertices once more would improve the form. Collective."""
         film = self.film
         share = film.section_forces(True) - film.section_forces(False)
         own = float(np.abs(share).max(initial=0.0)) / film.largest
@@ -123,21 +122,22 @@ class FormSearch:
         return film.isotropic and MUCH < self._share < FALLING * before
 
     def _hold(self) -> float:
-        """Hold the vertices within the form where they are; return the residual. Collective."""
+        """Hold the vertices within the form at their places; return the residual. Collective."""
         self.freely = self.figures()
         self._held_at, self.holding, self._damping = self._state(), True, 0.0
         self.film.reference.x.array[:] = self.film.u.x.array
         return self._measure()
 
     def _try_harder(self, before: State, wait: int) -> int:
-        """Go back and stiffen what damps or holds; return updates to make where it is stiffest."""
+        """Go back and stiffen the elasticity; once it is stiffest, return a number of updates to
+        make."""
         self._go_back(self._held_at if self.holding else before)
         if self.holding and self.film.modulus < STIFFEST:
             self.film.modulus *= 10.0
             return 0
         if not self.holding and not self.film.isotropic:
             self._measure()
-            self._hold()  # balanced across alone there may be no form
+            self._hold()  # with forces balanced across only, a form may not exist
             return 0
         if not self.holding and self._damping < STRONGEST:
             self._damping = max(10.0 * self._damping, WEAKEST)
@@ -155,8 +155,8 @@ class FormSearch:
             line.tension = tension
 
     def _measure(self) -> float:
-        """Update forces and errors of equations; return the residual to reduce. Collective."""
-        # The residual is that across the form until vertices are held.
+        """Update forces and equation errors; return the residual to reduce. Collective."""
+        # Until vertices are held, only the residual across the form counts.
         film, x = self.film, self.film.positions()
         self._slopes: list[Array] = []
         forces = film.forces(self.holding)
@@ -190,14 +190,14 @@ class FormSearch:
         return float(square**0.5 / (self._force + sum(line.tension for line in self.lines)))
 
     def figures(self) -> Figures:
-        """Those of the current form. Collective."""
+        """Figures of the current form. Collective."""
         lines = self.lines
         numbers = [self.film.area(), *(line.length for line in lines)]
         numbers += [line.tension for line in lines] + [self.inflation.pressure]
         return np.array(numbers), self.support_forces
 
     def _step(self, newton: bool, lift: Array | None) -> None:
-        """Move by the solution of the linear equations. Collective."""
+        """Move by the solution of the linear system. Collective."""
         film, inflation, lines = self.film, self.inflation, self.lines
         n, pulls = len(film.start), self._slopes
         forces, growth = self._forces, inflation.growth
@@ -262,7 +262,7 @@ class FormSearch:
         return np.asarray(areas / np.einsum("nij,nij->ni", sides, sides).max(axis=1, initial=0.0))
 
     def _check_cells(self, newton: bool) -> bool:
-        """Whether no cell has collapsed; an error where not even updates keep them. Collective."""
+        """Whether no cell has collapsed; an error if updates collapse them. Collective."""
         with np.errstate(invalid="ignore", divide="ignore"):
             shares = self._shapes() / self._thickness
         worst = float(np.min(np.nan_to_num(shares, nan=0.0), initial=np.inf))
@@ -278,7 +278,7 @@ class FormSearch:
 
 
 def _projected(directions: Array, forces: Array) -> Array:
-    """Parts of forces (n, 3) in directions, by projectors (n, 3, 3)."""
+    """Components of forces (n, 3) by projectors (n, 3, 3)."""
     return np.asarray(np.einsum("nij,nj->ni", directions, forces))
 
 
@@ -286,4 +286,4 @@ NO_FORM = (
     "there is no such form, or none near the start mesh. Supports may be too far apart for a "
     "surface between them, cables too weak or too long for the film, or the pressure too high."
 )
-"""What a message says of forms that are not found."""
+"""Remedy in messages about forms not found."""

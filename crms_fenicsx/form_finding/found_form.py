@@ -1,4 +1,4 @@
-"""A form that was found, and the scene to analyse it."""
+"""A found form, and the scene to analyse it."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 1e-10
-"""Residual section forces relative to those prescribed that are none."""
+"""Residual section forces, relative to those prescribed, that count as zero."""
 
 
 @dataclass(frozen=True)
 class FormCableFound:
-    """A cable of a form that was found.
+    """A cable of a found form.
 
     Attributes
     ----------
     name
-        That of its edge group.
+        Name of its edge group.
     tension
         Tension (force).
     length
         Length (length).
     path
-        Places of its vertices from end to end (length), (k, 3).
+        Positions of its vertices from end to end (length), (k, 3).
     bonded
         Whether it is bonded to the fabric.
     """
@@ -60,31 +60,32 @@ class FoundForm:
     Attributes
     ----------
     mesh
-        The form, as the stress-free shape of an analysis, with the groups of the start mesh.
+        The form, as the stress-free shape for an analysis, with the start mesh's groups.
     stress
-        Section forces that were prescribed.
+        Prescribed section forces.
     residual_stress
-        What this rank's cells have beside these (force per length), tensors in space (n, 3, 3).
-        Prescribed section forces balance each other along a curved surface only as well as its
-        facets resolve it, and those that differ along warp and weft not at all: these do the rest.
+        Residual section forces of this rank's cells (force per length), tensors in space (n, 3, 3),
+        to be added to those prescribed. Prescribed section forces balance on a curved surface only
+        to the accuracy of its facets, and not at all if they differ along warp and weft; the
+        residual ones restore equilibrium.
     deviation
-        Largest of them relative to the largest prescribed one.
+        Largest residual section force relative to the largest prescribed one.
     disturbance
-        Largest relative change by these of the area, of a cable's length or tension, of the
-        pressure or of the force of a support (of the largest of these forces).
+        Largest relative change that they cause in the area, in a cable's length or tension, in the
+        pressure, or in a support force (relative to the largest of these).
     supports
-        Directions in which groups are held, by their names.
+        Held directions by group.
     reactions
-        Forces (3,) with which these groups are held, by their names (force): what masts and guys
-        at a point are to bear. A vertex of several groups counts in each.
+        Reactions (3,) on these groups by name (force): the load on masts and guys at a point. A
+        vertex in several groups counts in each.
     cables
-        The cables with tensions, lengths and places.
+        Cables with tensions, lengths and positions.
     area, volume
-        Area, and with pressure the volume as `find_form` counts it.
+        Area, and under pressure the volume as defined in `find_form`.
     pressure
-        Inner pressure (force per area), 0 without any.
+        Inner pressure (force per area), 0 if there is none.
     iterations
-        Linear systems that were solved.
+        Number of linear systems solved.
     """
 
     mesh: MembraneMesh
@@ -101,7 +102,7 @@ class FoundForm:
     iterations: int
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         words = [f"area {self.area:.6g}"]
         words += [] if self.volume is None else [f"volume {self.volume:.6g}"]
         if self.cables:
@@ -117,7 +118,7 @@ class FoundForm:
 
     @property
     def tensions(self) -> dict[str, float]:
-        """Tensions (force) of the cables by name."""
+        """Cable tensions (force) by name."""
         return {cable.name: cable.tension for cable in self.cables}
 
     @collective
@@ -129,36 +130,35 @@ class FoundForm:
         belts: Cable | Mapping[str, Cable] | None = None,
         **options: Any,
     ) -> Scene:
-        """Make a scene that is in equilibrium as it is. Collective.
+        """Make a scene that is in equilibrium from the start. Collective.
 
-        Its supports hold, but for those that bars replace with the forces that balance the form.
-        Its cables are laid with the tensions found, those along edges in pockets, others in
-        sleeves, unless they are bonded; its pressure is that of the form. Where there is
-        `residual_stress` it is a term of the energy, and section forces of results are those of the
-        materials with it.
+        Its supports hold, except where bars replace them with the forces that balance the form. Its
+        cables have the tensions found; they lie in pockets at the rim and in sleeves inside, unless
+        they are bonded. The pressure is that of the form. `residual_stress`, if any, becomes an
+        energy term, which the section forces of results include.
 
         Parameters
         ----------
         material
-            Material of the membrane, or of each part. Its prestress is replaced by the section
-            forces of the form, and its warp by the one given to `find_form`, or where these forces
-            differ along warp and weft by the form's; it must not name another. Where nothing of
-            this names a warp, the material's stays.
+            Material of the membrane, or of each part. The form's section forces replace its
+            prestress, and the warp given to `find_form` replaces its warp, as does the form's warp
+            if the forces along warp and weft differ; the material must not name another. If none
+            is named, the material's warp stays.
         cables
-            What the cables are made of, one for all or each by name.
+            Properties of the cables, one for all or by name.
         bars
-            Masts and guys that hold points in place of their supports.
+            Masts and guys that replace supports at points.
         belts
-            Belts sewn on along all cables, or along some by name: "belt front" along "front". They
-            are bonded, and start without force.
+            Belts sewn along all cables, or along some by name: "belt front" along "front". They are
+            bonded and start without force.
         **options
-            For `Scene`.
+            Arguments of `Scene`.
 
         Raises
         ------
         InputError
-            On all ranks: materials that do not fit or name another warp, a cable that is missing
-            or not known, or bars that do not balance the form.
+            On all ranks: materials that do not fit or name another warp, a missing or unknown
+            cable, or bars that do not balance the form.
 
         Examples
         --------
@@ -196,7 +196,7 @@ class FoundForm:
         return scene
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
-        """The supports that bars replace."""
+        """Supports that bars replace."""
         checks.collection("FoundForm.scene: bars", bars, Sequence, "[FormBar(...)]")
         for bar in bars:
             if not isinstance(bar, FormBar):
@@ -214,7 +214,7 @@ class FoundForm:
     def _kinds(
         self, cables: Cable | Mapping[str, Cable] | None, all_of_them: bool = True
     ) -> dict[str, Cable]:
-        """The kind of each cable, or of some."""
+        """Properties of each cable, or of some."""
         names = [cable.name for cable in self.cables]
         kinds = dict.fromkeys(names, cables) if not isinstance(cables, Mapping) else dict(cables)
         for name, kind in kinds.items():

@@ -1,4 +1,4 @@
-"""The linear equations of an iteration of form finding."""
+"""Linear system of a form-finding iteration."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from crms_fenicsx.form_finding.supports import Directions
 from crms_fenicsx.runtime.arrays import Array
 
 WORKSPACE = 100
-"""How much more memory MUMPS takes than it estimates, in per cent."""
+"""Memory for MUMPS beyond its estimate, in per cent."""
 STRAIGHT = 1e-12
-"""Relative size of what is zero in the equations of the cables."""
+"""Relative size of singular values taken as zero in the cables' equations."""
 
 
 class LinearSystem:
-    """Stiffness of a film and its cables, factorised."""
+    """Factorised stiffness of a film and its cables."""
 
     def __init__(
         self, film: Film, lines: Sequence[EdgeLine], directions: Directions, prefix: str
@@ -55,21 +55,21 @@ class LinearSystem:
             own.destroy()
 
     def update(self) -> None:
-        """Take the updated reference strategy, with cables of force densities."""
+        """Assemble the updated reference strategy, with cables as force densities."""
         self.film.assemble(self.film.matrix, exact=False, modulus=0.0)
         for line in self.lines:
             line.add_even_stiffness(self.film.matrix)
         self.film.matrix.assemble()
 
     def balance(self, pressure: float, modulus: float) -> None:
-        """Take the derivatives of all forces, with those of the elasticity."""
+        """Assemble the exact stiffness, elasticity included."""
         self.film.assemble(self.film.matrix, exact=True, modulus=modulus, pressure=pressure)
         for line in self.lines:
             line.add_stiffness(self.film.matrix)
         self.film.matrix.assemble()
 
     def balance_across(self, pressure: float, damping: float) -> None:
-        """Assemble derivatives of forces across the form, and of an elasticity within it."""
+        """Assemble the exact stiffness across the form, and an elasticity within it."""
         film, directions = self.film, self.directions
         self.balance(pressure, damping)
         film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
@@ -86,7 +86,7 @@ class LinearSystem:
             own.destroy()
 
     def _times(self, blocks: Array, matrix: PETSc.Mat) -> PETSc.Mat:
-        """A matrix whose rows of each vertex are multiplied by a block, (n, 3, 3)."""
+        """A matrix whose rows are multiplied by a block per vertex, (n, 3, 3)."""
         left = PETSc.Mat().createAIJ(
             matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
             comm=self.film.comm,
@@ -96,19 +96,19 @@ class LinearSystem:
         return product
 
     def times(self, way: Array) -> Array:
-        """Forces (n, 3) of displacements (n, 3), before `factorise`. Collective."""
+        """Forces (n, 3) due to displacements (n, 3), before `factorise`. Collective."""
         self._way.array[:] = way.ravel()
         self.film.matrix.mult(self._way, self._vector)
         return self._vector.array.reshape(-1, 3).copy()
 
     def factorise(self) -> None:
-        """Hold what is held, and factorise. Collective."""
+        """Apply the supports and factorise. Collective."""
         self.film.matrix.zeroRowsColumns(self._rows, diag=1.0)
         self._pc.setOperators(self.film.matrix)
         self._pc.setUp()
 
     def solved(self, forces: Array) -> Array:
-        """Displacements (n, 3) by forces (n, 3). Collective."""
+        """Displacements (n, 3) due to forces (n, 3). Collective."""
         self._vector.array[:] = np.where(self.free, forces, 0.0).ravel()
         self._pc.apply(self._vector, self._way)
         return self._way.array.reshape(-1, 3).copy()
@@ -117,7 +117,8 @@ class LinearSystem:
         self, forces: Array, start: Array, columns: list[Array], rows: list[Array],
         diagonal: list[float], gaps: Array,
     ) -> tuple[Array, list[Array], Array]:  # fmt: skip
-        """Displacements alone and by each other unknown, and the changes of these. Collective."""
+        """Displacements, alone and per extra unknown, and the changes of those unknowns.
+        Collective."""
         way = start + self.solved(forces)
         ways = [self.solved(column) for column in columns]
         change = np.zeros(len(gaps))
@@ -126,7 +127,7 @@ class LinearSystem:
             local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
             total = self.film.comm.allreduce(local, op=MPI.SUM)
             system = np.diag(diagonal) - total[:, :-1]
-            if np.isfinite(total).all():  # else cells have collapsed, which is seen later
-                # singular where cables are straight
+            if np.isfinite(total).all():  # else cells have collapsed, which is detected later
+                # singular if cables are straight
                 change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
         return way, ways, change

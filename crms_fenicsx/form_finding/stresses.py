@@ -1,4 +1,4 @@
-"""The section forces that a form is to have, and the materials that have them as prestress."""
+"""Prescribed section forces of a form, and materials with these as prestress."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 Stress = float | Sequence[float] | Mapping[str, float | Sequence[float]]
-"""A section force or (along warp, along weft), of the membrane or of each part (force/length)."""
+"""Section force or (along warp, along weft), of the membrane or by part (force per length)."""
 Direction = Sequence[float]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 WHOLE = ""
-"""What stands for the whole membrane where parts have names."""
+"""Name of the whole membrane among the parts."""
 NORMAL = 1e-10
-"""Cosine below one at which directions are the same, or one is normal to a cell."""
+"""1 - cosine up to which directions are equal, or a direction is normal to a cell."""
 ALONG_X = (1.0, 0.0, 0.0)
-"""The warp where none is given, of a form and of a material."""
+"""Default warp of a form and of a material."""
 
 
 @dataclass(frozen=True)
 class PrescribedStress:
-    """Section forces along warp and weft of the membrane or of its parts."""
+    """Section forces along warp and weft, of the membrane or its parts."""
 
-    # section forces (s1, s2) (force per length) by part; by `WHOLE` of the whole membrane
+    # section forces (s1, s2) (force per length) by part; key `WHOLE` for the whole membrane
     forces: dict[str, tuple[float, float]]
-    # warp directions in space by part; None where none is given: along x, if it matters
+    # warp directions in space by part; None if not given: along x, if needed
     warps: dict[str, Direction | None]
-    cell_forces: Array  # cell_forces, directions: both of the local cells, (n, 2) and (n, 3)
+    cell_forces: Array  # cell_forces (n, 2), directions (n, 3): of the local cells
     directions: Array
 
     @classmethod
@@ -46,7 +46,7 @@ class PrescribedStress:
         stress: Stress,
         warp: Direction | Mapping[str, Direction] | None,
     ) -> PrescribedStress:
-        """Check what the user gave. Collective."""
+        """Check the user's arguments. Collective."""
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
         forces = {part: _pair(part, value) for part, value in by_part.items()}
         given: dict[str, Direction | None] = (
@@ -81,7 +81,7 @@ class PrescribedStress:
         return cls(forces, given, cell_forces, directions)
 
     def tensors(self, mesh: MembraneMesh) -> Array:
-        """Section forces of the cells of a mesh as tensors in space, (n, 3, 3)."""
+        """Section forces of a mesh's cells as tensors in space, (n, 3, 3)."""
         s1, s2 = self.cell_forces.T[:, :, None, None]
         n, d = cell_normals(mesh.mesh), self.directions
         w = d - np.sum(d * n, axis=1)[:, None] * n
@@ -91,7 +91,7 @@ class PrescribedStress:
         return np.asarray(s2 * flat + (s1 - s2) * w[:, :, None] * w[:, None, :])
 
     def materials(self, material: Materials) -> Materials:
-        """Materials with these section forces as their prestress."""
+        """Materials with these section forces as prestress."""
         if WHOLE in self.forces:
             if not isinstance(material, Mapping):
                 return self._stressed(material, WHOLE, WHOLE)
@@ -133,7 +133,7 @@ class PrescribedStress:
 
 
 def _named_alike(own: object, form: tuple[float, float, float]) -> bool:
-    """Whether a material's warp is the default or the form's."""
+    """Whether a material's warp is the default or that of the form."""
     if callable(own):
         return False
     a, b = np.asarray(own, dtype=float), np.asarray(form)
@@ -159,7 +159,7 @@ def _pair(part: str, value: object) -> tuple[float, float]:
 
 
 def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
-    """Which of the parts each local cell belongs to, (n,). Collective."""
+    """Index of the part of each local cell, (n,). Collective."""
     n = mesh.mesh.topology.index_map(2).size_local
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)

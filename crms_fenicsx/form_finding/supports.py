@@ -1,4 +1,4 @@
-"""Supports of a form, and the directions in which its vertices can move."""
+"""Supports of a form, and directions in which its vertices move."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 
 LYING = 0.1
-"""Part of a direction that supports leave free, up to which there is none."""
+"""Part of a direction left free by supports up to which the direction counts as held."""
 
 
 class Directions:
-    """Splits the free directions of vertices into those across a form and within it.
+    """Splits the free directions of vertices into those across a form and those within it.
 
-    Across are the normal of the surface and the two directions square to a cable, or all where
-    cables end or meet; a vertex that moves within leaves the form as it is. Of a `guided` vertex,
-    which supports hold in some directions, forces within the surface count as well. `across`,
-    `within`, `counted` (where forces are to balance) and `along` (cables) are projectors, (n, 3,
-    3).
+    Across are the surface normal, at cables the two directions square to the cable, and where
+    cables end or meet all directions; a vertex that moves within leaves the form unchanged. At a
+    `guided` vertex, held in some directions, forces within the surface count as well. `across`,
+    `within`, `counted` (where forces must balance) and `along` (cables) are projectors, (n, 3, 3).
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:
@@ -44,7 +43,7 @@ class Directions:
         self.across, self.within, self.counted, self.along = np.zeros((4, n, 3, 3))
 
     def take(self) -> None:
-        """Take the directions of the current shape. Collective."""
+        """Update the directions to the current shape. Collective."""
         film, free = self._film, self.free[:, :, None] * np.eye(3)
         normal = self._freed(film.growth())
         along = sum((line.tangents(len(film.start)) for line in self._lines), 0.0 * film.start)
@@ -57,7 +56,7 @@ class Directions:
         self.along = np.where(self.on_cable[:, None, None], self.within, 0.0)
 
     def _freed(self, vectors: Array) -> Array:
-        """Free parts of vectors (n, 3) as unit vectors, zero where hardly any part is free."""
+        """Free components of vectors (n, 3) as unit vectors, zero if almost none is free."""
         lengths = np.linalg.norm(vectors, axis=1)
         parts = np.where(self.free, vectors, 0.0)
         sizes = np.linalg.norm(parts, axis=1)
@@ -66,11 +65,11 @@ class Directions:
 
 
 Lift = Sequence[float] | Callable[[Array], Array]
-"""A displacement (3,), or a function of start places (3, n) that returns (3, n) of them."""
+"""A displacement (3,), or a function of start positions (3, n) that returns (3, n)."""
 
 
 def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Hold groups; return the directions by group. Collective."""
+    """Hold groups; return the held directions by group. Collective."""
     if isinstance(fixed, str) or not isinstance(fixed, Sequence | Mapping) or not fixed:
         raise InputError(
             f'find_form: fixed = {fixed!r}; give the groups that are held, as in ["boundary"].'
@@ -90,7 +89,7 @@ def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[s
 
 
 def group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
-    """Sums (3,) of the forces (n, 3) on this rank's owned vertices over each group. Collective."""
+    """Sum (3,) of the forces (n, 3) on this rank's owned vertices, per group. Collective."""
     sums = {}
     for group in groups:
         dofs = membrane.vertices(group)
@@ -99,7 +98,7 @@ def group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict
 
 
 def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
-    """Movement of this rank's owned vertices, (n, 3). Collective."""
+    """Displacements of this rank's owned vertices, (n, 3). Collective."""
     lift = np.full_like(membrane.stress_free, np.nan)
     for group, by in lifted.items():
         dofs = membrane.vertices(group)
@@ -145,7 +144,7 @@ def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
 
 
 def rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
-    """Mean place of the rim of what is closed, or of all vertices without a rim. Collective."""
+    """Mean position of the rim, or centre of a membrane without a rim. Collective."""
     edges = membrane.open_edges
     ends = np.unique(edges.vertices)
     if inflated:

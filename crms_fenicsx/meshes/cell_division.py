@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, gathered, shared_out
 from crms_fenicsx.meshes.smooth_surface import SmoothSurface
-from crms_fenicsx.meshes.surface import EMPTY, CheckedSurface, Projection, check_shapes
+from crms_fenicsx.meshes.surface import EMPTY, CheckedSurface, Projection, check_areas
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -190,7 +190,7 @@ def _divided(
         corners = np.column_stack([ends, ends[:, 0]])
         middles = middles + smooth.raised(corners, np.tile([0.5, 0.5, 0.0], (len(corners), 1)))[0]
     points = np.concatenate([surface.points, middles])
-    check_shapes(points, cells)
+    check_areas(points, cells)
 
     def parts(keys: Integers) -> Integers:
         at = middle[np.searchsorted(table.keys, keys)]

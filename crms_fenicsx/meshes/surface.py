@@ -130,8 +130,8 @@ def _cells(given: ArrayLike, points: Array) -> Integers:
     return cells
 
 
-def check_shapes(points: Array, cells: Integers) -> None:
-    """Refuse degenerate cells, duplicate cells and unused vertices."""
+def check_areas(points: Array, cells: Integers) -> None:
+    """Refuse degenerate cells."""
     corners = points[cells]
     sides = corners[:, [1, 2, 0]] - corners
     area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
@@ -142,6 +142,11 @@ def check_shapes(points: Array, cells: Integers) -> None:
             f"cell {bad[0]} has no area; its vertices are {_places(points, cells[bad[0]])}: "
             "remove it or move a vertex"
         )
+
+
+def check_shapes(points: Array, cells: Integers) -> None:
+    """Refuse degenerate cells, duplicate cells and loose vertices."""
+    check_areas(points, cells)
     triples = np.sort(cells, axis=1)
     order = np.lexsort(triples.T)
     same = np.flatnonzero((np.diff(triples[order], axis=0) == 0).all(axis=1))
@@ -151,7 +156,7 @@ def check_shapes(points: Array, cells: Integers) -> None:
             f"cells {one} and {two} have the same vertices, {_places(points, triples[one])}: "
             "remove one of them"
         )
-    loose = np.setdiff1d(np.arange(len(points)), cells)
+    loose = np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points)) == 0)
     if len(loose):
         raise MeshError(
             f"{_place(points, loose[0])} is the corner of no cell ({len(loose)} such vertices): "

@@ -14,11 +14,12 @@ from crms_fenicsx.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 from crms_fenicsx.nets.whole_surface import SAME_POINT, WholeSurface
-from crms_fenicsx.paths.laying import route_points, shortened, traced
+from crms_fenicsx.paths.laying import shortened, traced
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.trace import route_points
 
 APART = 0.01
 """Least distance of a line's points relative to the cell size; laying may merge closer ones."""
@@ -70,7 +71,7 @@ def assembled(
     return Net(tuple(lines), _crossings(surface, ways), nodes)
 
 
-def checked_route(call: str, route: object) -> Array:
+def route_of_call(call: str, route: object) -> Array:
     """The points of a route, (k, 2) or (k, 3)."""
     try:
         return route_points(route)

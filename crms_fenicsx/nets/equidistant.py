@@ -45,12 +45,12 @@ def equidistant(
     """Lay out a net whose meshes have sides of equal length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
-    two others. The net ends where a mesh would have an angle below `least_angle`; all lines
-    continue straight from their last node to the rim. Where a geodesic meets the rim before the
-    membrane ends, the next line of its family continues straight in its place.
+    two others. The net ends where a mesh would have an angle below `least_angle`; from there, all
+    lines run straight on to the rim. Where a geodesic ends at the rim before the membrane does, the
+    next line of its family starts from one that goes on.
 
-    The lines are curved within the surface, so freely sliding cables do not stay on them: clamp
-    their crossings, or hold them by friction.
+    The lines are no geodesics, so cables that slide freely do not stay on them: clamp their
+    crossings, or let friction hold them.
 
     Parameters
     ----------
@@ -59,10 +59,9 @@ def equidistant(
     width
         Straight distance between neighbouring nodes (length).
     origin
-        First node, in plan (2,) or in space (3,) (length).
+        One of the nodes, in plan, (2,), or in space, (3,) (length).
     directions
-        Directions of the two geodesics at the origin, in plan (2,) or in space (3,), at any angle
-        to each other.
+        Directions of both geodesics at the origin, in plan, (2,), or in space, (3,).
     least_angle
         Smallest angle of a mesh (degrees).
 
@@ -81,7 +80,7 @@ def equidistant(
     Warns
     -----
     NetWarning
-        The net ends where it would fold, at the place given.
+        The net ends where it would fold; the message says where.
 
     Examples
     --------

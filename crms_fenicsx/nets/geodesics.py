@@ -10,7 +10,7 @@ from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.meshes.edge_table import line_of
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.model.net import Net
-from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
+from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
 from crms_fenicsx.paths.laying import traced
 from crms_fenicsx.runtime import checks
@@ -25,18 +25,18 @@ def geodesics_between(
 ) -> Net:
     """Lay out a net of geodesics between pairs of edges. Collective.
 
-    For n lines, both edges of a family are divided into n + 1 equal parts; division points are
-    joined by the shortest path near the straight line in plan.
+    The n lines of a family join points that divide both of its edges into n + 1 equal parts, each
+    by the shortest path near the straight line in plan.
 
     Parameters
     ----------
     scene
         Scene on whose current shape the net is laid out.
     edges
-        For each family the two edge groups between which its lines run, such as
-        ``[("left", "right"), ("front", "back")]``. A group must be one open line.
+        Pairs of edge groups, one for each family, such as ``[("left", "right"), ("front",
+        "back")]``. A group is one line with two ends.
     n
-        Number of lines per family, or one number for all.
+        Number of lines, for each family or for all.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def geodesics_between(
     Raises
     ------
     InputError
-        On all ranks: an unknown, closed or divided group, or an invalid number.
+        On all ranks: unknown groups, groups that are closed or in pieces, or an invalid number.
     PathError
         On all ranks: a line that cannot be laid on the membrane.
 
@@ -82,18 +82,18 @@ def geodesics_across(
 ) -> Net:
     """Lay out a net of geodesics that cross given lines at right angles. Collective.
 
-    The geodesics of a family start at equal spacing, centred on its line, run straight to the rim
-    on both sides, and are then pulled taut. Away from the line the spacing changes with the
-    curvature: on a sphere of radius R as cos(s / R).
+    A family starts at equal distances along its line, centred on it, runs straight on to the rim on
+    both sides, and is then pulled taut between its ends. Away from the line its spacing changes
+    with the curvature: on a sphere of radius R as cos(s / R).
 
     Parameters
     ----------
     scene
         Scene on whose current shape the net is laid out.
     lines
-        For each family the points of its line, in plan (k, 2) or in space (k, 3) (length).
+        Points of one line for each family, in plan, (k, 2), or in space, (k, 3) (length).
     spacing
-        Spacing of the geodesics along the given line (length).
+        Distance between the geodesics of a family, along its line (length).
 
     Returns
     -------
@@ -103,7 +103,7 @@ def geodesics_across(
     Raises
     ------
     InputError
-        On all ranks: a spacing longer than a line.
+        On all ranks: a spacing larger than a line.
     PathError
         On all ranks: a line that leaves the membrane.
 
@@ -115,7 +115,7 @@ def geodesics_across(
     scene = checked_scene(call, scene)
     checks.same(scene.comm, call, lines=lines, spacing=spacing)
     spacing = checks.positive(f"{call}: spacing", spacing)
-    routes = [checked_route(call, line) for line in lines]
+    routes = [route_of_call(call, line) for line in lines]
     surface = WholeSurface.of(scene.membrane)
     step = min(surface.size, spacing)
     families = []

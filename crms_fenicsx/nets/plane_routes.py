@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.meshes.edge_table import EdgeTable
 from crms_fenicsx.meshes.refinement import check_positive
 from crms_fenicsx.model.net import Net
-from crms_fenicsx.nets.assembly import assembled, checked_route, checked_scene
+from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -28,19 +28,19 @@ def sections(
 ) -> Net:
     """Lay out a net of plane vertical sections, straight in plan. Collective.
 
-    On an air hall such cables are longer than the geodesics between their ends, and slide towards
-    these unless held by friction or clamps.
+    Collective. On an air hall such cables are longer than the shortest paths between their ends and
+    slide towards these unless friction or clamps hold them.
 
     Parameters
     ----------
     scene
         Scene on whose current shape the net is laid out.
     angles
-        Direction of each family's lines in plan, from the x axis (rad).
+        Direction of each family in plan, from the x axis (rad).
     offsets
         Distances of each family's lines from `center`, to the left of its direction (length).
     center
-        A point in plan, (2,) (length).
+        Point in plan, (2,) (length).
     shortest
         Whether to pull the lines taut between their ends on the rim.
 
@@ -99,7 +99,7 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     scene
         Scene on whose current shape the net is laid out.
     families
-        For each family the paths of its lines, as for `Scene.lay_cable`, (k, 2) or (k, 3) (length).
+        Paths of each family, as for `Scene.lay_cable`, (k, 2) or (k, 3) (length).
     shortest
         Whether to pull the lines taut between their ends.
 
@@ -124,12 +124,12 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     call = "from_paths"
     scene = checked_scene(call, scene)
     checks.same(scene.comm, call, families=families, shortest=shortest)
-    routes = [[checked_route(call, path) for path in family] for family in families]
+    routes = [[route_of_call(call, path) for path in family] for family in families]
     return assembled(call, WholeSurface.of(scene.membrane), routes, taut=bool(shortest))
 
 
 def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
-    """Geodesic between two rim points of a spherical cap, as a cable's path.
+    """Return the shortest path over a spherical cap between two points of its rim.
 
     Parameters
     ----------
@@ -148,7 +148,8 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> A
     Raises
     ------
     InputError
-        A non-finite argument, a length that is not positive, a cap too high, or a line beyond it.
+        An argument that is not finite, a length that is not positive, a cap that is too high, or a
+        line beyond it.
     """
     check_positive("the great circle", radius=radius, height=height)
     angle, offset = (

@@ -48,30 +48,30 @@ def tune(
 ) -> dict[LaidCable, float]:
     """Find the unstressed lengths of cables for prescribed tensions under the current loads.
 
-    Collective. Uses `scipy.optimize.least_squares` with derivatives from `Solver.sensitivities`;
-    each evaluation is a load step, and the last one has the wanted tensions.
+    Collective. By `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`.
+    Each evaluation is a load step; the last one has the tensions.
 
     Parameters
     ----------
     solver
         Solver in equilibrium, with the cables in tension.
     tensions
-        Wanted tensions by cables (force); the mean tension for a cable with clamps.
+        Tensions by cables (force), mean ones for cables with clamps.
     rtol
-        Largest relative error of the tensions.
+        Largest relative difference.
     most
         Maximum number of load steps.
 
     Returns
     -------
     dict
-        Unstressed lengths by cables (length), as set in the scene.
+        The new unstressed lengths by cables (length).
 
     Raises
     ------
     InputError
-        On all ranks: an unknown cable, a tension that is not positive, a slack cable, or
-        unattainable tensions. The scene is unchanged then.
+        On all ranks: no cable of the scene, a tension that is not positive, a slack cable, or
+        tensions that no lengths give; the scene is then restored.
 
     Examples
     --------

@@ -41,21 +41,21 @@ MOST_SHOWN = 20
 class History:
     """Table of named values; its file is complete after each row.
 
-    A row may add columns (a cable laid later); rows without them hold NaN there, or "" in a text
-    column. Floats are written with all digits, and texts that a spreadsheet would take for a
+    A row may add columns, as for a cable laid later; other rows hold NaN there, or "" in a column
+    of text. Floats are written with all digits, and texts that a spreadsheet would take for a
     formula with a leading apostrophe, which `read` removes.
 
     Parameters
     ----------
     path : str, Path or None
-        CSV file, replaced when the first row is appended; None keeps the rows in memory only.
+        CSV file, replaced by the first row; None keeps the rows in memory.
     comm : MPI communicator
-        All ranks append the same rows; rank 0 writes.
+        Its ranks append the same rows; rank 0 writes.
 
     Raises
     ------
     InputError
-        On all ranks: the file's folder cannot be written.
+        On all ranks: a folder that cannot be written.
     """
 
     def __init__(self, path: str | Path | None, comm: MPI.Intracomm) -> None:
@@ -106,7 +106,7 @@ class History:
         return np.array([row.get(column, np.nan) for row in self._rows], dtype=np.float64)
 
     def append(self, row: Mapping[str, Value | np.generic]) -> None:
-        """Add a row and update the file. Collective.
+        """Append a row to history and file. Collective.
 
         Parameters
         ----------
@@ -116,8 +116,8 @@ class History:
         Raises
         ------
         InputError
-            On all ranks: a value that is neither number nor text, text in a numeric column or vice
-            versa, or a file that cannot be written. The history is unchanged then.
+            On all ranks: a value that is neither number nor text, text in a column of numbers or
+            the reverse, or a file that cannot be written. The history is then unchanged.
         """
         with raised_together(self.comm):
             plain = {_name(column): _plain(column, value) for column, value in row.items()}
@@ -148,12 +148,12 @@ class History:
         Parameters
         ----------
         rows
-            Rows as iterated from a history, the same on all ranks.
+            Rows as a history yields them, the same on all ranks.
 
         Raises
         ------
         InputError
-            As `append`.
+            As for `append`.
         """
         old = History(None, MPI.COMM_SELF)
         for row in rows:
@@ -165,12 +165,12 @@ class History:
     def read(cls, path: str | Path) -> History:
         """Read a history from a CSV file into memory. Not collective.
 
-        Columns are integers or floats if all their values are, else texts.
+        Columns are integers or numbers if all their values read as such, else text.
 
         Raises
         ------
         InputError
-            The file is missing or empty, or has rows of different lengths.
+            A file that is missing or empty or has a row of another length.
         """
         with readable(f"the history {path}", "give the CSV file that a run has written"):
             content = read_text(Path(path))

@@ -168,7 +168,7 @@ _OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface|cables)_\d{{6,}}\.vtu"
 
 
 class Series:
-    """Time series of a surface and its lines, written during the run.
+    """Steps of a surface and its lines, written during the run.
 
     The folder then holds ::
 
@@ -176,21 +176,21 @@ class Series:
         steps/surface_000000.vtu    the surface of a step, written by all ranks together
         steps/cables_000000.vtu     all lines of a step, from rank 0
 
-    Binary VTK XML, double precision. A collection is replaced atomically when the step's files are
-    complete, so all files it lists are readable.
+    Binary VTK XML, double precision. A collection is replaced at once when the step's files are
+    complete, so that all it lists can be read.
 
     Parameters
     ----------
     folder : str or Path
-        Created if missing. The first step written replaces an older series in it; other files are
-        not touched.
+        Folder, created if missing. The first step replaces an older series in it, and no other
+        file.
     comm : MPI communicator
-        All ranks write together.
+        Ranks that write together.
 
     Raises
     ------
     InputError
-        On all ranks: the folder cannot be written.
+        On all ranks: a folder that cannot be written.
     """
 
     def __init__(self, folder: str | Path, comm: MPI.Intracomm) -> None:
@@ -209,22 +209,21 @@ class Series:
         Parameters
         ----------
         time : float
-            Time or load factor; greater than the previous step's.
+            Time or load factor, larger than in the step before.
         surface : Surface
-            This rank's piece, possibly empty, with data of the same names on all ranks. A point
-            owned by another rank (`Surface.homes`) is written by that rank only.
+            This rank's piece, which may be empty, with data of the same names on all ranks. Points
+            are written by the ranks they belong to (`Surface.homes`), once.
         lines : sequence of Line
-            All lines, on rank 0; those of other ranks are ignored. The file holds them as joined by
-            `views.view_data.joined`, and their names as texts "names". If there are no lines any
-            more, the step's file is empty.
+            All lines, on rank 0; those of other ranks are ignored. The file has them joined as by
+            `views.view_data.joined`, and their names as texts "names"; without lines it is empty.
         case : str
             Load case of the step, a text in both files.
 
         Raises
         ------
         InputError
-            On all ranks: inconsistent shapes, a time that does not increase, pieces with different
-            data, no triangle on any rank, points without an owner, or files that cannot be written.
+            On all ranks: shapes that disagree, times that do not grow, pieces with different data,
+            no triangle on any rank, points without a rank, or files that cannot be written.
         """
         with raised_together(self.comm):
             surface = surface.checked()
@@ -295,12 +294,12 @@ class Series:
         Parameters
         ----------
         times
-            Times of the steps to keep. If the series does not begin with them, no steps are kept.
+            Times of the steps to keep; none are kept if the series does not begin with them.
 
         Raises
         ------
         InputError
-            On all ranks: the series cannot be read.
+            On all ranks: a series that cannot be read.
         """
         kept = checks.from_first(
             self.comm, lambda: {name: self._listed(name, times) for name in self._entries}

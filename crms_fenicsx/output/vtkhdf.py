@@ -65,18 +65,19 @@ def write_vtkhdf(
 ) -> None:
     """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
 
-    Each combination is a step with surface, cables, bars and the arrays of `Solver.to_pyvista`, NaN
-    where undefined. "line" is the number of the cable or bar, -1 on the surface. The texts of a
-    step are "case", the combination's name, and "names" of cables and bars in the order of "line".
+    Each combination is a step with the surface, cables and bars and the arrays of
+    `Solver.to_pyvista`, NaN on cells that do not have them. "line" is -1 on the surface, else the
+    number of the cable or bar; texts of a step are "case", the name of the combination, and
+    "names" of cables and bars in the order of "line".
 
     Parameters
     ----------
     solver
-        Solver of the scene; its state is restored.
+        Solver of the scene, whose state is restored.
     filename
-        File name, ending in .vtkhdf. An existing file is replaced once the new one is complete.
+        File ending in .vtkhdf; an existing one is replaced once the new one is complete.
     combinations
-        Result of `Solver.combine`; by default the current state alone.
+        Combinations from `Solver.combine`; by default the current state alone.
 
     Raises
     ------

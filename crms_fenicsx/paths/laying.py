@@ -40,7 +40,7 @@ from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.trace import IndirectLeg, trace
+from crms_fenicsx.surface.trace import IndirectLeg, route_points, trace
 
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
@@ -293,25 +293,6 @@ def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
     rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
     mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
     membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")
-
-
-def route_points(path: object) -> Array:
-    """Check and return the points of a path, (k, 2) or (k, 3)."""
-    try:
-        route = np.array(path, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise PathError(
-            f"path: {path!r} is no list of points of one kind; give all in plan, (x, y), or all in "
-            "space, (x, y, z), as a joint is."
-        ) from None
-    if route.ndim != 2 or route.shape[0] < 2 or route.shape[1] not in (2, 3):
-        raise PathError(
-            f"path: an array of shape {route.shape}; give two or more points in plan, (k, 2), or "
-            "in space, (k, 3)."
-        )
-    if not np.all(np.isfinite(route)):
-        raise PathError(f"path: {path!r} has a coordinate that is not finite.")
-    return route
 
 
 def _ends(membrane: Membrane, strip: Strip, path: Path) -> tuple[End, End]:

@@ -36,9 +36,9 @@ class Adjusted:
     solver
         Solver of the roof sewn from it.
     comparisons
-        Comparison with the wanted roof before each update and at the end.
+        Comparisons before each update and at the end.
     errors
-        Largest relative error of each comparison.
+        Largest relative difference from the target in each comparison.
     """
 
     pattern: Pattern
@@ -57,39 +57,39 @@ def adjust(
     tolerance: float = 1e-4,
     updates: int = 10,
 ) -> Adjusted:
-    """Adjust the compensation until the sewn roof is as wanted. Collective.
+    """Adjust compensation until the sewn roof meets its target. Collective.
 
-    Adjusts the mean section forces to `forces`, or the mean lengths along warp and weft to those of
-    the wanted form. Leave `forces` out for a pneumatic roof: its section forces follow from
-    pressure and shape.
+    With `forces` the target is the mean section forces. On a pneumatic roof these follow from
+    pressure and shape, and compensation changes the shape: leave `forces` out there, and the target
+    is the mean lengths of the form along warp and weft.
 
     Parameters
     ----------
     pattern
-        The initial pattern.
+        Initial pattern.
     build
-        Function that sews a pattern, applies supports and loads and returns the solver.
+        Function of a pattern that sews it, applies supports and loads, and returns the solver.
     forces
         Wanted section forces along warp and weft, or one value for both (force per length).
     each
-        Whether to adjust each piece individually, by its own means.
+        Whether to adjust the compensation of each piece by its own means.
     tolerance
-        Largest error of the means: of section forces relative to the larger wanted one, or of
-        stretches.
+        Largest difference of the mean lengths, or of the mean forces relative to the larger wanted
+        one.
     updates
-        Maximum number of updates.
+        Largest number of updates.
 
     Returns
     -------
     Adjusted
-        The pattern, its solver, and the comparisons of all updates.
+        The pattern, its solver, and the comparisons on the way.
 
     Raises
     ------
     InputError
-        On all ranks: an invalid argument, or a `build` that returns another roof.
+        On all ranks: invalid arguments, or a `build` that returns another roof.
     ConvergenceError
-        On all ranks: the error exceeds `tolerance` after all updates.
+        On all ranks: a roof that misses the target after all updates.
 
     Examples
     --------

@@ -22,18 +22,18 @@ Profile = float | Sequence[tuple[float, float]]
 
 @dataclass(frozen=True)
 class Shrink:
-    """Compensation of a piece: the fraction by which it is cut shorter along warp and weft.
+    """Compensation of a piece: shares by which it is cut shorter along warp and weft.
 
     Parameters
     ----------
     warp, weft
-        Fractions, .01 for 1 %: one value, or pairs of position along the warp (0 at one end of the
-        piece, 1 at the other) and fraction, interpolated linearly.
+        Shares, .01 for 1 %: a number, or pairs of place and share, linear between them, with places
+        from 0 to 1 along the warp of the piece.
 
     Raises
     ------
     InputError
-        A fraction of 50 % or more, or positions that do not increase.
+        A share of 50 % or more, or places that do not ascend.
 
     Examples
     --------
@@ -84,16 +84,15 @@ def checked_part(what: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class EdgeShrink:
-    """De-compensation: compensation along an edge, instead of its piece's.
+    """De-compensation of an edge, along itself, in place of the piece's compensation.
 
     Parameters
     ----------
     part
-        Fraction by which the piece is cut shorter along the edge; 0 where a clamping profile, which
-        cannot be stretched, has the length of the form.
+        Share by which the edge is cut shorter; 0 along a clamping profile, which cannot stretch.
     band
-        Width (length) of the strip along the edge over which the compensation changes linearly to
-        the piece's own.
+        Width (length) of the strip along the edge in which the compensation changes linearly to
+        that of the piece.
     """
 
     part: float = 0.0
@@ -105,7 +104,7 @@ class EdgeShrink:
 
 
 def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) -> Shrink:
-    """Compensation that gives a fabric the wanted section forces in its form.
+    """Return the compensation for given section forces in the form.
 
     Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, with stretches l
     and second Piola-Kirchhoff forces S = D E.
@@ -125,7 +124,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
     Raises
     ------
     InputError
-        Compressive forces, forces that the law cannot reach, or a `UflMembrane`.
+        Compressive forces, forces beyond the law, or a `UflMembrane`.
 
     Examples
     --------
@@ -167,11 +166,11 @@ def stretches_for(
 
 
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
-    """Largest strip width without compression along the warp in a doubly curved roof.
+    """Return the largest width of strips without compression along the warp.
 
-    Besides the compensation strain, a strip of width W in its form has the strain ``K W**2 / 24``
-    in its middle and ``-K W**2 / 12`` at its edges: on a dome the seams are slacker than the
-    middle, on a saddle vice versa and by half as much.
+    On a doubly curved form a strip of width W has further strains of ``K W**2 / 24`` in its middle
+    and ``-K W**2 / 12`` at its edges: on a dome the seams are slacker than the middle; on a saddle
+    the middle is slacker, by half as much.
 
     Parameters
     ----------
@@ -180,7 +179,7 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     force
         Section force along the warp (force per length).
     curvature
-        Gaussian curvature (1 / length squared) of the form, such as `Piece.curvature`.
+        Gaussian curvature of the form (1 / length squared), such as `Piece.curvature`.
 
     Returns
     -------

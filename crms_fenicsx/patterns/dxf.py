@@ -25,18 +25,18 @@ TEXT = 0.04
 
 @collective
 def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str = "m") -> None:
-    """Write the nested pieces to a DXF file. Collective.
+    """Write the layout on the roll to a DXF file. Collective.
 
-    Layers: CUT, cut lines, with allowances; SEAM, seam lines; OVERLAP, ends of the adjacent pieces'
-    allowances; MARK, match marks, numbered along the seam; WARP, arrows; TEXT, names of pieces and
-    edges; ROLL, outline of the roll. Needs ezdxf.
+    Layers: CUT, the cutting line with allowances; SEAM, seam lines; OVERLAP, the end of the other
+    piece's allowance; MARK, numbered match marks; WARP, arrows; TEXT, names of pieces and edges;
+    ROLL. Needs ezdxf.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        File name, ending in .dxf. An existing file is replaced once the new one is complete.
+        File ending in .dxf; an existing one is replaced once the new one is complete.
     sheet
         Roll, allowances and marks.
     unit

@@ -22,7 +22,7 @@ STATIONS = 64
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated distortion of a piece when it is flattened.
+    """Estimate of the distortion of a flat piece.
 
     Attributes
     ----------
@@ -47,24 +47,24 @@ class Estimate:
 def estimates(
     pieces: Pieces, material: Materials, *, warp: Warp | None = None
 ) -> dict[str, Estimate]:
-    """Estimate the distortion of pieces before flattening. Collective.
+    """Estimate the strains of pieces before they are laid flat. Collective.
 
     Parameters
     ----------
     pieces
-        The pieces from `cut`.
+        Pieces from `cut`.
     material, warp
         As for `flatten`.
 
     Returns
     -------
     dict of str to Estimate
-        Estimates by piece names.
+        Estimates by names of pieces.
 
     Raises
     ------
     InputError
-        On all ranks: an invalid argument.
+        On all ranks: invalid arguments.
 
     Examples
     --------

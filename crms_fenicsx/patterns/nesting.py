@@ -13,20 +13,20 @@ from crms_fenicsx.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class Nesting:
-    """Nested pieces; x runs along the roll.
+    """Layout of pieces on the roll, x along it.
 
     Attributes
     ----------
     roll
         Width of the roll (length).
     length
-        Length of the roll used (length).
+        Used length of the roll (length).
     waste
-        Fraction of the used roll outside the pieces and their allowances.
+        Share of the used roll outside of pieces and their allowances.
     drawings
-        The pieces at their positions.
+        Drawings of the pieces in place.
     rows
-        Start of each row of pieces along the roll (length).
+        Starts, along the roll, of the rows of pieces across it.
     """
 
     roll: float
@@ -37,10 +37,9 @@ class Nesting:
 
 
 def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
-    """Nest pieces on the roll, warp along it, the longest first.
+    """Lay pieces on the roll, warp along it, the longest first.
 
-    A row takes pieces side by side as long as the roll is wide enough; the next row starts behind
-    its longest piece.
+    Pieces lie side by side as far as the roll is wide; the next row starts beyond the longest.
 
     Parameters
     ----------
@@ -52,12 +51,12 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     Returns
     -------
     Nesting
-        Positions of the pieces, and the waste.
+        The layout and its waste.
 
     Raises
     ------
     InputError
-        A piece wider than the roll, or an allowance for an unknown edge.
+        A piece wider than the roll, or allowances of unknown edges.
     """
     if not isinstance(pattern, Pattern) or not isinstance(sheet, Sheet):
         raise InputError("nest: give a pattern of patterns.flatten and a Sheet(roll=...).")

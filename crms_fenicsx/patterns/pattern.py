@@ -53,7 +53,7 @@ class FlatPiece:
     shrink
         Mean compensation (2,) along warp and weft.
     strains
-        Distortion (m, 3): strains (E11, E22, 2 E12) of its cells in the form, less the wanted ones.
+        Distortion: strains (E11, E22, 2 E12) of the cells (m, 3) in the form, less the wanted ones.
     """
 
     piece: Piece
@@ -64,7 +64,8 @@ class FlatPiece:
 
     @cached_property
     def energy(self) -> float:
-        """Distortion energy per area of the form (force per length), extrapolated to fine cells."""
+        """Energy of the distortion per area of the form (force per length), extrapolated to
+        infinitely fine cells on first use."""
         own = self.problem_of(self.piece, self.shape).energy(self.shape)
         found = fine_energies(self.piece, self.shape, self.problem_of)
         return max(own - found[0] + limit_of(found), 0.0) / self.piece.area
@@ -86,17 +87,17 @@ class FlatPiece:
 
     @property
     def width(self) -> float:
-        """Width (length) required of the roll, across the warp, without allowances."""
+        """Extent across the warp (length), along the roll's width."""
         return float(np.ptp(self.shape[:, 1]))
 
     @property
     def distortion(self) -> float:
-        """Largest absolute distortion."""
+        """Largest strain of the distortion."""
         return float(np.abs(self.strains).max())
 
     def largest_width(self, force: float) -> float:
-        """Largest width (length) without compression along the warp at a section force (force per
-        length): `patterns.largest_width` at the mean curvature."""
+        """`patterns.largest_width` (length) for its mean curvature and a section force (force per
+        length)."""
         moduli = warp_moduli(self.problem_of(self.piece, self.shape).stiffness)
         modulus = float(self.piece.areas @ moduli) / self.piece.area
         return width_in_tension(modulus, force, self.piece.curvature)
@@ -126,13 +127,13 @@ class Pattern:
     Attributes
     ----------
     pieces
-        The pieces in space and their joints.
+        Pieces in space and the joints between them.
     material
         The fabric.
     flat
-        The flat pieces.
+        Flat pieces.
     made
-        Options of the pattern.
+        Options they were made with.
     """
 
     pieces: Pieces
@@ -159,7 +160,7 @@ class Pattern:
         return sum(one.area for one in self.flat)
 
     def flat_piece(self, name: str) -> FlatPiece:
-        """The flat piece with a name."""
+        """Return the flat piece with a name."""
         return checks.named("piece", {one.name: one for one in self.flat}, name)
 
     def seam_lengths(self) -> dict[str, Array]:
@@ -175,12 +176,12 @@ class Pattern:
 
     @collective
     def adjusted(self, factors: Mapping[str, tuple[float, float]]) -> Pattern:
-        """The pattern with additional stretches, flattened again. Collective.
+        """Return the pattern cut for further stretches of its pieces. Collective.
 
         Parameters
         ----------
         factors
-            Additional stretches along warp and weft by piece names, 1.01 for 1 %.
+            Further stretches along warp and weft, by pieces, 1.01 for 1 %.
 
         Returns
         -------
@@ -208,29 +209,29 @@ def flatten(
 ) -> Pattern:
     """Flatten pieces with the least strain energy, and compensate them. Collective.
 
-    From its flat shape each piece takes the form with the strain of its compensation and, where the
-    form is doubly curved, the least additional strain energy (J. Linhard, R. Wuechner, K.-U.
-    Bletzinger, Introducing cutting patterns in form finding and structural analysis, 2008). The
-    initial shape is a conformal map. The warp lies along x.
+    A flat piece takes its form in space with the strain of the compensation and, where the form is
+    doubly curved, the least possible energy of further strains (J. Linhard, R. Wuechner,
+    K.-U. Bletzinger, Introducing cutting patterns in form finding and structural analysis, 2008).
+    The search starts from a conformal map. All flat pieces have the warp along x.
 
     Parameters
     ----------
     pieces
-        The pieces from `cut`.
+        Pieces from `cut`.
     material
-        The fabric, or fabrics by parts of the mesh.
+        The fabric, or one for each part of the mesh.
     warp
-        "seams": along the seams of each piece; or a direction in space (3,), or a function of
-        points (3, n) that returns directions (3, n), averaged over each piece. By default an
-        orthotropic material's warp, otherwise "seams".
+        "seams", along the seams of each piece; a direction in space (3,); or a function that
+        returns directions (3, n) for points (3, n), averaged over each piece. By default the warp
+        of an orthotropic material, for others "seams".
     shrink
-        Compensation of all pieces, or by names of pieces or mesh parts; none by default.
+        Compensation of all pieces, or by names of pieces or parts; none by default.
     edges
         De-compensation, by names of edge groups.
     equal
-        Whether both sides of a seam are cut equally long; costs .02 % of energy.
+        Whether both sides of a seam are cut to equal length; it costs .02 % of the energy.
     limit
-        Largest accepted distortion (strain).
+        Largest accepted strain of the distortion.
 
     Returns
     -------
@@ -240,23 +241,22 @@ def flatten(
     Raises
     ------
     InputError
-        On all ranks: an invalid argument, or a piece distorted beyond `limit`, with the number of
-        strips that would suffice.
+        On all ranks: an invalid argument, or a piece strained beyond `limit`; the message tells
+        how many strips would do.
     ConvergenceError
         On all ranks: a piece that cannot be flattened.
 
     Warns
     -----
     PatternWarning
-        Fewer than 8 columns of cells across a doubly curved piece: its strains, and the scatter of
-        section forces in the sewn roof, are overestimated.
+        Fewer than 8 columns of cells across a doubly curved piece, for which strains, and the
+        scatter of section forces in the sewn roof, are overestimated.
 
     Notes
     -----
-    A strip of width W on a surface of Gaussian curvature K has strains up to ``|K| W**2 / 12`` and
-    the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. The pieces' energies are
-    extrapolated from their cells and refinements: to 1 % with 8 columns of cells across a piece, to
-    6 % with 4.
+    A strip of width W on a surface of Gaussian curvature K has the strain ``|K| W**2 / 12`` and the
+    energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. Energies are extrapolated
+    from the piece's cells and finer ones: to 1 % with 8 columns of cells, to 6 % with 4.
 
     Examples
     --------

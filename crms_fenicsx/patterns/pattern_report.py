@@ -35,7 +35,7 @@ def report_sections(
     unit: str = "",
     force: str = "",
 ) -> list[PageSection]:
-    """Report sections on a cutting pattern. Collective.
+    """Make the report's sections on a cutting pattern. Collective.
 
     Parameters
     ----------
@@ -44,20 +44,19 @@ def report_sections(
     sheet
         Roll, allowances and marks.
     comparison
-        Result of `compare` for the sewn roof; adds a section.
+        Comparison of the sewn roof by `compare`, for a section of its own.
     unit, force
         Names of the units of length and force.
 
     Returns
     -------
     list
-        Sections for the option ``sections`` of `Solver.report`, which also writes their tables as
-        CSV files.
+        Sections for ``sections=`` of `Solver.report`, which also writes their tables as CSV files.
 
     Raises
     ------
     InputError
-        On all ranks: an invalid argument, or pieces wider than the roll.
+        On all ranks: invalid arguments, or pieces wider than the roll.
 
     Examples
     --------

@@ -34,9 +34,9 @@ class PieceEdge:
     Attributes
     ----------
     name
-        Its seam or group of boundary edges.
+        Seam, or group of boundary edges, along which it runs.
     sewn
-        Whether it is a seam.
+        Whether it belongs to a seam.
     vertices
         Vertices (k,) of the piece along it, counter-clockwise seen from outside.
     """
@@ -53,18 +53,17 @@ class Piece:
     Attributes
     ----------
     name
-        "piece 1", "piece 2" ...: also the name of a part of the cut mesh.
+        "piece 1", "piece 2" ..., also as a part of the cut mesh.
     cells
-        Its cells (m,) of the cut surface.
+        Cells (m,) of the cut surface.
     triangles
-        Corners (m, 3) of its cells, as its own vertex numbers.
+        Corners of the cells as vertices of the piece, (m, 3).
     vertices
-        Numbers (n,) of its vertices in the cut surface. Vertices of a seam inside the piece are
-        doubled, one for each side.
+        Vertices (n,) of the cut surface; a seam inside the piece has them twice, once on each side.
     points
-        Coordinates (n, 3) of its vertices (length).
+        Positions of the vertices (n, 3) (length).
     edges
-        Its edges, counter-clockwise seen from outside.
+        Edges, counter-clockwise seen from outside.
     """
 
     name: str
@@ -76,17 +75,17 @@ class Piece:
 
     @property
     def areas(self) -> Array:
-        """Areas of its cells (m,) (length squared)."""
+        """Areas of the cells (m,) (length squared)."""
         return np.asarray(norm(double_areas(self.points[self.triangles])) / 2)
 
     @property
     def area(self) -> float:
-        """Its area (length squared)."""
+        """Area of the piece (length squared)."""
         return float(self.areas.sum())
 
     @property
     def outline(self) -> Integers:
-        """Vertices (k,) along its boundary, counter-clockwise seen from outside."""
+        """Vertices (k,) along its rim, counter-clockwise seen from outside."""
         return np.concatenate([edge.vertices[:-1] for edge in self.edges])
 
     @property
@@ -117,18 +116,18 @@ class Pieces:
     Attributes
     ----------
     mesh
-        The surface with its cells divided along the seams, all groups of the original mesh, the
-        seams as edge groups, and the pieces as parts.
+        The surface with cells divided along the seams: groups as before, seams as groups of edges,
+        pieces as parts.
     seams
         The seams.
     pieces
         The pieces, the same on all ranks.
     joints
-        Seam segments joining the pieces.
+        Pairs of edge segments that are sewn together.
     surface
         The cut surface with all groups, on all ranks.
     lines
-        Vertices (k,) of the cut surface along each seam, by seam name.
+        Vertices (k,) of the cut surface along each seam, by names.
     """
 
     mesh: MembraneMesh
@@ -154,7 +153,7 @@ class Pieces:
         return sum(piece.area for piece in self.pieces)
 
     def piece(self, name: str) -> Piece:
-        """The piece with a name."""
+        """Return the piece with a name."""
         return checks.named("piece", {piece.name: piece for piece in self.pieces}, name)
 
 
@@ -162,16 +161,17 @@ class Pieces:
 def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     """Cut a surface along seams. Collective.
 
-    Cells crossed by seams are divided. To avoid slivers, vertices closer to a crossing than a fifth
-    of the edge are moved to it along the edge, which changes the surface less than faceting does.
+    Cells that seams cross are divided. A vertex nearer to a crossing than a fifth of the edge is
+    moved there along the edge, to avoid slivers; this changes the surface by no more than its
+    difference from the smooth one.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     seams
-        Seams on it; an empty list for a surface of one piece. Seams may meet and cross at mesh
-        vertices, and at one point of an edge.
+        Seams on it, none for one piece. They may meet and cross at vertices of the mesh, and at
+        common points of edges.
 
     Returns
     -------
@@ -181,10 +181,10 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     Raises
     ------
     InputError
-        On all ranks: objects that are no seams, or a duplicate name.
+        On all ranks: no seams, or two of one name.
     PathError
-        On all ranks: seams that end inside the surface, run along its boundary or along each other,
-        or cross inside a cell; a piece that is closed or has a hole.
+        On all ranks: seams that end inside the surface, coincide with its boundary or each other,
+        or cross inside cells; a piece that is closed or has a hole.
 
     Examples
     --------

@@ -31,11 +31,11 @@ class Seam:
     Attributes
     ----------
     name
-        Its name, also of the piece edges on both sides.
+        Name of the seam, and of the edges of pieces on both sides.
     points
-        Its vertices and edge crossings on the mesh.
+        Vertices it passes and crossings with edges of the mesh.
     path
-        Coordinates (k, 3) of these points (length).
+        Positions of these points (k, 3) (length).
     """
 
     name: str
@@ -44,12 +44,12 @@ class Seam:
 
     @property
     def length(self) -> float:
-        """Its length (length)."""
+        """Length of the seam (length)."""
         return float(arc_lengths(self.path)[-1])
 
     @property
     def closed(self) -> bool:
-        """Whether it ends where it begins."""
+        """Whether the seam is closed."""
         return self.points[0] == self.points[-1]
 
 
@@ -71,10 +71,10 @@ def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePo
 
 @collective
 def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
-    """A seam along geodesics between points. Collective.
+    """Make a seam of shortest lines between points. Collective.
 
-    Like a cable with ``shortest=True``, the seam starts as the plane section through two points and
-    is shortened until it is straight within the surface, and hence on the flat piece.
+    As for cables with ``shortest=True``, the plane section through two points is pulled taut over
+    the vertices of the mesh until it is straight in the surface, and so on the flat piece.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     Raises
     ------
     PathError
-        On all ranks: points off the surface, or not connected by a plane section.
+        On all ranks: points off the surface, or that no plane section joins.
 
     Examples
     --------
@@ -126,19 +126,18 @@ def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ..
 def geodesic_along(
     mesh: MembraneMesh, start: ArrayLike, direction: ArrayLike, *, name: str
 ) -> Seam:
-    """A seam along the straightest line through a point, to the rim on both sides. Collective.
+    """Make a seam that runs straight through a point, from rim to rim. Collective.
 
-    Within the surface it turns neither left nor right: started along the warp, it follows the
-    fabric.
+    In the surface it turns neither left nor right: along the warp it follows the fabric.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     start
-        A point on the surface (3,) (length).
+        Point on the surface (3,) (length).
     direction
-        Direction (3,) at `start`, projected onto the surface.
+        Direction (3,), which is projected on the surface.
     name
         Name of the seam.
 
@@ -169,14 +168,14 @@ def geodesic_along(
 
 @collective
 def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, name: str) -> Seam:
-    """A seam along the intersection of the surface with a plane. Collective.
+    """Make a seam along the surface's section with a plane. Collective.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     origin
-        A point of the plane (3,) (length). Of several lines, the nearest to it is taken.
+        Point of the plane (3,) (length), next to which the seam is if there are several lines.
     normal
         Normal of the plane (3,).
     name
@@ -216,14 +215,14 @@ def nearest(
 
 @collective
 def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Seam:
-    """A seam along mesh edges. Collective.
+    """Make a seam of mesh edges. Collective.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     group
-        Name of an edge group that is a single open or closed line.
+        Name of a group of edges that form one line, open or closed.
     name
         Name of the seam; by default the group's.
 
@@ -237,7 +236,7 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     InputError
         On all ranks: an unknown group.
     PathError
-        On all ranks: a group that is no single line.
+        On all ranks: a group that is not one line.
     """
     surface = PatternSurface.of("edge_line", mesh, group=group, name=name)
     points = surface.line_of_group("edge_line", group)
@@ -248,9 +247,9 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
 def parallel(
     mesh: MembraneMesh, line: Line, distance: float, *, toward: ArrayLike, name: str
 ) -> Seam:
-    """A seam at a distance from a line, such as the width of the fabric. Collective.
+    """Make a seam at a distance from a line, such as the width of the fabric. Collective.
 
-    Distances are geodesic (see `PatternSurface.distances`), linear between vertices.
+    Distances are measured over the surface, and are linear between vertices.
 
     Parameters
     ----------
@@ -261,8 +260,8 @@ def parallel(
     distance
         Distance (length).
     toward
-        A point (3,) (length) on the seam's side of the line: of several lines, the nearest to it is
-        taken.
+        Point (3,) (length) on the seam's side of the line, next to which it is if there are
+        several.
     name
         Name of the seam.
 
@@ -274,7 +273,7 @@ def parallel(
     Raises
     ------
     PathError
-        On all ranks: the surface ends closer to the line than `distance`.
+        On all ranks: no part of the surface is that far from the line.
     """
     surface = PatternSurface.of(
         "parallel", mesh, line=line, distance=distance, toward=toward, name=name

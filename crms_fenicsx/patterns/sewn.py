@@ -25,19 +25,19 @@ SLOPE = 1e-12
 
 @collective
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
-    """Make a scene of a pattern's pieces, sewn together along the seams. Collective.
+    """Make a scene of the pieces of a pattern, sewn along the seams. Collective.
 
-    The stress-free shape of each cell is its flat shape. The scene starts in the wanted form with
-    the strains due to the cut, without supports, loads and cables. Its mesh has the form's groups,
-    the seams as edge groups and the pieces as parts.
+    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains of the
+    cut and without supports, loads and cables. Its mesh is that of the cut form: groups as before,
+    seams as groups of edges, pieces as parts.
 
     Parameters
     ----------
     pattern
         The pattern.
     material
-        The fabric, or fabrics by parts; by default the pattern's. Its warp is the pieces'; its
-        prestress is omitted, as the cut provides it.
+        The fabric, or one for each part; by default the pattern's. The pieces set the warp and the
+        cut the prestress, so that the fabric's own are ignored.
     **options
         Options of `Scene`.
 
@@ -49,8 +49,8 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     Raises
     ------
     InputError
-        On all ranks: an object that is no pattern, a material with a step-wise strain, or a
-        `UflMembrane` whose density contains a prestress.
+        On all ranks: no pattern, step-wise strain, or a `UflMembrane` with a prestress in its
+        density.
 
     Examples
     --------
@@ -103,21 +103,21 @@ def frames_of(pattern: Pattern) -> Array:
 
 @dataclass(frozen=True)
 class SewnPiece:
-    """Results of a piece of the sewn roof.
+    """Results of a piece in the sewn roof.
 
     Attributes
     ----------
     name
         Name of the piece.
     mean, spread, least, largest
-        Section forces (2,) along warp and weft: mean and standard deviation over the current area,
-        minimum and maximum of the cells (force per length).
+        Section forces (2,) along warp and weft (force per length): mean and standard deviation over
+        the current area, least and largest of the cells.
     deviation
-        Largest distance of its vertices from the wanted form, along the form's normal (length).
+        Largest distance of vertices from the form, along its normal (length).
     wrinkled
-        Fraction of its area that is wrinkled or slack.
+        Share of the area that is wrinkled or slack.
     stretch
-        Mean stretches (2,) along warp and weft, relative to the wanted form.
+        Mean stretches (2,) along warp and weft relative to the form.
     """
 
     name: str
@@ -132,7 +132,7 @@ class SewnPiece:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of the sewn roof with the wanted one.
+    """Comparison of a sewn roof with the form and the wanted forces.
 
     Attributes
     ----------
@@ -141,10 +141,10 @@ class Comparison:
     pieces
         Results of each piece.
     whole
-        Results of the whole roof.
+        Results of all pieces together.
     cells
-        Values (m, 4) of each cell of the cut surface: section forces along warp and weft, distance
-        from the form, and 1 if wrinkled or slack.
+        Cells of the cut surface (m, 4): section forces along warp and weft, distance from the form,
+        and whether they are wrinkled or slack.
     """
 
     wanted: Array | None
@@ -175,7 +175,7 @@ def compare(
     Parameters
     ----------
     solver
-        Solver of the scene from `sew`, in the state to compare.
+        Solver of a scene made by `sew`, in the state to compare.
     pattern
         The pattern.
     forces
@@ -184,7 +184,7 @@ def compare(
     Returns
     -------
     Comparison
-        Section forces, deviation from the form and wrinkles, of each piece and the whole roof.
+        Section forces, deviation and wrinkles, by pieces and in all.
 
     Raises
     ------

@@ -25,22 +25,22 @@ ARROW = 0.3
 
 @dataclass(frozen=True)
 class Sheet:
-    """Roll, seam allowances and marks.
+    """Options for cutting pieces from the roll.
 
     Parameters
     ----------
     roll
         Width of the roll (length).
     allowance
-        Seam allowance on each side (length): half of a weld's width.
+        Allowance on each side of a seam (length), half the width of the weld.
     rim
         Allowance at all other edges (length).
     edges
-        Individual allowances by names of seams and edge groups (length).
+        Other allowances by names of seams and edge groups (length).
     marks
-        Spacing of match marks along seams (length), measured on the form from the seam's start.
+        Spacing of match marks along seams, from the seam's start on the form (length).
     gap
-        Distance between pieces on the roll (length).
+        Gap between pieces on the roll (length).
 
     Raises
     ------

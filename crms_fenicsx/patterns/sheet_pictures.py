@@ -31,17 +31,18 @@ WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
 def draw_sheets(
     pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
 ) -> Figure | None:
-    """Draw the nested pieces. Collective.
+    """Draw the layout on the roll. Collective.
 
-    Red: cut lines, with allowances; blue: seam lines; grey: ends of the adjacent pieces'
-    allowances; green: match marks. A PDF also has a page for each piece with its sizes.
+    Cutting lines with allowances are red, seam lines blue, ends of the other piece's allowance
+    grey, match marks green. A PDF has a further page for each piece, with its sizes.
 
     Parameters
     ----------
     pattern
         The pattern.
     filename
-        Picture file (.svg, .pdf, .png ...); None returns the figure of the roll on the first rank.
+        Picture in a format of matplotlib, such as .svg, .pdf or .png; None returns the figure of
+        the roll on the first rank.
     sheet
         Roll, allowances and marks.
     unit

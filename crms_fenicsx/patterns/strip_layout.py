@@ -39,12 +39,11 @@ def strips(
     allowance: float = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
-    """Seams dividing the surface between two lines into the fewest strips. Collective.
+    """Make seams between two lines for the fewest strips of a given width. Collective.
 
-    The seams divide the distance between the lines evenly. Geodesic ones are then straightened
-    between their ends, which saves fabric, as pieces get nearly straight edges. The number of
-    strips is raised until the distance between seams, over the surface, fits. Exact widths are
-    checked when pieces are nested.
+    Seams divide the distance between the lines evenly; geodesic ones are then pulled taut between
+    their ends, which saves fabric. Strips are added until the distance between neighbouring seams
+    over the surface fits the width. `flatten` and the layout on the roll check the flat pieces.
 
     Parameters
     ----------
@@ -57,25 +56,24 @@ def strips(
     kind
         "geodesic", or "parallel": the lines of equal distance shares themselves.
     warp
-        Warp direction (3,), or a function of points (3, n) that returns directions (3, n): the
-        seams follow it, each from the middle of its line of equal distance shares to the rim on
-        both sides.
+        Direction of the fabric (3,), or a function that returns directions (3, n) for points
+        (3, n), which the seams follow from the middle of their lines to the rim on both sides.
     allowance
         Seam allowance on each side of a strip (length).
     name
-        Prefix of the seams' names, numbered from `first` on: "seam 1", "seam 2" ...
+        Names of the seams, with numbers from `first` on: "seam 1", "seam 2" ...
 
     Returns
     -------
     list of Seam
-        The seams in order, without `first` and `last`; empty if one strip suffices.
+        The seams in order, without `first` and `last`; none if one strip is enough.
 
     Raises
     ------
     InputError
         On all ranks: a roll narrower than both allowances, or an invalid argument.
     PathError
-        On all ranks: no seams possible between the lines, or a warp that leads from one to the
+        On all ranks: lines without seams between them, or a warp that leads from one line to the
         other.
 
     Examples

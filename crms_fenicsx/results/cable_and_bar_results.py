@@ -24,25 +24,25 @@ def triple(force: Array) -> Force:
 
 @dataclass(frozen=True, repr=False)
 class CableResults:
-    """A cable in an equilibrium, by plain numbers.
+    """Results of a cable in equilibrium.
 
     Attributes
     ----------
     name
-        Of the cable.
+        Name of the cable.
     least, mean, largest
-        Tension (force) along the cable; they differ where friction along it holds it. The mean is
-        by unstressed length.
+        Tension (force) along the cable, varying where there is friction along it; the mean is
+        weighted by unstressed length.
     slack
-        Whether it has no tension.
+        Whether the cable is slack.
     length, L0, free
-        Current and unstressed length, and the current length off the membrane (length).
+        Current length, unstressed length, and current length off the membrane (length).
     contact_mean, contact_largest
-        Normal force on the membrane per length of cable (force per length): its mean over the
-        length on the membrane, and its largest value; zero where it touches nothing.
+        Normal force on the membrane per length of cable (force per length): mean over the length in
+        contact, and largest value; zero without contact.
     start, end
-        Forces with which the anchors hold its ends (force); None of an end that is tied to the
-        membrane or fixed to a joint.
+        Forces of the anchors on the ends (force); None at an end tied to the membrane or fixed to a
+        joint.
     """
 
     name: str
@@ -59,7 +59,7 @@ class CableResults:
     end: Force | None
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         tension = "slack" if self.slack else f"tension {span([self.least, self.largest])}"
         return (
             f"CableResults({self.name!r}, {tension}, length {self.length:.6g}, "
@@ -68,7 +68,7 @@ class CableResults:
 
 
 def cable_results(scene: Scene) -> dict[str, CableResults]:
-    """Forces of a scene's cables by their names, the same on all ranks. Collective."""
+    """Results of a scene's cables by name, the same on all ranks. Collective."""
     if not scene.cables:
         return {}
     shape = scene.net.strip_shape()
@@ -95,7 +95,7 @@ def cable_results(scene: Scene) -> dict[str, CableResults]:
 
 
 def _contact(line: Array, sizes: Array) -> tuple[float, float]:
-    """Mean and largest force per length, of values at the points of a cable's line."""
+    """Mean and largest force per length, from values at the points of a cable's line."""
     on = np.isfinite(line)
     if not on.any():
         return 0.0, 0.0
@@ -107,7 +107,7 @@ def _contact(line: Array, sizes: Array) -> tuple[float, float]:
 
 
 def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
-    """Force of the anchor of an end; None if it has none."""
+    """Anchor force at an end; None without an anchor."""
     k = cable.node_of(end.which)
     if cable.nodes[k].kind != "anchor" or cable.joints[min(k, 1)] is not None:
         return None
@@ -116,19 +116,19 @@ def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
 
 @dataclass(frozen=True)
 class BarResults:
-    """A bar in an equilibrium, by plain numbers."""
+    """Results of a bar in equilibrium."""
 
-    name: str  # of the bar
-    force: float  # axial force (force): tension is positive, compression negative
-    slack: bool  # whether it is a guy without tension
+    name: str  # name of the bar
+    force: float  # axial force (force), tension positive
+    slack: bool  # whether the bar is a slack guy
     length: float  # length, L0: current and unstressed length (length)
     L0: float
-    buckling: float | None = None  # Euler's load (force), and the share of the strength that is
-    utilisation: float | None = None  # used; None where they are not known
+    buckling: float | None = None  # Euler load (force), and utilisation of the
+    utilisation: float | None = None  # strength; None if unknown
 
 
 def bar_results(scene: Scene) -> dict[str, BarResults]:
-    """Forces of a scene's bars in its current state, by their names."""
+    """Results of a scene's bars by name."""
     return {
         bar.name: BarResults(
             bar.name, bar.force, bar.slack, bar.length, bar.L0, bar.buckling, bar.utilisation
@@ -138,5 +138,5 @@ def bar_results(scene: Scene) -> dict[str, BarResults]:
 
 
 def joint_reactions(scene: Scene) -> dict[str, Force]:
-    """Forces with which held joints are held (force), by their names."""
+    """Reactions of held joints by name (force)."""
     return {joint.name: triple(joint.reaction) for joint in scene.joints if joint.held.any()}

@@ -1,4 +1,4 @@
-"""Lengths to which cables are ordered and marked."""
+"""Fabrication lengths of cables."""
 
 from __future__ import annotations
 
@@ -17,33 +17,32 @@ from crms_fenicsx.runtime.files import absolute, replaced
 from crms_fenicsx.scene import Scene
 
 STEEL = 1.2e-5
-"""Thermal expansion of steel (per kelvin)."""
+"""Coefficient of thermal expansion of steel (per kelvin)."""
 
 
 @dataclass(frozen=True)
 class CableOrder:
-    """A cable to be ordered.
+    """Fabrication lengths of a cable.
 
     Attributes
     ----------
     name
-        Of the cable.
+        Name of the cable.
     EA
         Axial stiffness (force).
     L0
-        Unstressed length between its ends, at the temperature of the model (length).
+        Unstressed length between the ends, at the model's temperature (length).
     tension
-        Tension at which it is measured (force).
+        Tension during measurement (force).
     length
-        Length between its ends at that tension, and at the temperature at which it is measured
-        (length).
+        Length between the ends under that tension and at the measuring temperature (length).
     clamps
-        Names of the clamps on it, from its start to its end.
+        Names of the clamps on the cable, from start to end.
     spacings
-        Distances from its start to the first clamp, from clamp to clamp, and to its end, measured
-        as `length` (length).
+        Distances from the start to the first clamp, between clamps, and to the end, measured as
+        `length` is (length).
     cut
-        `length` with the allowances at both ends (length).
+        `length` plus the allowances at both ends (length).
     """
 
     name: str
@@ -58,18 +57,18 @@ class CableOrder:
 
 @dataclass(frozen=True)
 class Order:
-    """Cables to be ordered, and at what they are measured.
+    """Fabrication lengths of a scene's cables, and the measuring conditions.
 
     Attributes
     ----------
     cables
-        By their names.
+        `CableOrder` by cable name.
     temperature
-        By how much it is warmer where they are measured than in the model (kelvin).
+        Measuring temperature minus the model's (kelvin).
     expansion
-        Thermal expansion (per kelvin).
+        Coefficient of thermal expansion (per kelvin).
     allowance
-        What is added at the start and at the end of each (length).
+        Allowances at the start and at the end of each cable (length).
     comm
         Communicator of the scene.
     """
@@ -86,7 +85,7 @@ class Order:
     )  # fmt: skip
 
     def rows(self) -> list[tuple[str | float, ...]]:
-        """A row for each part between clamps, with the columns `COLUMNS`."""
+        """One row for each segment between clamps, with the columns `COLUMNS`."""
         found: list[tuple[str | float, ...]] = []
         for one in self.cables.values():
             marks = ["start", *one.clamps, "end"]
@@ -100,12 +99,12 @@ class Order:
 
     @collective
     def write(self, filename: str | Path) -> None:
-        """Write a CSV file, with all digits. Collective.
+        """Write a CSV file with full precision. Collective.
 
         Parameters
         ----------
         filename
-            Of the file; one that is there is replaced.
+            Name of the file; an existing file is replaced.
 
         Raises
         ------
@@ -134,20 +133,20 @@ def lengths_to_order(
     expansion: float = STEEL,
     allowance: float | tuple[float, float] = 0.0,
 ) -> Order:
-    """Lengths to which the cables of a scene are made and marked. Collective.
+    """Fabrication lengths and clamp marks of a scene's cables. Collective.
 
     Parameters
     ----------
     scene
         A scene with cables.
     tension
-        Tension at which they are measured, for all or by their names (force).
+        Tension during measurement, for all cables or by name (force).
     temperature
-        By how much it is warmer there than in the model (kelvin).
+        Measuring temperature minus the model's (kelvin).
     expansion
-        Thermal expansion, by default that of steel (per kelvin).
+        Coefficient of thermal expansion, by default that of steel (per kelvin).
     allowance
-        What is added at each end, or at the start and at the end (length).
+        Allowance at each end, or at the start and at the end (length).
 
     Returns
     -------
@@ -157,7 +156,7 @@ def lengths_to_order(
     Raises
     ------
     InputError
-        On all ranks: a scene without cables, or a number that is none.
+        On all ranks: a scene without cables, or an invalid number.
 
     Examples
     --------
@@ -194,7 +193,7 @@ def lengths_to_order(
 
 
 def _order(scene: Scene, cable: LaidCable, tension: float, warm: float, more: float) -> CableOrder:
-    """A cable to be ordered."""
+    """Fabrication lengths of one cable."""
     own = sorted(
         (clamp.at[clamp.cables.index(cable.name)], clamp.name)
         for clamp in scene.clamps

@@ -18,18 +18,18 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class ClampResults:
-    """A clamp in an equilibrium, by plain numbers.
+    """Results of a clamp in equilibrium.
 
     Attributes
     ----------
     name
-        Of the clamp.
+        Name of the clamp.
     place
-        Where it is, (3,) (length).
+        Position, (3,) (length).
     before, after
-        Tensions of its two cables before and after it, in their directions (force).
+        Tensions of the two cables before and after the clamp, along their directions (force).
     force
-        Force along the membrane that it hands on from the first cable to the second, (3,) (force).
+        Tangential force that the clamp transfers from the first cable to the second, (3,) (force).
     """
 
     name: str
@@ -40,24 +40,24 @@ class ClampResults:
 
     @property
     def differences(self) -> Pair:
-        """By how much the tensions of its cables rise at it (force)."""
+        """Increase of its cables' tensions at the clamp (force)."""
         return self.after[0] - self.before[0], self.after[1] - self.before[1]
 
     @property
     def size(self) -> float:
-        """Size of the force that it must hold along the membrane (force)."""
+        """Magnitude of the tangential force on the clamp (force)."""
         return float(np.linalg.norm(self.force))
 
 
 def clamp_results(scene: Scene) -> dict[str, ClampResults]:
-    """Forces of a scene's clamps by their names; zero where a cable is slack."""
+    """Results of a scene's clamps by name; zero if a cable is slack."""
     return {clamp.name: _results(scene, clamp) for clamp in scene.clamps}
 
 
 def _results(scene: Scene, clamp: Clamp) -> ClampResults:
     sides = [_side(scene.cable(name), at) for name, at in zip(clamp.cables, clamp.at, strict=True)]
     (first, ways), (second, others) = sides
-    # Each cable pulls with T2 t2 - T1 t1; what is normal to both is carried by air and membrane.
+    # Each cable pulls with T2 t2 - T1 t1; air and membrane carry the part normal to both.
     pulls = [side[1] * way[1] - side[0] * way[0] for side, way in sides]
     across = cross(ways.sum(axis=0), others.sum(axis=0))
     normal = across / max(float(norm(across)), 1e-300)
@@ -70,7 +70,7 @@ def _results(scene: Scene, clamp: Clamp) -> ClampResults:
 
 
 def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:
-    """Tensions of a cable before and after a clamp, and its directions there, (2, 3)."""
+    """Tensions before and after a clamp, and the cable's directions there, (2, 3)."""
     if cable.parts is None or not cable.parts.nodes:
         return (0.0, 0.0), np.zeros((2, 3))
     i = int(np.argmin(np.abs(cable.parts.at - at)))

@@ -1,16 +1,16 @@
-"""How much energy the mesh costs, from one equilibrium on it.
+"""Discretisation error of the energy, estimated from one equilibrium.
 
-Strains, section forces and displacement gradients are constant in each cell. Averaged at the
-vertices and interpolated in between they come closer to the truth (O. C. Zienkiewicz and J. Z. Zhu,
-A simple error estimator and adaptive procedure for practical engineering analysis, 1987), and how
-far the cells are from these averages tells the error. By a second variation of the strain energy,
+Strains, section forces and displacement gradients are constant in each cell. Averages at the
+vertices, interpolated linearly, are more accurate (O. C. Zienkiewicz and J. Z. Zhu, A simple error
+estimator and adaptive procedure for practical engineering analysis, 1987), and their distance from
+the cells' values estimates the error. By a second variation of the strain energy,
 
     W_h - W  ~  1/2 int (S* - S):(E* - E) + S : (H* - H)^T (H* - H) dA,
 
-with the second Piola-Kirchhoff section forces S, the strains E and the displacement gradients H,
-of which the second term is that of taut surfaces which are not straight. Folds are no errors: a
-cell that a cable folds has a crease of its own, so no average is taken over folded cells. These
-have their own first term against the averages around, and the second one of the cells beside them.
+with the second Piola-Kirchhoff section forces S, strains E and displacement gradients H; the second
+term belongs to taut curved surfaces. Folds are not errors: a cell folded by a cable has a crease
+of its own, so averages exclude folded cells. These take their first term against the surrounding
+averages, and the second from neighbouring cells.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import VertexPoint
 
 WIDTH = 6 + 6 + 9 + 3 + 3
-"""Numbers that are averaged: E, S, H, unit normals; weight, material and its square."""
+"""Number of averaged components: E, S, H, unit normals; weight, material and its square."""
 UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorEstimate:
-    """The estimated error of the energy.
+    """Estimated error of the energy.
 
     Attributes
     ----------
     cells : (n,)
-        Shares of this rank's owned cells (force x length).
+        Contributions of this rank's owned cells (force x length).
     total
-        The energy's error, that of all ranks' cells (force x length).
+        Error of the energy, summed over all ranks (force x length).
     relative
-        The same in parts of the membrane's strain energy; 0 where there is none.
+        `total` over the membrane's strain energy; 0 if that is zero.
     """
 
     cells: Array
@@ -53,7 +53,7 @@ class ErrorEstimate:
     relative: float
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         return f"ErrorEstimate(total {self.total:.3g}, relative {self.relative:.3g})"
 
 
@@ -71,7 +71,7 @@ class ErrorEstimator:
         self._tags = np.zeros(len(vectors)) if tags is None else tags.values.astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
-        """The error of the state that a scene is in. Collective."""
+        """Estimated error of the scene's present state. Collective."""
         tensors = cell_tensors(system)
         frames, axes, images = tensors.frames, tensors.axes, tensors.images
         folded = tensors.folded
@@ -89,7 +89,7 @@ class ErrorEstimator:
             np.einsum("nvij,nai,nbj->nvab", d, own, own) for d, own in ((dE, frames), (dS, axes))
         ]
         factor = np.einsum("nab,nvia->nvib", tensors.forces, tilt)
-        known = np.maximum(good.sum(axis=1), 1) / 3  # what corners without an average leave out
+        known = np.maximum(good.sum(axis=1), 1) / 3  # compensates for corners without an average
         first = _integral(tangent[0], tangent[1]) * self._areas / known
         second = _integral(factor, tilt) * self._areas / known
         cells = np.maximum(first, 0.0) / 2 + np.maximum(self._spread(second, folded), 0.0) / 2
@@ -98,7 +98,7 @@ class ErrorEstimator:
         return ErrorEstimate(cells, total, total / strain_energy if strain_energy else 0.0)
 
     def _averages(self, E: Array, S: Array, H: Array, folded: Booleans) -> tuple[Array, Booleans]:
-        """Averages at the cells' corners, (n, 3, WIDTH), and which of them are sound, (n, 3)."""
+        """Averages at the cells' corners, (n, 3, WIDTH), and which of them are valid, (n, 3)."""
         i, j = UPPER
         n = len(E)
         own = np.column_stack([
@@ -116,7 +116,7 @@ class ErrorEstimator:
         return mean, good
 
     def _gathered(self, own: Array) -> Array:
-        """Sums of the cells' numbers (n, WIDTH) around each of their corners, (n, 3, WIDTH)."""
+        """Sums of cell values (n, WIDTH) around each cell's corners, (n, 3, WIDTH)."""
         sums = self._sums.x.array.reshape(-1, WIDTH)
         sums[:] = 0.0
         for k in range(3):
@@ -126,7 +126,7 @@ class ErrorEstimator:
         return sums[self._dofs].copy()
 
     def _spread(self, values: Array, folded: Booleans) -> Array:
-        """Give folded cells (n,) what those beside them have per area."""
+        """Give folded cells (n,) the error per area of their neighbours."""
         own = np.zeros((len(values), WIDTH))
         own[~folded, 0], own[~folded, 1] = values[~folded], self._areas[~folded]
         around = self._gathered(own)[folded].sum(axis=1)
@@ -135,7 +135,7 @@ class ErrorEstimator:
         return found
 
     def _under_cables(self) -> Booleans:
-        """Which corners lie under cables that follow lines of the mesh, (n, 3)."""
+        """Corners under cables that follow mesh lines, (n, 3)."""
         points = {
             node.point.vertex
             for cable in self._scene.cables
@@ -155,6 +155,6 @@ def _full(values: Array) -> Array:
 
 
 def _integral(a: Array, b: Array) -> Array:
-    """Mean over triangles of products of fields (n, 3, i, j) that are linear between corners."""
+    """Mean over triangles of products of fields linear between corners, (n, 3, i, j)."""
     corners = np.einsum("nvij,nvij->n", a, b)
     return np.asarray((corners + np.einsum("nij,nij->n", a.sum(axis=1), b.sum(axis=1))) / 12)

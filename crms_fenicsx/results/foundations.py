@@ -1,4 +1,4 @@
-"""What foundations bear: points at which ends and held points meet, and lines of held edges."""
+"""Foundation forces at points, where cable and bar ends meet, and along held edges."""
 
 from __future__ import annotations
 
@@ -29,34 +29,35 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class FoundationPoint:
-    """A point at which cables, bars and held points of the membrane meet."""
+    """Foundation point of cables, bars and held points of the membrane."""
 
-    members: tuple[str, ...]  # names of what meets there
-    at: Force  # where it is (length)
-    force: Force  # that they exert on the foundation, all summed up (force)
-    joints: tuple[str, ...] = ()  # names of held joints that are there
+    members: tuple[str, ...]  # names of the ends that meet here
+    at: Force  # position (length)
+    force: Force  # total force on the foundation (force)
+    joints: tuple[str, ...] = ()  # names of the held joints here
 
 
 @dataclass(frozen=True)
 class FoundationLine:
-    """Held edges or vertices of a group that no larger group has."""
+    """Held edges or vertices of a group, without those of larger groups."""
 
-    name: str  # of the group; "other supports" of vertices in none
-    force: Force  # that the membrane exerts on them, without ends of cables and bars (force)
-    length: float  # of the edges (length); 0 of points
-    mean: float  # size of the force per length, mean and largest one at a vertex (force per length)
+    name: str  # of the group, or "other supports"
+    force: Force  # of the membrane on the foundation, without ends of cables and bars (force)
+    length: float  # of the edges (length); 0 for points
+    # mean, largest: force magnitude per length, in the mean and at a vertex (force per length)
+    mean: float
     largest: float
 
 
 @dataclass(frozen=True)
 class Foundations:
-    """All that holds a scene. Forces are those on the foundations: reactions with other signs."""
+    """All foundations of a scene. Forces act on the foundations: reactions with reversed sign."""
 
     points: tuple[FoundationPoint, ...]
     lines: tuple[FoundationLine, ...]
-    loads: Mapping[str, Force]  # resultants of what acts, by the names of loads, and "pressure"
-    rim: Array  # (k, 2, 3) ends of held edges where they are now (length), on all ranks
-    per_length: Array  # (k, 2, 3) forces at these per length (force per length)
+    loads: Mapping[str, Force]  # resultants by name of load, and "pressure"
+    rim: Array  # (k, 2, 3) present ends of held edges (length), on all ranks
+    per_length: Array  # (k, 2, 3) force per length at these ends (force per length)
 
     @property
     def _forces(self) -> list[Force]:
@@ -64,12 +65,12 @@ class Foundations:
 
     @property
     def total(self) -> Force:
-        """Sum of the forces on all foundations (force)."""
+        """Sum of the foundation forces (force)."""
         return triple(np.sum([(0.0, 0.0, 0.0), *self._forces], axis=0))
 
     @property
     def unbalanced(self) -> float:
-        """How far they are from the loads' sum, relative to the largest of all these forces."""
+        """Difference from the sum of the loads, relative to the largest of all these forces."""
         loads = [*self.loads.values()]
         sizes = np.abs([*loads, *self._forces])
         gap = np.abs(np.subtract(self.total, np.sum(loads, axis=0) if loads else 0.0))
@@ -77,9 +78,9 @@ class Foundations:
 
 
 ROUNDED = 1e-10
-"""Part of the largest resultant below which another one, as of forces within, is none."""
+"""Resultants below this part of the largest one, as of internal forces, count as zero."""
 OTHERS = "other supports"
-"""Held vertices in no group that is held as a whole."""
+"""Name for held vertices that belong to no group held as a whole."""
 
 
 def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
@@ -112,7 +113,7 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
 
 
 def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]:
-    """This rank's owned held vertices by the largest group that has them. Collective."""
+    """This rank's owned held vertices, each assigned to its largest group. Collective."""
     n, comm = scene.V.dofmap.index_map.size_local, scene.comm
     left: Booleans = np.any(scene.held[:n], axis=1)
     counts = {name: comm.allreduce(int(np.count_nonzero(x < n))) for name, x in groups.items()}
@@ -129,7 +130,7 @@ def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]
 
 
 def resultants(system: System) -> dict[str, Force]:
-    """Sums of the forces of all that acts on membrane and joints but supports. Collective."""
+    """Resultants of all actions on membrane and joints except the supports'. Collective."""
     scene, found = system.scene, dict[str, Array]()
     for load in scene.loads:
         if load.factor != 0.0:
@@ -143,7 +144,7 @@ def resultants(system: System) -> dict[str, Force]:
     if ponds is not None:
         found["water"] = _sum(system, lambda g: ponds.add_pressure(potential, g, -1.0))
     potential.sum_up()
-    for term in scene.terms:  # the user's own, such as springs to the ground
+    for term in scene.terms:  # user terms, such as springs to the ground
         sums = potential.sums_of(term)
         found[term.name] = _sum(system, partial(term.add_gradient, potential.x, sums))
     if scene.floor_level is not None:
@@ -158,7 +159,7 @@ def resultants(system: System) -> dict[str, Force]:
 
 
 def _sum(system: System, add: Callable[[Array], object]) -> Array:
-    """Sum of the forces whose opposite a function adds to those on all blocks. Collective."""
+    """Resultant of the forces whose negatives `add` adds to those on all blocks. Collective."""
     vector, g = system.unknowns.vector()
     add(g)
     system.unknowns.gather_forces(vector, g)
@@ -167,7 +168,7 @@ def _sum(system: System, add: Callable[[Array], object]) -> Array:
 
 
 def _points(ends: Iterable[HeldEnd], near: float) -> list[FoundationPoint]:
-    """Ends, summed up where they are at one place."""
+    """Combine ends at the same place."""
     places = list[tuple[Array, list[HeldEnd]]]()
     for end in ends:
         for at, members in places:
@@ -187,7 +188,7 @@ def _points(ends: Iterable[HeldEnd], near: float) -> list[FoundationPoint]:
 
 
 def held_edges(scene: Scene) -> Integers:
-    """Ends of this rank's edges with a name that are held in some direction, (k, 2)."""
+    """Vertex pairs of this rank's named edges held in some direction, (k, 2)."""
     membrane = scene.membrane
     own = membrane.mesh.mesh.topology.index_map(1).size_local
     named = np.unique(np.concatenate([np.zeros(0, np.int32), *membrane.mesh.edges.values()]))
@@ -196,12 +197,12 @@ def held_edges(scene: Scene) -> Integers:
 
 
 def held_rim(scene: Scene) -> Array:
-    """Ends of all ranks' held edges with a name, (k, 2, 3) (length). Collective."""
+    """Ends of all ranks' held named edges, (k, 2, 3) (length). Collective."""
     return np.concatenate(scene.comm.allgather(scene.positions()[held_edges(scene)]))
 
 
 def _along_rim(scene: Scene, line: Array) -> Array:
-    """The membrane's forces on `held_rim` per length, by those on its supports. Collective."""
+    """Membrane forces on `held_rim` per length, from the support forces. Collective."""
     function = fem.Function(scene.V)
     values = function.x.array.reshape(-1, 3)
     values[: len(line)] = -line
@@ -210,5 +211,5 @@ def _along_rim(scene: Scene, line: Array) -> Array:
 
 
 def _reversed(force: Sequence[float] | Array) -> Force:
-    """The force on what a force comes from; no negative zeros."""
+    """The opposite force, without negative zeros."""
     return triple(0.0 - np.asarray(force))

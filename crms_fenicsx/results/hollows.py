@@ -1,4 +1,4 @@
-"""Hollows of the current surface, in which rain would stand as it has no way out."""
+"""Hollows of the current surface, in which rainwater would stand."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
     from scipy.sparse import coo_array
 
 SHALLOW = 1e-5
-"""Depth, relative to the membrane's size, up to which a hollow is none."""
+"""Depth, relative to the membrane's size, up to which a hollow is ignored."""
 
 UPRIGHT = 1e-6
-"""Area of the plan, relative to that of the surface, from which on water stays on a triangle."""
+"""Least plan area of a triangle that holds water, relative to its surface area."""
 
 Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, repr=False)
 class Hollow:
-    """A part of the surface from which water has no way out.
+    """A part of the surface without drainage.
 
     Attributes
     ----------
     at
-        Its lowest place (length).
+        Lowest point (length).
     depth
-        Of the water there when the hollow is full (length).
+        Water depth there when the hollow is full (length).
     level
-        Height z at which the water runs over (length).
+        Overflow level z (length).
     volume, area
-        Of the water when it is full (length cubed), and of its surface (length squared).
+        Water volume when full (length cubed), and area of the water surface (length squared).
     """
 
     at: Place
@@ -55,16 +55,16 @@ class Hollow:
 
 @dataclass(frozen=True)
 class Hollows:
-    """All hollows of a surface, the deepest first, and the one that each point lies in."""
+    """Hollows of a surface, the deepest first, and the hollow of each point."""
 
     hollows: tuple[Hollow, ...]
-    of_points: Integers  # number of the hollow of each of this rank's points, -1 of none
-    plan: float  # area of the surface's plan (length squared)
+    of_points: Integers  # hollow of each of this rank's points, -1 for none
+    plan: float  # plan area of the surface (length squared)
 
 
 def find_hollows(net: CableNet) -> Hollows:
-    """Find the hollows of the current surface where it faces up; over its edges, and where it
-    overhangs, water runs off. Collective."""
+    """Find the hollows of the current surface where it faces up; water drains over its edges and
+    where it overhangs. Collective."""
     membrane, comm = net.membrane, net.membrane.comm
     shallow = SHALLOW * membrane.size  # collective
     piece = surface_piece(membrane, current_surface(net), {})
@@ -84,8 +84,8 @@ def find_hollows(net: CableNet) -> Hollows:
 
 
 def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
-    """The hollows of points (n, 3) and triangles (m, 3); `rim`: whether points lie on the surface's
-    edge. Units: shallow (length)."""
+    """Hollows of points (n, 3) and triangles (m, 3); `rim`: which points lie on the surface's edge.
+    Units: shallow (length)."""
     from scipy.sparse import csgraph
 
     vectors = double_areas(points[triangles]) / 2
@@ -97,7 +97,7 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
     if not len(up):
         return Hollows((), of_points, plan)
     pairs, counts = _edges(up)
-    # where cables fold one of two cells, the edge between them is one of a single triangle, too
+    # where cables fold one of two cells, their common edge belongs to a single triangle, too
     every, times = _edges(triangles)
     inner = np.flatnonzero(times > 1)
     overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
@@ -127,8 +127,8 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
 
 
 def _water(corners: Array, level: float) -> tuple[float, float]:
-    """Volume of the water up to a level over triangles, corners (n, 3, 3), and its surface's area;
-    over a corner that alone is wet, or dry, the depths are those of a smaller triangle."""
+    """Volume of water below a level over triangles with corners (n, 3, 3), and the area of its
+    surface; a single wet or dry corner makes a smaller triangle."""
     plan = np.abs(double_areas(corners)[:, 2]) / 2
     h = np.sort(level - corners[:, :, 2], axis=1)
     wet, volume, area = (h > 0.0).sum(axis=1), np.zeros(len(h)), np.zeros(len(h))
@@ -142,7 +142,7 @@ def _water(corners: Array, level: float) -> tuple[float, float]:
 
 
 def _edges(triangles: Integers) -> tuple[Integers, Integers]:
-    """Edges of triangles, (n, 2), and of how many each is one."""
+    """Edges of triangles, (n, 2), and the number of triangles of each."""
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
     return np.unique(pairs, axis=0, return_counts=True)
 
@@ -159,17 +159,17 @@ def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
 
 
 def _filled(z: Array, pairs: Integers, outlets: Integers) -> Array:
-    """The least height that water has to rise to at each point (n,) until it runs off: the highest
-    place of the lowest way to an outlet. Along the edges of triangles there is always such a
-    way. Points without one, and those of no edge, stay dry. Units: z (length)."""
-    # The lowest ways to all outlets at once make up a tree: that of the least heights of edges,
-    # with one point more that all outlets lead to.
+    """Least level at which water at each point (n,) drains: the highest point of the lowest path to
+    an outlet, which always runs along triangle edges. Points without a path or an edge stay dry.
+    Units: z (length)."""
+    # The lowest paths to all outlets form the minimum spanning tree of the edges' heights, with an
+    # extra point to which all outlets lead.
     from scipy.sparse import csgraph
 
     n = len(z)
     out = np.column_stack([outlets, np.full(len(outlets), n)])
     heights = np.concatenate([z[pairs].max(axis=1), z[outlets]])
-    weights = heights - heights.min() + 1.0 + np.ptp(heights)  # none of 0, which would be no edge
+    weights = heights - heights.min() + 1.0 + np.ptp(heights)  # a weight of 0 would be no edge
     tree = csgraph.minimum_spanning_tree(_graph(n + 1, np.concatenate([pairs, out]), weights))
     order, before = csgraph.breadth_first_order(tree, n, directed=False)
     fill = np.append(z, -np.inf)

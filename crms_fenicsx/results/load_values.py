@@ -12,17 +12,17 @@ from crms_fenicsx.scene import Scene
 
 
 def load_label(scene: Scene, name: str) -> tuple[str, str]:
-    """Label of a load's values, and the kind of their unit."""
+    """Label of a load's values and the kind of unit."""
     if any(load.name == name and load.suction is not None for load in scene.loads):
         return f"c_p of {name}", ""
     return f"{name} per area", "pressure"
 
 
 def load_values(scene: Scene, name: str) -> Array:
-    """What a load or pond is in this rank's cells at the factor 1, (m,). Collective.
+    """Load or pond in this rank's cells at factor 1, (m,). Collective.
 
-    Of wind the pressure coefficients, positive where it presses on the outer side; of others the
-    sizes of their forces per area, means around vertices.
+    For wind the pressure coefficients, positive for pressure on the outer side; otherwise the
+    magnitude of the force per area, averaged around vertices.
     """
     membrane, own = scene.membrane, scene.mesh.mesh.topology.index_map(2).size_local
     cells = membrane.V.dofmap.list[:own]

@@ -26,7 +26,8 @@ from crms_fenicsx.runtime.errors import InputError, collective
 
 
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
-    """A linear function: at vertices, means of the values (n,) of the cells around. Collective."""
+    """A linear function with the means of adjacent cells' values (n,) at the vertices.
+    Collective."""
     V = membrane.nodal_values
     weight, found = fem.Function(V), fem.Function(V, name=name)
     known = np.isfinite(values)
@@ -41,23 +42,22 @@ def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> f
 
 
 FLAT = 1e-12
-"""Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""
+"""Least squared stretch assumed of a cell, so that a collapsed one still has directions."""
 
 
 @dataclass(frozen=True, repr=False)
 class MembraneResults:
-    """Values in this rank's owned cells, by local cell number.
+    """Results in this rank's owned cells, by local cell number.
 
     Principal values are (n, 2), the larger first, and their directions unit vectors in space, (n,
-    2, 3), arbitrary where both values are equal. A folded cell has the values of the triangle that
-    it unfolds to; its directions and normal are those of the triangle of its corners. Section
-    forces are the material's with those that terms of the energy add, such as the residual ones of
-    a found form.
+    2, 3), arbitrary if both values are equal. A folded cell has the values of the triangle it
+    unfolds to; its directions and normal are those of the triangle of its corners. Section forces
+    include those of added energy terms, such as the residual ones of a found form.
 
     Attributes
     ----------
     strains
-        Principal Green-Lagrange strains of the material.
+        Principal Green-Lagrange strains.
     second_piola, second_piola_directions
         Second Piola-Kirchhoff section forces (force per length); directions in the stress-free
         surface.
@@ -65,10 +65,10 @@ class MembraneResults:
         True (Cauchy) section forces, per current length, ``F S F^T / J`` with J the ratio of the
         areas (force per length); directions in the current surface.
     warp : (n, 3)
-        Current unit directions of the warp, of isotropic membranes of their first material axis.
+        Current unit directions of the warp; of isotropic membranes, of the first material axis.
     warp_weft, second_piola_warp_weft : (n, 3)
-        True section forces along the warp, across it, and their shear (force per length), and
-        second Piola-Kirchhoff ones in the material axes.
+        True section forces along the warp, across it, and shear (force per length); second
+        Piola-Kirchhoff section forces in the material axes.
     state : (n,) int
         2 taut, 1 wrinkled, 0 slack.
     normals : (n, 3)
@@ -78,15 +78,15 @@ class MembraneResults:
     folded : (n,) bool
         Whether a cable in tension folds the cell.
     parts
-        This rank's owned cells of the mesh's parts, by their names.
+        This rank's owned cells of each part of the mesh, by name.
     surface
         This rank's part of the current surface, with the facets of folded cells.
     membrane
-        The membrane that they are results of.
+        The membrane of these results.
     in_equilibrium
-        Whether the scene had not been changed since its last load step.
+        Whether the scene was unchanged since its last load step.
     strength_factor
-        By what the strengths of `Scene.set_strengths` are divided under the loads that act.
+        Divisor of the strengths of `Scene.set_strengths` under the present loads.
     """
 
     strains: Array
@@ -109,7 +109,7 @@ class MembraneResults:
     strength_factor: float = 1.0
 
     def __repr__(self) -> str:
-        """In a line, of this rank's cells; not collective."""
+        """One line, for this rank's cells; not collective."""
         words = [counted(len(self.state), "cell")]
         words += [f"{name} {span(self.values(name))}" for name in ("warp", "weft", "shear")]
         words += [
@@ -120,25 +120,25 @@ class MembraneResults:
         return f"MembraneResults({', '.join(words)})"
 
     def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
-        """True section forces over strengths, the larger ratio of warp and weft.
+        """Ratio of true section force to strength, the larger of warp and weft.
 
         Parameters
         ----------
         strengths
-            Of the fabric in warp and weft, divided by the partial factors (force per length); one
-            pair, or one of each part by its name. By default those of `Scene.set_strengths`,
-            divided by their factor under the loads that act.
+            Strengths in warp and weft, divided by the partial factors (force per length); one pair,
+            or one per part by name. By default those of `Scene.set_strengths`, divided by their
+            factor under the present loads.
 
         Returns
         -------
         (n,)
-            0 where the cell is slack; NaN in cells of parts that are not named.
+            0 in slack cells; NaN in cells of parts without strengths.
 
         Raises
         ------
         InputError
-            A part that does not exist, parts with common cells, strengths that are not positive, or
-            none at all.
+            A part that does not exist, overlapping parts, strengths that are not positive, or no
+            strengths.
 
         Examples
         --------
@@ -162,7 +162,7 @@ class MembraneResults:
 
     @property
     def names(self) -> list[str]:
-        """Names of the values that cells have, for `function` and ``at(...)[name]``."""
+        """Names of the cells' values, for `function` and ``at(...)[name]``."""
         has = bool(self.membrane.strengths)
         return [name for name in QUANTITIES if has or name != "utilisation"]
 
@@ -172,7 +172,7 @@ class MembraneResults:
         Raises
         ------
         InputError
-            There are none of that name; it says which there are.
+            An unknown name; the message lists the known ones.
         """
         return checks.named("result", {one: QUANTITIES[one] for one in self.names}, name).of(self)
 
@@ -188,7 +188,7 @@ class MembraneResults:
         Raises
         ------
         InputError
-            On all ranks: there is no such part.
+            On all ranks: an unknown part.
         """
         checks.same(self.comm, "shares", part=part)
         cells: Indices = np.arange(len(self.state), dtype=np.int32)
@@ -207,22 +207,22 @@ class MembraneResults:
 
     @collective
     def function(self, name: str, *, smooth: bool = False) -> fem.Function:
-        """Values as a function of DOLFINx on the stress-free mesh. Collective.
+        """Values as a DOLFINx function on the stress-free mesh. Collective.
 
         Parameters
         ----------
         name
-            One of `names`, or "displacement", a vector (length): that of the vertices. At places
-            in folded cells ask `at`.
+            One of `names`, or "displacement", the vertices' displacement vector (length). For
+            points in folded cells use `at`.
         smooth
-            False: constant in each cell (DG0). True: linear (P1), at each vertex the mean over the
-            cells around it by their stress-free areas; it spreads over borders of parts and
-            folds. Displacements are linear always.
+            False: constant in each cell (DG0). True: linear (P1), at each vertex the mean of the
+            adjacent cells, weighted by stress-free area, which also smooths across borders of parts
+            and folds. Displacements are always linear.
 
         Raises
         ------
         InputError
-            On all ranks: there are no values of that name.
+            On all ranks: an unknown name.
         """
         checks.same(self.comm, "function", name=name, smooth=smooth)
         if name == "displacement":
@@ -247,19 +247,19 @@ class MembraneResults:
         on: Literal["current", "stress-free"] = "current",
         smooth: bool = False,
     ) -> PlaceResults:
-        """Results at places of the surface, that of the folded cells. Collective.
+        """Results at points of the surface, folded cells included. Collective.
 
         Parameters
         ----------
         points
-            Places in plan, (k, 2), on the uppermost sheet there, or in space, (k, 3), at the
+            Points in plan, (k, 2), on the uppermost sheet, or in space, (k, 3), projected to the
             nearest place (length); the same on all ranks.
         on
-            The shape that they are places of. "stress-free" follows the same place of the fabric
+            Shape that the points refer to. "stress-free" follows the same point of the fabric
             through all load cases.
         smooth
-            Whether values are linear between means at the vertices, as in `function`, or those of
-            the cell that has the place: on an edge, of one of its cells.
+            Whether values are interpolated between vertex means, as in `function`, or taken from
+            the cell (on an edge, from one of its cells).
 
         Returns
         -------
@@ -270,8 +270,8 @@ class MembraneResults:
         Raises
         ------
         InputError
-            On all ranks: no points, or one off the surface; in plan by more than 5 % of the cell's
-            size there, in space by more than 10 %.
+            On all ranks: no points, or a point off the surface; in plan by more than 5 % of the
+            local cell size, in space by more than 10 %.
         """
         checks.same(self.comm, "at", points=points, on=on, smooth=smooth)
         checks.one_of("at: on", on, ("current", "stress-free"))
@@ -286,7 +286,7 @@ class MembraneResults:
 
 
 def membrane_results(system: System) -> MembraneResults:
-    """Evaluate the membrane at the scene's current state. Collective."""
+    """Evaluate the membrane in the scene's present state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
     S = cells.forces + added_forces(scene, axes)

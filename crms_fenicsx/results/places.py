@@ -1,4 +1,4 @@
-"""Places of the surface that users ask for: in which facets they lie, and what is there."""
+"""Locate users' points on the surface and evaluate results there."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
 from crms_fenicsx.surface.feet import nearest_pairs
 
 HELD = 1e-9
-"""Distance in plan, relative to a facet's size, at which the facet still has a place."""
+"""Distance in plan, relative to a facet's size, at which the facet still contains a point."""
 
 
 @dataclass(frozen=True, repr=False)
 class PlaceResults:
-    """Results at places of the surface, the same on all ranks.
+    """Results at points of the surface, the same on all ranks.
 
     Attributes
     ----------
     positions, stress_free : (k, 3)
-        The places on the current and on the stress-free surface (length).
+        The points on the current and on the stress-free surface (length).
     values
-        What the cells have there, by name, (k,) each; ``self[name]`` is short for it.
+        Cell values by name, (k,) each; ``self[name]`` is short for it.
     """
 
     positions: Array
@@ -50,13 +50,13 @@ class PlaceResults:
     values: dict[str, Array]
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         values = ", ".join(f"{name} {span(self[name])}" for name in ("warp", "weft", "shear"))
         return f"PlaceResults({counted(len(self.positions), 'place')}: {values} ...)"
 
     @property
     def displacement(self) -> Array:
-        """From the stress-free to the current place, (k, 3) (length)."""
+        """Displacement from the stress-free position, (k, 3) (length)."""
         return self.positions - self.stress_free
 
     def __getitem__(self, name: str) -> Array:
@@ -66,19 +66,19 @@ class PlaceResults:
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a surface that is divided among ranks."""
+    """Points of a surface distributed over ranks."""
 
-    comm: MPI.Intracomm  # the ranks
-    mine: Booleans  # (k,) bool which of them lie in this rank's facets
-    cells: Integers  # (k,) int this rank's cells; any where the place is another rank's
+    comm: MPI.Intracomm  # communicator
+    mine: Booleans  # (k,) points in this rank's facets
+    cells: Integers  # (k,) local cells, arbitrary for another rank's points
     # positions, stress_free: (k, 3) current and stress-free, on all ranks (length)
     positions: Array
     stress_free: Array
-    # (k,) how far they are from what was asked for, in parts of their facets' longest sides
+    # (k,) distances from the requested points, relative to their facets' longest sides
     gaps: Array
 
     def of_cells(self, values: Array) -> Array:
-        """Values of the cells with the places, (k,). Collective."""
+        """Values (k,) of the cells that contain the points. Collective."""
         found = np.zeros(len(self.mine))
         found[self.mine] = values[self.cells[self.mine]]
         return np.asarray(self.comm.allreduce(found))
@@ -101,7 +101,7 @@ def find_places(
     points: ArrayLike,
     on: Literal["current", "stress-free"],
 ) -> Places:
-    """Find the facets that places lie in. Collective."""
+    """Find the facets that contain points. Collective."""
     targets, in_plan = _checked(points)
     places = nearest_places(comm, surface, targets, on, in_plan=in_plan)
     off = np.flatnonzero(places.gaps > (RIM if in_plan else ON_SURFACE))
@@ -125,7 +125,7 @@ def nearest_places(
     *,
     in_plan: bool = False,
 ) -> Places:
-    """Find the places nearest to targets (k, 3), however far these are (length). Collective."""
+    """Find the points of the surface nearest to targets (k, 3) (length). Collective."""
     corners = (surface.points if on == "current" else surface.stress_free)[surface.triangles]
     rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
     every = np.array(comm.allgather(scores))
@@ -145,7 +145,7 @@ def nearest_places(
 
 
 def _checked(points: ArrayLike) -> tuple[Array, bool]:
-    """The points as (k, 3), and whether they are in plan, then with z = 0."""
+    """The points as (k, 3), and whether they are in plan, with z = 0."""
     try:
         array = np.asarray(points, dtype=np.float64)
     except (TypeError, ValueError):
@@ -164,13 +164,14 @@ def _checked(points: ArrayLike) -> tuple[Array, bool]:
 def _candidates(
     corners: Array, targets: Array, in_plan: bool
 ) -> tuple[Integers, Array, Array, Array]:
-    """This rank's best facets (k,), weights (k, 3), scores (k, 2) and sizes (k,) by target."""
+    """This rank's best facets (k,), weights (k, 3), scores (k, 2) and sizes (k,) for each
+    target."""
     k = len(targets)
     rows, weights = np.zeros(k, dtype=np.int64), np.zeros((k, 3))
     scores, sizes = np.full((k, 2), np.inf), np.zeros(k)
     usable: Integers = np.arange(len(corners))
     flat = corners
-    if in_plan:  # walls have no place in plan
+    if in_plan:  # vertical facets have no area in plan
         flat = flattened(corners)
         usable = usable[norm(double_areas(flat)) > WALL * norm(double_areas(corners))]
     if not len(usable):

@@ -1,4 +1,4 @@
-"""What results know of the membrane's cells, by name: for fields, places, files and pictures."""
+"""Named quantities of the membrane's cells, for fields, points, files and pictures."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ class CellTensors:
     # (force per length)
     strains: Array
     forces: Array
-    # frames, axes, images: (n, 2, 3) the unit vectors of the material axes in the mesh, the dual
-    # ones, with which vectors are multiplied, and what the first have become. Where the mesh is
-    # stress-free, frames and axes are the same.
+    # frames, axes, images: (n, 2, 3) unit vectors of the material axes in the mesh, their dual
+    # vectors, which give components, and the deformed unit vectors. Where the mesh is stress-free,
+    # frames and axes are equal.
     frames: Array
     axes: Array
     images: Array
     state: npt.NDArray[np.int8]  # (n,) 2 taut, 1 wrinkled, 0 slack
-    # (n,) whether a cable in tension folds the cell; its images are those of its three corners
+    # (n,) whether a taut cable folds the cell; its images are those of its corner triangle
     folded: Booleans
 
 
 def cell_tensors(system: System) -> CellTensors:
-    """Evaluate the cells at the scene's current state; see `membrane_results`. Collective."""
+    """Evaluate the cells in the scene's present state; see `membrane_results`. Collective."""
     system.update()
     scene, membrane = system.scene, system.membrane.energy
     values = membrane.cell_results()
     n = len(values)
     folded = np.zeros(n, dtype=bool)
     if system.cables is not None and system.cables.tables is not None:
-        # It leaves the folded cells' values behind, and is collective: ranks without any join in.
+        # Evaluates the folded cells, collectively: ranks without folded cells join in.
         system.potential.sum_up()
         cells = system.cables.tables.folded.cells
         if len(cells):
@@ -64,7 +64,7 @@ def cell_tensors(system: System) -> CellTensors:
 
 
 def added_forces(scene: Scene, axes: Array) -> Array:
-    """Section forces that added terms put in the cells, in axes (n, 2, 3) of theirs, (n, 2, 2)."""
+    """Section forces of added terms, (n, 2, 2), in the cells' axes (n, 2, 3)."""
     found = np.zeros((len(axes), 2, 2))
     for term in scene.terms:
         if term.section_forces is not None:
@@ -73,21 +73,21 @@ def added_forces(scene: Scene, axes: Array) -> Array:
 
 
 def _symmetric(a: Array, b: Array, c: Array) -> Array:
-    """Matrices (n, 2, 2) with diagonal a, b and c off it."""
+    """Matrices (n, 2, 2) with diagonal a, b and off-diagonal c."""
     return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-2)
 
 
 @dataclass(frozen=True)
 class CellQuantity:
-    """A number that each cell has."""
+    """A scalar quantity of the cells."""
 
-    label: str  # what it is, for people
-    attribute: str  # attribute, column: where `MembraneResults` holds it; -1: it has one only
+    label: str  # displayed name
+    attribute: str  # attribute, column: field of `MembraneResults`; -1 for a scalar field
     column: int = -1
     unit: str = ""  # "stress" (force per length), or "" for a plain number
 
     def of(self, results: Any) -> Array:
-        """Its values in some membrane results, (n,)."""
+        """Values from membrane results, (n,)."""
         found = getattr(results, self.attribute)
         values = np.asarray(found() if callable(found) else found, dtype=np.float64)
         return values if self.column < 0 else values[:, self.column]
@@ -113,13 +113,13 @@ QUANTITIES = {
     "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
     "utilisation": CellQuantity("utilisation", "utilisation"),
 }
-"""All of them; "utilisation" needs the strengths of `Scene.set_strengths`."""
+"""All quantities; "utilisation" needs the strengths of `Scene.set_strengths`."""
 
 SHOWN = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
-"""What ParaView files and pyvista get of them, beside directions and states."""
+"""Quantities in ParaView files and pyvista, beside directions and states."""
 
 
 def fields_of(results: Any) -> dict[str, Array]:
-    """What ParaView files and pyvista get of cells, by name, (n,) or (n, 3)."""
+    """Cell data of ParaView files and pyvista, by name, (n,) or (n, 3)."""
     found = {name: results.values(name) for name in SHOWN if name in results.names}
     return {**found, "direction 1": results.true_directions[:, 0], "state": results.state}

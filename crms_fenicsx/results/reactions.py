@@ -1,4 +1,4 @@
-"""Forces of the supports, of anchors and of held joints, by place."""
+"""Reactions of supports, anchors and held joints."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from crms_fenicsx.runtime.errors import InputError, as_text
 from crms_fenicsx.scene import Scene
 
 AT = 1e3 * SAME_PLACE
-"""Distance, relative to the membrane's size, up to which an end is at a place of the membrane."""
+"""Distance, relative to the membrane's size, up to which an end coincides with the membrane."""
 
 
 @dataclass(frozen=True)
 class HeldEnd:
-    """What ends at an anchor or at a held joint, where, and the force that holds it, (3,)."""
+    """An end held by an anchor or joint, its place, and the reaction on it, (3,)."""
 
     name: str
     place: Array
@@ -35,7 +35,7 @@ class HeldEnd:
 
 
 def held_ends(scene: Scene) -> list[HeldEnd]:
-    """All ends of cables and bars, and loads on joints, that anchors and joints hold."""
+    """Ends of cables and bars held by anchors or joints, and loads on held joints."""
     found = []
     for cable in scene.cables:
         for k, end in enumerate((cable.start, cable.end)):
@@ -50,7 +50,7 @@ def held_ends(scene: Scene) -> list[HeldEnd]:
 
 
 def _at_joint(scene: Scene, joint: Joint) -> list[HeldEnd]:
-    """What a held joint holds; the sum is its reaction."""
+    """Ends and loads at a held joint; their sum is its reaction."""
     forces = {bar.name: -bar.pull(joint) for bar in scene.bars if joint in (bar.start, bar.end)}
     for cable in scene.cables:
         for end, name in zip((cable.start, cable.end), cable.joints, strict=True):
@@ -66,7 +66,7 @@ def _at_joint(scene: Scene, joint: Joint) -> list[HeldEnd]:
 
 
 def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
-    """What this rank's owned vertices, as far as they are held, hold of bars, with their dofs."""
+    """Bar ends at this rank's owned vertices, with their dofs and the reactions on them."""
     found = []
     for vertex in scene.frame.vertices:
         rank, dof = scene.frame.home(vertex)
@@ -80,7 +80,7 @@ def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
 
 
 def bars_at_vertices(scene: Scene, dofs: Indices | Integers) -> list[HeldEnd]:
-    """What this rank's owned vertices `dofs`, as far as they are held, hold of bars. Collective."""
+    """Bar ends at this rank's owned vertices `dofs`, with the reactions on them. Collective."""
     if not scene.frame.vertices:
         return []
     found = [end for dof, end in hung_bars(scene) if dof in dofs]
@@ -88,7 +88,7 @@ def bars_at_vertices(scene: Scene, dofs: Indices | Integers) -> list[HeldEnd]:
 
 
 def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:
-    """Which places are at vertices `dofs` now, with ghosts, or between two of them. Collective."""
+    """Which places lie at vertices `dofs` (ghosts included) or on an edge of two. Collective."""
     if not places:
         return np.zeros(0, dtype=bool)
     marked, ends = np.zeros(len(membrane.held), dtype=bool), edge_ends(membrane.V)
@@ -109,7 +109,7 @@ def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]
 def ends_at(
     scene: Scene, dofs: Indices | Integers, ends: Sequence[HeldEnd], others: Sequence[Array] = ()
 ) -> list[HeldEnd]:
-    """Those of some ends that are at vertices `dofs`, or at some other places. Collective."""
+    """Ends that lie at vertices `dofs` or at other given places. Collective."""
     near = are_at(scene.membrane, dofs, [end.place for end in ends])
     for place in others:
         away = [np.linalg.norm(end.place - place) for end in ends]
@@ -120,7 +120,7 @@ def ends_at(
 def held_there(
     scene: Scene, forces: Array, dofs: Indices | Integers, ends: Sequence[HeldEnd]
 ) -> tuple[Array, dict[str, Array]]:
-    """Forces with which supports hold the membrane, (3,), and ends and bars by name. Collective."""
+    """Reactions on the membrane, (3,), and on ends and bars by name. Collective."""
     hung = bars_at_vertices(scene, dofs)
     membrane = scene.comm.allreduce(forces.sum(axis=0))
     membrane -= sum((end.force for end in hung), np.zeros(3))
@@ -131,31 +131,31 @@ def held_there(
 
 
 MOST_NAMED = 4
-"""So many parts of a reaction are in its line of text."""
+"""Number of parts of a reaction named in its line of text."""
 
 
 @dataclass(frozen=True, repr=False)
 class Reactions:
-    """Forces with which supports, anchors and held joints at a place hold what meets there.
+    """Reactions of the supports, anchors and held joints at a place.
 
     Attributes
     ----------
     total : (3,)
-        Their sum (force), on all ranks.
+        Sum of the reactions (force), on all ranks.
     membrane : (3,)
-        What of it holds the membrane, with its loads and with cables that pass over held edges.
+        Reaction on the membrane, its loads and cables that pass over held edges.
     parts
-        What of it holds ends of cables and bars that are there, and loads on joints, (3,) each, by
-        their names: "ridge start", "guy 1".
+        Reactions on ends of cables and bars, and on loads at joints, (3,) each, by name: "ridge
+        start", "guy 1".
     positions, forces : (n, 3)
-        This rank's owned vertices, where they are now, and the force on each, of the membrane and
-        of bars that end at it; zero in directions that are not held.
+        This rank's owned vertices in their current positions, and the reaction at each, on the
+        membrane and on bars that end there; zero in free directions.
     per_length : (n, 3)
-        The forces per length of held edges (force per length): each vertex's force over half the
-        current length of the named edges around it that are held in that direction, at a corner
-        of several groups those of all; NaN where there are none.
+        Reactions per length of held edges (force per length): each vertex's reaction over half the
+        current length of the adjacent named edges held in that direction, at a corner of several
+        groups all of them; NaN without such edges.
     in_equilibrium
-        Whether the scene had not been changed since its last load step.
+        Whether the scene was unchanged since its last load step.
     """
 
     total: Array
@@ -167,7 +167,7 @@ class Reactions:
     in_equilibrium: bool
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         words = [f"total {as_text(self.total)}"]
         words += [
             f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:MOST_NAMED]
@@ -178,7 +178,7 @@ class Reactions:
 
 
 def reactions(system: System, where: str | Marker) -> Reactions:
-    """Forces of the supports of vertices, and of anchors and held joints there. Collective."""
+    """Reactions of held vertices, anchors and held joints at a place. Collective."""
     scene = system.scene
     dofs, joints = _place(scene, where)
     every = support_forces(system)
@@ -194,7 +194,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
 
 
 def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
-    """Vertices that `where` names, with ghosts, and places of a joint that it names. Collective."""
+    """Vertices selected by `where`, with ghosts, and the place of a named joint. Collective."""
     checks.same(scene.comm, "reactions", where=where)
     joints = {joint.name: joint.position for joint in scene.joints if joint.held.any()}
     mesh = scene.mesh
@@ -211,7 +211,7 @@ def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
 
 
 def support_forces(system: System) -> Array:
-    """Supports' forces on this rank's owned vertices, 0 where free, (n, 3). Collective."""
+    """Reactions at this rank's owned vertices, 0 where free, (n, 3). Collective."""
     g = nodal_forces(system)
     n = system.unknowns.n_vertices
     forces: Array = np.where(system.scene.held[:n], g[:n], 0.0)
@@ -219,12 +219,12 @@ def support_forces(system: System) -> Array:
 
 
 def nodal_forces(system: System) -> Array:
-    """Unbalanced forces at this rank's blocks (force), those of supports included. Collective."""
+    """Unbalanced forces at this rank's blocks (force), including the reactions. Collective."""
     system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
     vector, g = unknowns.vector()
-    # The potential -p (V - V0) has the pressure's forces as gradient only inside the boundary.
+    # The gradient of the potential -p (V - V0) is the pressure force only inside the boundary.
     potential_only = system.scene.pressure_law == "total"
     for term in potential.terms:
         if not (potential_only and term.name == "pressure") and term.name != "pond":
@@ -242,7 +242,7 @@ def nodal_forces(system: System) -> Array:
 
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
-    """Half the length of held edges around each vertex by direction, (n, 3). Collective."""
+    """Half the length of held edges around each vertex, by direction, (n, 3). Collective."""
     own = membrane.mesh.mesh.topology.index_map(1).size_local
     groups = [edges for name, edges in membrane.mesh.edges.items() if group in (None, name)]
     edges = np.unique(np.concatenate(groups))
@@ -261,7 +261,7 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
 
 
 def pressed_facets(system: System) -> tuple[Integers, Array]:
-    """Corners (n, 3) and weighted area vectors (n, 3) of this rank's facets under pressure."""
+    """Corners (n, 3) and weighted area vectors (n, 3) of this rank's pressurised facets."""
     unknowns = system.unknowns
     dofs = system.scene.V.dofmap.list[system.pressure.cells.x.array > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
@@ -270,7 +270,7 @@ def pressed_facets(system: System) -> tuple[Integers, Array]:
         facets = system.cables.tables.facets
         corners = np.concatenate([corners, facets.corners])
         weights = np.concatenate([weights, facets.weights])
-    # By components: rows of three take numpy five times as long.
+    # By components: numpy takes five times as long on rows of three.
     places = np.ascontiguousarray((unknowns.X + system.potential.x).T)
     start = places.take(corners[:, 0], axis=1)
     (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
@@ -280,8 +280,8 @@ def pressed_facets(system: System) -> tuple[Integers, Array]:
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:
-    """Move the pull of cable ends from held places of the membrane to their anchors."""
-    # The cable has no length between the two: the gradient splits the end's pull at random.
+    """Move the pull of cable ends at held places of the membrane to their anchors."""
+    # There the cable has no length, and the gradient splits the end's pull arbitrarily.
     if system.cables is None:
         return
     numbering = system.cables.numbering
@@ -291,7 +291,7 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
             if cable.nodes[k].kind != "anchor" or not cable.taut:
                 continue
             anchor = numbering.numbers[c, k]
-            near = 1 if k == 0 else k - 1  # if lifted, there is a span, which has a direction
+            near = 1 if k == 0 else k - 1  # a lifted end's span has a direction
             if numbering.owners[anchor] == numbering.rank and not cable.lifted[near]:
                 block, beside = numbering.block(c, k), numbering.block(c, near)
                 g[beside] += g[block] - end.reaction
@@ -299,7 +299,7 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
 
 
 def _hand_on_edge_sliders(system: System, g: Array) -> None:
-    """Give the forces of cables on held edges that they slide along to the edges' ends."""
+    """Distribute cable forces on held edges, along which they slide, to the edges' ends."""
     if system.unknowns.n_edge_sliders:
         assert system.cables is not None
         edge_sliders = system.cables.numbering.edge_sliders

@@ -1,4 +1,4 @@
-"""Slope and curvature of a scene's energy, for programs that solve for more than the scene."""
+"""Residual and tangent of a scene's energy, for coupled solvers."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from crms_fenicsx.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class Residual:
-    """Forces that are not balanced, the slope of the potential energy.
+    """Unbalanced forces, the gradient of the potential energy.
 
     Attributes
     ----------
     membrane
-        Those on the membrane's vertices (force), a function on `Scene.V`, ghosts included. At
-        supports, which hold them, they are the supports' forces.
+        On the membrane's vertices (force), a function on `Scene.V`, ghosts included. At supports:
+        the support forces.
     joints
-        Those on the joints (force), (3,), by their names, on all ranks.
+        On the joints (force), (3,), by name, on all ranks.
     vector
-        Those on all unknowns (force), with zeros where something is held: on each rank the
-        membrane's vertices first, in the order of the owned degrees of freedom of `Scene.V`, then
-        points of cables, at last, on the first rank, joints. Without cables and joints it is a
-        vector of `Scene.V`.
+        On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
+        in the order of the owned degrees of freedom of `Scene.V`, then cable points; the first rank
+        stores joints last. Without cables and joints it is a vector of `Scene.V`.
     """
 
     membrane: fem.Function
@@ -42,23 +41,23 @@ class Residual:
 
 @dataclass(frozen=True)
 class Tangent:
-    """Second derivatives of the potential energy, for the unknowns of `Residual.vector`.
+    """Tangent stiffness, for the unknowns of `Residual.vector`.
 
-    Rows and columns of held components are those of the identity.
+    Rows and columns of held unknowns are those of the identity.
 
     Attributes
     ----------
     matrix
-        All of them (force per length): of the type "aij", or, where one number such as the length
-        of a cable or a sealed volume couples very many unknowns, of the type "lrc", the sum of
-        `sparse` and of few dyads.
+        Second derivatives of the potential energy (force per length): of type "aij"; or, where one
+        quantity such as a cable length or a sealed volume couples very many unknowns, of type
+        "lrc", the sum of `sparse` and a few dyads.
     sparse
-        Without these dyads, of the type "aij", of which preconditioners can be made; the same as
-        `matrix` if there are none.
+        The tangent without these dyads, of type "aij", for preconditioners; identical to `matrix`
+        if there are none.
     inexact
-        Names of what has other second derivatives than are here: friction (a law of forces), the
-        paper's step-wise laws, wind (its turning is missing), pressure on a rim that slides, and
-        terms of your own that do not say ``exact_hessian = True``. None if all is exact.
+        Names of terms with an inexact tangent: friction (a law of forces), the paper's step-wise
+        laws, wind (its turning is missing), pressure on a sliding rim, and your own terms
+        without ``exact_hessian = True``. None if all is exact.
     """
 
     matrix: PETSc.Mat
@@ -72,7 +71,7 @@ class Tangent:
 
 
 def residual(system: System) -> Residual:
-    """Forces that are not balanced at a scene's current state; see `Residual`. Collective."""
+    """Unbalanced forces in a scene's present state; see `Residual`. Collective."""
     forces = nodal_forces(system)
     scene, unknowns = system.scene, system.unknowns
     membrane = fem.Function(scene.V, name="residual")
@@ -92,7 +91,7 @@ def residual(system: System) -> Residual:
 
 
 def tangent(system: System) -> Tangent:
-    """Second derivatives at a scene's current state; see `Tangent`. Collective."""
+    """Tangent stiffness in a scene's present state; see `Tangent`. Collective."""
     system.update()
     potential = system.potential
     potential.evaluate()

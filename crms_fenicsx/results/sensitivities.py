@@ -1,10 +1,10 @@
 """Derivatives of results by lengths, loads and stiffnesses, from the exact tangent.
 
-With g the slope of the potential energy and K the tangent, a parameter p moves the equilibrium by
-du/dp = -K^-1 dg/dp, one solve each with the factors of K. Results change by p itself and by du.
-With fewer results than parameters there is one solve for each result instead, K^-1 grad(R).
-Contacts and the cells that cables cross stay: where a cable is about to change them derivatives
-hold on one side only.
+With the gradient g of the potential energy and the tangent K, a parameter p moves the equilibrium
+by du/dp = -K^-1 dg/dp, one solve each with the factors of K. A result changes with p directly and
+through du. With fewer results than parameters, one solve per result is used instead, K^-1 grad(R).
+Contacts and the cells that cables cross are kept: where a cable is about to change them,
+derivatives are one-sided.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
 STEP = 1e-5
-"""Change of a length or a stiffness, relative to it, for differences of slopes and results."""
+"""Relative change of a length or stiffness in finite differences of gradients and results."""
 MOVE = 1e-6
-"""Most that a point is moved, relative to the membrane's size, for differences of results."""
+"""Largest movement of a point, relative to the membrane's size, in differences of results."""
 SOLVED, ITERATIONS = 1e-11, 50
-"""Relative residual to which the tangent is solved, and how often what rounding leaves is solved
-again."""
+"""Relative residual of the tangent solves, and largest number of iterative refinements."""
 NEAR_VERTEX = 0.02
 """Part of an edge within which a cable is about to pass a vertex."""
 
@@ -45,12 +44,12 @@ class Sensitivities:
     ----------
     values : (n, m)
         Derivatives of the n results by the m parameters, the same on all ranks.
-    of, by
+    Results and parameters, as given.
         The results and the parameters, as they were given.
     inexact
-        Names of loads and terms of which the tangent is not exact, and with it the derivatives.
+        Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided
-        Names of cables that touch a vertex of the mesh or nearly so, which they are about to pass.
+        Names of cables that touch a mesh vertex, or nearly so, and are about to pass it.
     """
 
     values: Array
@@ -96,11 +95,11 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
 
 
 Setter = tuple[Callable[[float], None], float]
-"""What changes a parameter by a number, and a step for that."""
+"""Function that changes a parameter by a number, and its step for differences."""
 
 
 class _Changes:
-    """What parameters change in a scene's equilibrium, by central differences. Collective."""
+    """Effects of parameters on a scene's equilibrium, by central differences. Collective."""
 
     def __init__(self, system: System, read: Sequence[Callable[[], float]]) -> None:
         self.system, self.scene, self.read = system, system.scene, read
@@ -121,7 +120,7 @@ class _Changes:
         return np.asarray((slopes[1] - slopes[0]) / (2 * step))
 
     def along(self, setter: Setter, way: Array) -> Array:
-        """Derivatives of the results by a parameter that moves the unknowns by a way, (n,)."""
+        """Derivatives of the results by a parameter that moves the unknowns along `way`, (n,)."""
         (change, step), system = setter, self.system
         comm, n = self.scene.comm, system.unknowns.n_owned
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
@@ -141,7 +140,7 @@ class _Changes:
         return np.asarray((found[0] - found[1]) / (2 * size))
 
     def restore(self) -> None:
-        """Go back to the equilibrium."""
+        """Restore the equilibrium."""
         self.scene.state = self.state
         self.system.read_scene()
 
@@ -149,7 +148,7 @@ class _Changes:
 def _by_results(
     changes: _Changes, solver: _TangentSolver, of: Sequence[object], setters: Sequence[Setter]
 ) -> Array:
-    """The derivatives by one solve for each result: ``dR/dp - grad(R) K^-1 dg/dp``."""
+    """Derivatives with one solve per result: ``dR/dp - grad(R) K^-1 dg/dp``."""
     still = np.zeros(3 * changes.system.unknowns.n_owned)
     adjoints = [solver.solve(_slope_of(changes, one)) for one in of]
     values = np.zeros((len(of), len(setters)))
@@ -160,7 +159,7 @@ def _by_results(
 
 
 def _has_slope(scene: Scene, one: object) -> bool:
-    """Whether `_slope_of` knows how a result depends on the unknowns."""
+    """Whether `_slope_of` supports a result."""
     cable = one.cable if isinstance(one, CableEnd) else one
     if isinstance(cable, LaidCable):
         return cable.taut
@@ -169,8 +168,8 @@ def _has_slope(scene: Scene, one: object) -> bool:
 
 def _slope_of(changes: _Changes, one: object) -> Array:
     """Derivatives of a result by the unknowns, in the free components, (3 n_owned,): by Maxwell's
-    reciprocity those of the forces by the parameter that works on it. With the energy's derivatives
-    -(T + T^2/(2 EA)) by an unstressed length, and -V by the pressure."""
+    reciprocity, the forces' derivatives by the conjugate parameter. The energy's derivatives are
+    -(T + T^2/(2 EA)) by an unstressed length and -V by the pressure."""
     scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
     if isinstance(one, CableEnd | LaidCable):
         cable = one if isinstance(one, LaidCable) else one.cable
@@ -194,8 +193,8 @@ def _slope_of(changes: _Changes, one: object) -> Array:
 
 
 def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
-    """What changes the unstressed lengths of a cable's parts between clamps or bonds, so that their
-    slope is that of its mean tension, or of the tension of the part at an end."""
+    """Setter of the unstressed lengths of a cable's parts between clamps or bonds whose gradient is
+    that of the mean tension, or of the tension at an end."""
     assert cable.parts is not None
     lengths, parts = cable.part_lengths, cable.parts
     weights = lengths / cable.L0
@@ -213,8 +212,8 @@ def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
 
 
 class _TangentSolver:
-    """A solver of the tangent, which is factorised with the tensions of the cables' parts as
-    unknowns. Collective."""
+    """Solver of the tangent, factorised with the tensions of the cables' parts as extra unknowns.
+    Collective."""
 
     def __init__(self, whole: PETSc.Mat, sparse: PETSc.Mat) -> None:
         self._ksp, self._factors = PETSc.KSP().create(whole.comm), None
@@ -234,7 +233,7 @@ class _TangentSolver:
         pc.setPythonContext(Preconditioner(self._factors.solve))
 
     def solve(self, b: Array) -> Array:
-        """The solution of ``K y = b``, of this rank's components, or an `InputError`."""
+        """This rank's part of the solution of ``K y = b``, or an `InputError`."""
         self._b.array[:] = b
         self._ksp.solve(self._b, self._y)
         if self._ksp.getConvergedReason() < 0:
@@ -253,7 +252,7 @@ class _TangentSolver:
 
 
 def _result(scene: Scene, one: object) -> Callable[[], float]:
-    """What reads a result from the scene."""
+    """Function that evaluates a result of the scene."""
     if isinstance(one, LaidCable) and one in scene.cables:
         return lambda: one.tension
     if isinstance(one, PlacedBar) and one in scene.bars:
@@ -272,7 +271,7 @@ def _result(scene: Scene, one: object) -> Callable[[], float]:
 
 
 def _parameter(scene: Scene, one: object) -> Setter:
-    """What changes a parameter of the scene by a number, and a step for that."""
+    """Function that changes a parameter of the scene by a number, and its step."""
     if isinstance(one, LaidCable) and one in scene.cables:
         return (lambda change: one.update(L0=one.L0 + change)), STEP * one.L0
     if isinstance(one, PlacedBar) and one in scene.bars:
@@ -303,7 +302,7 @@ def _parameter(scene: Scene, one: object) -> Setter:
 
 
 def _near_vertices(scene: Scene) -> tuple[str, ...]:
-    """Names of cables in tension that touch a vertex inside of the membrane, or nearly so."""
+    """Names of taut cables that touch an interior vertex of the mesh, or nearly so."""
     found = []
     for cable in scene.cables:
         s = cable.fractions[~cable.lifted]

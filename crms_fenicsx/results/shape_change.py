@@ -1,4 +1,4 @@
-"""Whether a roof has collapsed or turned over since another state of it."""
+"""Detect whether a roof has collapsed or turned over between two states."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 ENCLOSES = 0.02
-"""Volume between a roof and its rim, relative to area to 3/2, from which on it has an inside."""
+"""Volume between roof and rim, relative to area to 3/2, from which a roof encloses a volume."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """The shape of this rank's cells in a state of a scene."""
+    """Shape of this rank's cells in a state of a scene."""
 
     apex: Array  # (3,) mean of the held vertices in the first state (length)
     vectors: Array  # (m, 3) areas times unit normals (length squared)
-    volume: float  # between all cells and the apex, that is the cone over the rim (length cubed)
-    area: float  # of all cells (length squared)
+    volume: float  # between the cells and the apex: the cone over the rim (length cubed)
+    area: float  # of the cells (length squared)
 
 
 @dataclass(frozen=True)
 class ShapeChange:
-    """How a shape has changed."""
+    """Change of a shape."""
 
-    # volume between roof and rim, relative to that before; None of a roof that enclosed none
+    # volume between roof and rim, relative to that before; None if the roof enclosed none
     volume: float | None
-    turned: float  # share of the area before that has turned over, by more than 90 degrees
+    turned: float  # share of the former area turned by more than 90 degrees
 
 
 def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
-    """The present shape, its volume about the held vertices' mean or another apex. Collective."""
+    """Present shape and volume, about the held vertices' mean or a given apex. Collective."""
     comm, own = scene.comm, scene.mesh.mesh.topology.index_map(2).size_local
     places, n = scene.positions(), scene.V.dofmap.index_map.size_local
     if apex is None:
@@ -49,7 +49,7 @@ def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
 
 
 def shape_change(before: Shape, scene: Scene) -> ShapeChange:
-    """What has become of a shape. Collective."""
+    """Change since an earlier shape. Collective."""
     now = shape_of(scene, before.apex)
     turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
     share = scene.comm.allreduce(float(norm(before.vectors)[turned].sum())) / before.area

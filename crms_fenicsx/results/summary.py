@@ -1,4 +1,4 @@
-"""An equilibrium by its extremes: plain numbers, the same on all ranks, for tables."""
+"""Extreme values of an equilibrium: plain numbers for tables, the same on all ranks."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from crms_fenicsx.runtime.errors import as_text
 SUMMED_UP = (
     "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
 )  # fmt: skip
-"""Which of `crms_fenicsx.results.quantities` a summary has, where they are known."""
+"""Quantities of `crms_fenicsx.results.quantities` in a summary, where known."""
 
 
 @dataclass(frozen=True, repr=False)
 class Extreme:
-    """A largest or least value, and where on the surface it is now (length)."""
+    """An extreme value and its present place on the surface (length)."""
 
     value: float
     at: Force
@@ -59,71 +59,69 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PartSummary:
-    """A part of the membrane, or all of it."""
+    """Summary of a part of the membrane, or of all of it."""
 
     area: float  # stress-free (length squared)
     slack: float  # slack, wrinkled: shares of that area
     wrinkled: float
-    # least, largest: values of cells by the names in `SUMMED_UP`; those without strengths have no
-    # utilisation
+    # least, largest: cell values by the names in `SUMMED_UP`; utilisation only with strengths
     least: Mapping[str, Extreme]
     largest: Mapping[str, Extreme]
 
 
 @dataclass(frozen=True)
 class SupportSummary:
-    """A named group of vertices that is held."""
+    """Summary of a named group of held vertices."""
 
-    # those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group
+    # directions out of "xyz" in which all its vertices are held; "" for vertices in no such group
     directions: str
-    total: Force  # sum of the reactions (force) on all that meets there: of `membrane` and `parts`
-    membrane: Force  # what of it holds the membrane (force)
-    # what of it holds ends of cables and bars, and loads on joints, by their names (force)
+    total: Force  # sum of all reactions (force), of `membrane` and `parts`
+    membrane: Force  # reaction on the membrane (force)
+    # reactions on ends of cables and bars, and on loads at joints, by name (force)
     parts: Mapping[str, Force]
-    length: float  # current length of its edges (length); 0 of points
-    # mean, largest: size of the membrane's reaction per length of held edges (force per length),
-    # along its edges in the mean and at one vertex
+    length: float  # current length of its edges (length); 0 for points
+    # mean, largest: magnitude of the membrane's reaction per length of held edges (force per
+    # length), mean along its edges and largest at a vertex
     mean: float
     largest: float
 
 
 @dataclass(frozen=True, repr=False)
 class Summary:
-    """An equilibrium by its extremes; ``print`` shows the most important ones.
+    """Extreme values of an equilibrium; ``print`` shows the most important ones.
 
     Attributes
     ----------
     pressure
         Inner pressure (force per area).
     factors
-        Of the loads and ponds, by their names.
+        Factors of loads and ponds, by name.
     energy
         Total potential energy (force x length).
     displacement, lowest, highest
-        The largest displacement from the stress-free shape, and the largest ones downward
-        (negative) and upward (length).
+        Largest displacement from the stress-free shape, and largest downward (negative) and upward
+        displacements (length).
     parts
-        By the names of the mesh's parts; under "" the whole membrane.
+        By part of the mesh; "" is the whole membrane.
     cables, bars, ponds
-        By their names; ponds with their levels and volumes.
+        By name; ponds with levels and volumes.
     supports
-        By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them with
-        all anchors and held joints, under `OTHER_SUPPORTS` those in no group that is held as a
-        whole.
+        By group; groups may share vertices. `ALL_SUPPORTS` includes all groups, anchors and held
+        joints, `OTHER_SUPPORTS` the vertices in no group that is held as a whole.
     joints
-        Forces with which held joints, anchors of bars among them, are held (force), by their names.
+        Reactions of held joints and anchors of bars (force), by name.
     in_equilibrium
-        Whether the scene had not been changed since its last load step; if it had, forces and
-        energy may be those of before, and nothing is in balance.
+        Whether the scene was unchanged since its last load step; if not, forces and energy may be
+        outdated and out of balance.
     warnings
-        What load steps have warned of in this state, and of snap-throughs before it.
+        Warnings of load steps about this state, and of snap-throughs before it.
     clamps
-        By their names.
+        By name.
     strength_factor
-        By what the membrane's strengths are divided under the loads that act.
+        Divisor of the membrane's strengths under the present loads.
     hollows
-        Where rain would stand as it has no way out, the deepest first: the place, depth and volume
-        of the water in this shape, without what sinks under it; see `Solver.check_ponding`.
+        Hollows without drainage, the deepest first: place, depth and volume of the water in this
+        shape, ignoring the deflection under it; see `Solver.check_ponding`.
     """
 
     pressure: float
@@ -145,7 +143,7 @@ class Summary:
     hollows: tuple[Hollow, ...] = ()
 
     def __repr__(self) -> str:
-        """A table: a row for each load, part, cable, bar and support."""
+        """A table with a row for each load, part, cable, bar and support."""
         rows = [
             *(("load", name, f"{factor:.4g}") for name, factor in self.factors.items()),
             ("pressure", "", f"{self.pressure:.4g}"),
@@ -179,7 +177,7 @@ class Summary:
 
     @property
     def reaction(self) -> Force:
-        """Sum of the forces of all supports, anchors and held joints (force)."""
+        """Sum of all reactions of supports, anchors and held joints (force)."""
         return self.supports[ALL_SUPPORTS].total
 
 
@@ -187,9 +185,9 @@ ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
 
 
 def summary(system: System) -> Summary:
-    """Sum up the scene's current state. Collective."""
+    """Summarise the scene's present state. Collective."""
     scene, results = system.scene, membrane_results(system)
-    places = results.surface.points  # with the points of cables on folded cells
+    places = results.surface.points  # includes cable points on folded cells
     moved = places - results.surface.stress_free
     centres = _centres(results.surface, len(results.state))
     parts = {ALL: _part(results, centres, None)}
@@ -233,7 +231,7 @@ def _part(results: MembraneResults, centres: Array, name: str | None) -> PartSum
 
 
 def _centres(surface: CurrentSurface, n: int) -> Array:
-    """Places on n cells, (n, 3): the centre of each one's largest facet."""
+    """Centre of the largest facet of each of n cells, (n, 3)."""
     corners = surface.points[surface.triangles]
     order = np.lexsort((norm(double_areas(corners)), surface.parents))
     largest = np.searchsorted(surface.parents[order], np.arange(n), side="right") - 1
@@ -241,7 +239,7 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
 
 
 def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
-    """The largest or least of all ranks' values, of equal ones that at the least place; no NaN."""
+    """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
     sign = 1.0 if largest else -1.0
     own = (-np.inf, (0.0, 0.0, 0.0))
     ranked = np.where(np.isnan(values), -np.inf, sign * values)

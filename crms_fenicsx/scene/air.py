@@ -42,10 +42,10 @@ class Air(Stateful[AirState]):
 
     @property
     def volume(self) -> float:
-        """Volume gained under the cells under pressure since the stress-free shape (length cubed).
+        """Volume gained under the pressurised cells since the stress-free shape (length cubed).
 
-        It is the volume between the two shapes as long as the rim of these cells is held, or slides
-        in planes held in their normal direction.
+        It lies between the two shapes as long as the rim of these cells is held, or slides in
+        planes that are held in their normal direction.
         """
         return gained_volume(self._net)
 
@@ -54,24 +54,22 @@ class Air(Stateful[AirState]):
     def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
         """Seal the air under the membrane at its current pressure. Collective.
 
-        Its pressure then follows from its volume by the gas law, as in a cushion, or in a hall
-        during a gust that is faster than its fans. `pressure` is its current value.
+        From now on the gas law gives the pressure from the volume, as in a cushion, or in a hall
+        in a gust that is faster than its fans. `pressure` is the current one.
 
         Parameters
         ----------
         volume
-            Current volume of the air (length cubed), unknown from the mesh, which is open at the
-            ground.
+            Current volume of the air (length cubed), which a mesh open at the ground does not tell.
         atmosphere
             Atmospheric pressure (force per area); the default is in kPa.
         exponent
-            1 if the temperature stays constant (isothermal); 1.4 if no heat is exchanged
-            (adiabatic).
+            1 for isothermal changes, 1.4 for adiabatic ones, too fast to exchange heat.
 
         Raises
         ------
         InputError
-            On all ranks: air sealed already, the paper's pressure law, a volume or atmosphere that
+            On all ranks: air already sealed, the paper's pressure law, a volume or atmosphere that
             is not positive, an exponent below 1, or a current pressure below vacuum.
 
         Examples
@@ -110,12 +108,12 @@ class Air(Stateful[AirState]):
     @collective
     @changes_model
     def unseal(self) -> None:
-        """Let fans maintain the current pressure of the sealed air. Collective.
+        """Let fans hold the current pressure of the sealed air. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: the air is not sealed.
+            On all ranks: air that is not sealed.
         """
         if self.sealed is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")

@@ -24,14 +24,14 @@ Place = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class FrameState:
-    """State of joints and bars, in the order of addition."""
+    """State of joints and bars, in the order in which they were added."""
 
     joints: Mapping[Joint, JointState]
     bars: Mapping[PlacedBar, BarState]
 
 
 class Frame:
-    """Joints, including anchors, and bars, in the order of addition."""
+    """Joints, including anchors, and bars, in the order in which they were added."""
 
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("_joints", "call scene.add_joint(...)")
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("_bars", "call scene.add_bar(...)")
@@ -44,7 +44,7 @@ class Frame:
 
     @property
     def state(self) -> FrameState:
-        """State of joints and bars."""
+        """Their current state."""
         joints = {joint: joint.state for joint in self.joints}
         return FrameState(joints, {bar: bar.state for bar in self.bars})
 
@@ -61,21 +61,21 @@ class Frame:
 
     @collective
     def add_joint(self, position: Place, *, name: str | None = None, held: str = "") -> Joint:
-        """Add a joint of bars off the membrane; its displacement is an unknown.
+        """Add a joint off the membrane for bars to end at; its displacement is an unknown.
 
         Parameters
         ----------
         position
-            Position (3,) (length).
+            Position, (3,) (length).
         name
-            Name in messages and for loads; by default "joint 1", "joint 2" ...
+            Name in messages and loads; "joint 1", "joint 2" ... by default.
         held
             Held components of the displacement, out of "xyz".
 
         Raises
         ------
         InputError
-            On all ranks: a non-finite position, invalid components, or a name in use.
+            On all ranks: a position that is not finite, other directions, or a name that is taken.
         """
         checks.same(self.comm, "add_joint", position=position, name=name, held=held)
         joint = self._add_joint(checks.vector("add_joint: position", position), name, held)
@@ -84,17 +84,17 @@ class Frame:
 
     @collective
     def vertex_at(self, point: Place) -> MeshVertex:
-        """The membrane's vertex at a point of the current shape, as an end of bars. Collective.
+        """Find the membrane's vertex at a current place, for bars to end at. Collective.
 
         Parameters
         ----------
         point
-            Its current position, (3,) (length).
+            Current position, (3,) (length).
 
         Raises
         ------
         InputError
-            On all ranks: no vertex at the point; the message gives the nearest one.
+            On all ranks: no vertex is there; the message names the nearest.
         """
         checks.same(self.comm, "vertex_at", point=point)
         self.membrane.check_finite("vertex_at")
@@ -128,7 +128,7 @@ class Frame:
     ) -> PlacedBar:
         """Add a bar: a mast, a strut or, with ``Bar(EA, tension_only=True)``, a guy. Collective.
 
-        It is straight, hinged at both ends, and has no contact with the membrane.
+        It is straight and hinged at both ends; the membrane between them does not touch it.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class Frame:
             Ends: a point in space, which becomes an anchor (a held joint, ``bar.start``); a joint;
             a vertex of the membrane from `vertex_at`; or the name of a group of one vertex.
         L0
-            Unstressed length (length); by default the current distance between its ends.
+            Unstressed length (length); by default the current distance of the ends.
         name
             Name in tables and pictures; by default "bar 1", "bar 2" ...
 
@@ -150,8 +150,8 @@ class Frame:
         Raises
         ------
         InputError
-            On all ranks: an invalid end, coincident ends, an L0 that is not positive, or a name in
-            use.
+            On all ranks: an invalid end, both ends at one place, an L0 that is not positive or a
+            name that is taken.
 
         Examples
         --------
@@ -191,22 +191,22 @@ class Frame:
         return placed
 
     def bar(self, name: str) -> PlacedBar:
-        """The bar with a name.
+        """Return the bar with a name.
 
         Raises
         ------
         InputError
-            There is no such bar.
+            No bar has that name.
         """
         return checks.named("bar", {bar.name: bar for bar in self.bars}, name)
 
     def joint(self, name: str) -> Joint:
-        """The joint with a name; anchors of a bar "mast" are "start of mast" and "end of mast".
+        """Return the joint with a name; anchors are "start of mast" or "end of mast".
 
         Raises
         ------
         InputError
-            There is no such joint.
+            No joint has that name.
         """
         return checks.named("joint", {joint.name: joint for joint in self.joints}, name)
 

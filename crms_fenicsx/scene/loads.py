@@ -36,14 +36,14 @@ AIR = ("pressure", "temperature", "atmosphere")
 
 @dataclass(frozen=True)
 class LoadsState:
-    """State of a scene's loads."""
+    """State of the loads of a scene."""
 
     loads: tuple[MembraneLoad, ...] = ()  # on membrane and joints, with their factors
     ponds: tuple[Pond, ...] = ()  # with their levels, volumes and factors
 
 
 class Loads(Stateful[LoadsState]):
-    """Iterable loads on the membrane and joints of a scene, and its ponds."""
+    """Loads on the membrane and on joints, and ponds; iterate over it for the loads."""
 
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
     """The ponds, with their current levels, volumes and factors."""
@@ -60,12 +60,12 @@ class Loads(Stateful[LoadsState]):
         return len(self.state.loads)
 
     def load(self, name: str) -> MembraneLoad:
-        """The load with a name.
+        """Return the load with a name.
 
         Raises
         ------
         InputError
-            There is no such load.
+            No load has that name.
         """
         return checks.named("load", {load.name: load for load in self}, name)
 
@@ -76,7 +76,7 @@ class Loads(Stateful[LoadsState]):
         return {load.name: load.factor for load in self} | ponds
 
     def replace_each(self, change: Callable[[Any], Any]) -> None:
-        """Replace each load and pond by a function of it; for the package alone."""
+        """Internal: replace each load and pond by a function's value."""
         self.state = LoadsState(
             tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
         )
@@ -85,26 +85,26 @@ class Loads(Stateful[LoadsState]):
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
         """Apply a load of fixed direction to the membrane.
 
-        Its forces follow from the current shape, and then remain constant; `Solver.advance`
-        multiplies them by the load factor.
+        Its forces follow from the current shape and then keep direction and size;
+        `Solver.advance` scales them by the load's factor.
 
         Parameters
         ----------
         force
-            Force per area (force / length squared): (3,), or a function that returns (3, n) from
-            points (3, n) on the current surface and its unit normals (3, n), which point in the
-            direction of pressure.
+            Force per area (force / length squared): (3,), or a function that returns (3, n) for
+            points (3, n) on the current surface and its unit normals (3, n), which point the way
+            that pressure pushes.
         name
-            Name of the load in load steps and results.
+            Name in load steps and results.
         per
-            Reference area: "surface", the current surface; "plan", its projection along z, as for
-            snow; "material", the stress-free membrane, as for its weight.
+            Reference area: the current "surface"; its "plan", the projection along z, as for snow;
+            or the stress-free "material", as for the membrane's weight.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite or of another shape, an unknown area, or a name
-            in use.
+            On all ranks: a force that is not finite or of another shape, an unknown area, or a
+            name that is taken.
 
         Examples
         --------
@@ -117,27 +117,28 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
-        """Apply wind to the membrane; `Solver.advance` sets its factor.
+        """Put wind on the membrane; `Solver.advance` applies it by its factor.
 
-        Its pressure stays normal to the surface: a load step iterates until the wind's forces match
-        the resulting shape. Coefficients stay with their cells.
+        The pressure stays normal to the surface: a load step ends when the wind's forces are those
+        on the deformed shape. Coefficients stay with the cells as these move.
 
         Parameters
         ----------
         pressure
             Peak velocity pressure q_p (force per area), positive.
         coefficient
-            Pressure coefficient c_p, positive for pressure on the outside and negative for suction,
-            as in EN 1991-1-4: one number, numbers by parts of the mesh, or a function that returns
-            (n,) from points (3, n) on the current surface and its outward unit normals (3, n).
+            Pressure coefficient c_p, positive for pressure on the outside and negative for
+            suction, as in EN 1991-1-4: one number, one for each named part of the mesh, or a
+            function that returns (n,) for points (3, n) on the current surface and its outward
+            unit normals (3, n).
         name
-            Name of the load in load steps and results.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
             On all ranks: a pressure that is not positive, coefficients that are not finite or of
-            another shape, an unknown or missing part, parts with common cells, or a name in use.
+            another shape, an unknown or missing part, overlapping parts, or a name that is taken.
 
         Examples
         --------
@@ -151,21 +152,21 @@ class Loads(Stateful[LoadsState]):
     def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
         """Apply forces to the membrane's vertices, such as those from another program. Collective.
 
-        They remain constant, and are copied: later changes of the function have no effect.
+        They keep direction and size. The function is copied: later changes have no effect.
 
         Parameters
         ----------
         forces
-            Force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values of
-            ghosts are ignored.
+            Force on each vertex (force), as a ``dolfinx.fem.Function(scene.V)``; values of ghosts
+            are ignored.
         name
-            Name of the load in load steps and results.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: no function in the space `V`, a force that is not finite, or a name in
-            use.
+            On all ranks: no function in the space `V`, a force that is not finite, or a name that
+            is taken.
 
         Examples
         --------
@@ -183,8 +184,8 @@ class Loads(Stateful[LoadsState]):
     ) -> None:
         """Apply a line load along edges, such as the weight of a gutter. Collective.
 
-        Its forces follow from the current lengths of the edges, half of each edge's to each end,
-        and then remain constant.
+        Its forces follow from the current lengths of the edges and then keep direction and size;
+        half of an edge's force acts at each end.
 
         Parameters
         ----------
@@ -193,12 +194,12 @@ class Loads(Stateful[LoadsState]):
         edges
             Name of an edge group of the mesh.
         name
-            Name of the load in load steps and results.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: a force that is not finite, an unknown group, or a name in use.
+            On all ranks: a force that is not finite, an unknown group, or a name that is taken.
 
         Examples
         --------
@@ -210,19 +211,20 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
-        """Apply forces to joints; `Solver.advance` sets their factor. Collective.
+        """Put forces on joints; `Solver.advance` applies them by their factor. Collective.
 
         Parameters
         ----------
         forces
-            Constant force on each joint, (3,) (force).
+            Force on each joint, (3,) (force), constant in direction and size.
         name
-            Name of the load in load steps and results.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: an unknown joint, a force that is not finite, or a name in use.
+            On all ranks: no joint of this scene, a force that is not finite, or a name that is
+            taken.
 
         Examples
         --------
@@ -254,32 +256,32 @@ class Loads(Stateful[LoadsState]):
         on: Sequence[str] | None = None,
         name: str = "pond",
     ) -> None:
-        """Apply ponded water to the membrane; `Solver.advance` sets its factor. Collective.
+        """Let water stand on the membrane; `Solver.advance` applies it by its factor. Collective.
 
-        Water covers all that is below its level where the membrane's outer side faces up (of a
-        cushion the upper foil); its pressure grows as the membrane sinks. It does not run off over
-        a rim below the level. Give either the level, if water flows in and out freely, or the
-        volume.
+        It covers everything below its level where the membrane's outer side faces up (the upper
+        foil of a cushion), and its pressure grows with its depth. It does not run off over a rim
+        below the level. Give the level, if water can flow in and out, or else the volume.
 
         Parameters
         ----------
         weight
-            Weight density of the water (force / length cubed), positive: 10 kN / m^3.
+            Weight of the water by volume (force / length cubed), such as 10 kN / m^3.
         level
-            Height z of the water surface (length).
+            Height z of the surface of the water (length).
         volume
             Volume of the water (length cubed), which determines the level.
         on
-            Parts of the mesh under the water, on the side that faces up; by default all cells whose
-            outer side faces up in the stress-free shape.
+            Parts of the mesh below the water, on the side that faces up; by default all cells
+            whose outer side faces up when stress-free.
         name
-            Name of the pond in load steps and results.
+            Name in load steps and results.
 
         Raises
         ------
         InputError
-            On all ranks: a weight or volume that is not positive, neither level nor volume or both,
-            an unknown part, cells without an upper side or facing both ways, or a name in use.
+            On all ranks: a weight or volume that is not positive, neither or both of level and
+            volume, an unknown part, cells that have no upper side or face both ways, or a name
+            that is taken.
 
         Notes
         -----
@@ -316,12 +318,12 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def remove_load(self, name: str) -> None:
-        """Remove a load or pond, from the next load step on. Collective.
+        """Remove a load or pond from the next load step on. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: there is no such load.
+            On all ranks: an unknown load.
         """
         checks.same(self.comm, "remove_load", name=name)
         factor = checks.named("load", self.factors, name)
@@ -332,7 +334,7 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def add(self, load: MembraneLoad) -> None:
-        """Add a load made on the current shape; for the package alone."""
+        """Internal: add a load made on the current shape."""
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 

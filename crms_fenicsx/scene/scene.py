@@ -84,24 +84,24 @@ class Scene:
         Parts of the mesh on which pressure acts; all by default. Leave out walls below the roof,
         with the same air on both sides.
     penalty
-        Factor c of the penalty mu = c E t A that keeps unfolded cells triangular; stable without
-        locking from 1e-3 to 1.
+        Factor c of the penalty mu = c E t A that keeps unfolded cells flat triangles; stable and
+        free of locking from 1e-3 to 1.
     literal_penalty
         The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
     frames : (n, 2, 3)
-        For this rank's cells with individual stress-free shapes, from `patterns.sew`: images in the
-        mesh of their unit vectors along warp and weft.
+        For cells with stress-free shapes of their own: images in the mesh of unit vectors along
+        their warp and weft, for this rank's cells. `patterns.sew` makes them.
 
     Raises
     ------
     InputError
         An unknown part, cells without a material or with several, or step-wise strain with a
-        wrinkling material.
+        material that wrinkles.
 
     Warns
     -----
     PenaltyWarning
-        The penalty factor is outside its reliable range.
+        A penalty factor outside the range in which folded cells are sound.
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
@@ -221,7 +221,7 @@ class Scene:
 
     @property
     def state(self) -> SceneState:
-        """The state that load steps, supports, loads and cables can change, as one value."""
+        """Everything that load steps, supports, loads and cables can change, as one value."""
         parts: dict[str, Any] = {name: getattr(self, name).state for name in PARTS}
         return SceneState(
             **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
@@ -244,7 +244,7 @@ class Scene:
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
     ) -> None:
-        """Internal: record results of load steps other than the states of the parts."""
+        """Internal: take over results of a load step besides the states of the parts."""
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -275,9 +275,9 @@ class Scene:
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
-        An edge group held in all directions is held over its whole length: its edges stay straight,
-        and cables passing over them slide along them. With points and marked vertices only the
-        vertices are held; edges between them can fold.
+        A group of edges held in all directions is held over its whole length: its edges stay
+        straight, and cables that cross them slide along them. With points and marked vertices,
+        edges between them can fold.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class Scene:
         Raises
         ------
         InputError
-            Unknown vertices or directions, or edges with cables laid over them.
+            Unknown vertices or directions, or edges that cables already cross.
         """
         checks.same(self.comm, "fix", where=where, directions=directions)
         self.membrane.hold(where, directions, new_edges=not self.cables)
@@ -302,7 +302,7 @@ class Scene:
         Raises
         ------
         InputError
-            The membrane is currently below it.
+            A membrane that is below it.
         """
         checks.same(self.comm, "floor", z=z)
         z = checks.finite("floor: z", z)
@@ -319,10 +319,10 @@ class Scene:
     @collective
     @changes_model
     def add_term(self, term: EnergyTerm) -> None:
-        """Add a user-defined term to the potential energy that load steps minimise.
+        """Add a user's term to the potential energy, which load steps minimise.
 
-        Its energy is in `energies` under its name, and its forces are loads: supports carry them.
-        Checkpoints do not contain terms; a script that resumes from one must add them again.
+        `energies` has its energy under its name; its forces are loads, which supports carry.
+        Checkpoints do not store terms: a script that resumes from one adds them again.
 
         Parameters
         ----------
@@ -332,8 +332,8 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: an object that is no `EnergyTerm`, a name in use, or sums, energy or
-            forces that are not finite in the current state.
+            On all ranks: no `EnergyTerm`, a name that is taken, or sums, energy or forces that are
+            not finite in the current state.
         """
         checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
         self.membrane.check_finite("add_term")
@@ -343,12 +343,12 @@ class Scene:
         self.record(energies={**self.energies, term.name: energy})
 
     def cable(self, name: str) -> LaidCable:
-        """The cable with a name.
+        """Return the cable with a name.
 
         Raises
         ------
         InputError
-            There is no such cable.
+            No cable has that name.
         """
         return self.net.cable(name)
 
@@ -470,7 +470,7 @@ class Scene:
         Raises
         ------
         PathError, InputError
-            As for `lay_cable`; no cable is laid then.
+            As for `lay_cable`; then no cable is laid.
 
         Examples
         --------
@@ -506,30 +506,29 @@ class Scene:
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
-        A clamp joins the same points of both cables: they slide over the membrane, lift off and
-        touch down together, and each cable has one tension from clamp to clamp,
-        `LaidCable.tensions` (varying with friction along the cable). The unstressed lengths between
-        clamps are those at clamping; a load step that changes a cable's L0 scales them alike.
-        Clamping does not disturb an equilibrium.
+        A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
+        and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
+        unless friction along it varies that. The unstressed lengths between clamps are those at
+        clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
+        an equilibrium.
 
         Parameters
         ----------
         *cables
-            Two or more cables of this scene, or their names; all crossings between them are
-            considered.
+            Two or more cables of this scene, or their names.
         near
-            Points in space (k, 3) (length), at each of which the nearest crossing is clamped; by
-            default all crossings.
+            Points in space, (k, 3) (length), whose nearest crossings are clamped; by default all
+            crossings are.
         slip
-            Grip of the clamps (force): if the tensions of a cable on both sides would differ by
-            more, it slips through, and unstressed length passes from one part to the other; the
-            work is `dissipated`. The grip refers to the unstressed cable; on the stretched one it
-            is smaller by the strain. By default clamps do not slip.
+            Grip of the clamps (force): a cable slips through where its tensions before and after
+            the clamp would differ by more, which moves unstressed length from one part to the
+            other; the work counts in `dissipated`. The grip acts on the unstressed cable: on the
+            stretched one it is smaller by the strain. By default clamps never slip.
 
         Returns
         -------
         tuple of Clamp
-            The new clamps; existing ones are kept.
+            The new clamps; existing ones stay.
 
         Raises
         ------
@@ -540,7 +539,7 @@ class Scene:
         Warns
         -----
         NetWarning
-            Some of more than two cables lie apart at crossings, which stay unclamped.
+            Some of three or more cables lie apart where they cross; these crossings stay open.
 
         Examples
         --------
@@ -555,19 +554,17 @@ class Scene:
     def unclamp(
         self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
     ) -> None:
-        """Open clamps; the next load step finds the equilibrium with sliding cables.
-
-        Collective.
+        """Open clamps, so that the cables slide in the next load step. Collective.
 
         Parameters
         ----------
         *cables, near
-            As for `clamp`: all clamps between the cables, or those nearest to points.
+            As for `clamp`: all clamps between the cables, or those nearest to the points.
 
         Raises
         ------
         InputError
-            On all ranks: there is no such clamp.
+            On all ranks: an unknown clamp.
         """
         checks.same(self.comm, "unclamp", cables=cables, near=near)
         self.net.unclamp(cables, near)
@@ -575,11 +572,11 @@ class Scene:
     @collective
     @changes_model
     def remove(self, cable: LaidCable | str) -> None:
-        """Remove a cable; the next load step finds the equilibrium without it. Collective.
+        """Remove a cable from the next load step on. Collective.
 
-        Cables that crossed it then lie on the membrane, or on the cables below. The energy that its
-        friction dissipated stays in `dissipated`, and its earlier results in tables and pictures. A
-        new cable may take its name.
+        Cables that crossed it then lie on the membrane, or on the cables below. `dissipated` keeps
+        the energy of its friction; tables and pictures keep its history. A new cable may take its
+        name.
 
         Parameters
         ----------
@@ -589,7 +586,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: there is no such cable.
+            On all ranks: an unknown cable.
         """
         checks.same(self.comm, "remove", cable=cable)
         self.net.remove(cable)
@@ -597,9 +594,9 @@ class Scene:
     @collective
     @changes_model
     def remove_bar(self, bar: PlacedBar | str) -> None:
-        """Remove a bar, with anchors not used otherwise. Collective.
+        """Remove a bar, and anchors that nothing else needs, from the next load step on.
 
-        The next load step finds the equilibrium without it. Joints remain.
+        Collective. Joints stay.
 
         Parameters
         ----------
@@ -609,7 +606,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: there is no such bar.
+            On all ranks: an unknown bar.
         """
         checks.same(self.comm, "remove_bar", bar=bar)
         if isinstance(bar, str):
@@ -622,21 +619,21 @@ class Scene:
     @collective
     @changes_model
     def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
-        """Change the constants of the membrane's materials, for parameter studies. Collective.
+        """Change the numbers of the membrane's materials from the next load step on. Collective.
 
-        The next load step finds the new equilibrium. No form is recompiled.
+        For parameter studies: no form is compiled again.
 
         Parameters
         ----------
         material
-            One for all, or materials of some parts given to `Scene`, by part; each of the same
-            class as before, with the same warp and wrinkling.
+            One for all, or some of the materials by their parts as given to `Scene`, with the same
+            classes, warps and wrinkling.
 
         Raises
         ------
         InputError
-            On all ranks: an unknown part, a material that differs in more than constants, or a
-            scene with the paper's step-wise strain, whose stresses depend on previous steps.
+            On all ranks: an unknown part, a material that differs by more than numbers, or the
+            paper's step-wise strain, whose stresses add up over the steps.
 
         Examples
         --------
@@ -655,9 +652,9 @@ class Scene:
     @collective
     @changes_model
     def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
-        """Change the axial stiffness of cables and bars, for parameter studies. Collective.
+        """Change the axial stiffness of cables and bars from the next load step on. Collective.
 
-        Unstressed lengths are kept; the next load step finds the new equilibrium.
+        They keep their unstressed lengths.
 
         Parameters
         ----------
@@ -667,7 +664,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: an unknown cable or bar, or a stiffness that is not positive.
+            On all ranks: no cable or bar of this scene, or a stiffness that is not positive.
 
         Examples
         --------
@@ -698,23 +695,22 @@ class Scene:
     ) -> None:
         """Set the fabric's strengths, for the utilisation in results, files and reports.
 
-        They replace earlier ones, do not affect the equilibrium, and are not saved in checkpoints.
+        They replace earlier ones, do not change the equilibrium and are not in checkpoints.
 
         Parameters
         ----------
         strengths
-            Strengths in warp and weft, divided by the partial factors (force per length): one pair,
-            or pairs by parts. Other parts have no utilisation.
+            Design strengths in warp and weft, that is, divided by the partial factors (force per
+            length): one pair, or one for each named part; other parts have no utilisation.
         factors
-            Divisors of the strengths while loads act, for their duration and temperature, by names
-            of existing loads and ponds. Of several acting loads the largest divisor counts; without
-            any it is 1.
+            Divisors of the strengths for the duration and temperature of loads, by the names of
+            existing loads and ponds. The largest of those that act counts, 1 without any.
 
         Raises
         ------
         InputError
-            On all ranks: an unknown part or load, parts with common cells, or strengths or factors
-            that are not positive.
+            On all ranks: an unknown part or load, overlapping parts, or strengths or factors that
+            are not positive.
 
         Examples
         --------
@@ -729,7 +725,7 @@ class Scene:
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
-        """Internal: divisor of the strengths under the acting loads."""
+        """Internal: divisor of the strengths under the current loads."""
         acting = [name for name, factor in self.factors.items() if factor != 0.0]
         known = self.membrane.strength_factors
         return max((known[name] for name in acting if name in known), default=1.0)

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class SceneState:
-    """State of a scene: all that load steps, supports, loads and cables can change.
+    """State of a scene: everything that load steps, supports, loads and cables can change.
 
-    In memory it holds this process's part of the mesh; `Solver.save` writes it to files.
+    In memory it is that of this process's part of the mesh; `Solver.save` writes it to files.
 
     Attributes
     ----------

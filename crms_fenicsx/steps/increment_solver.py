@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:
-    """Estimates of extra prestress in H0 by stage, the last 0 (force per length). Collective."""
+    """Extra prestress in H0 for each attempt, the last 0 (force per length). Collective."""
     # A flat sheet has no stiffness against pressure: its stress will be 0.3 (p^2 L^2 E t)^(1/3).
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
@@ -45,7 +45,7 @@ def starting_prestress(system: System, target: Target, share: float) -> tuple[fl
 
 
 def covered_ends(scene: Scene) -> Iterator[StateWarning]:
-    """Say which ends over the membrane lie under it in the current state. Collective."""
+    """Warn of cable ends that start above the membrane and now lie under it. Collective."""
     over = [
         (cable, which, end, foot)
         for cable in scene.cables
@@ -69,21 +69,21 @@ def covered_ends(scene: Scene) -> Iterator[StateWarning]:
 
 @dataclass(frozen=True)
 class Increment:
-    """What came of an increment."""
+    """Result of an increment."""
 
-    outcome: Outcome  # of its solves
-    # what checks of the state say; None where there were none
+    outcome: Outcome  # of all its solves
+    # of the accepted state; None if verification is off or no equilibrium was found
     verification: Verification | None = None
-    # what makes the state one that is not stable, and cables' ends under the membrane
+    # of instability and of cable ends under the membrane
     warnings: tuple[StateWarning, ...] = ()
 
 
 MOST_TURNS = 50
-"""Solves of an increment with wind, or with the paper's pressure on a membrane with free edges."""
+"""Limit of solves per increment under wind, or under the paper's pressure with free edges."""
 
 
 class IncrementSolver:
-    """Brings a scene to the equilibrium at the loads of an increment, or leaves it as it was."""
+    """Brings a scene to equilibrium at an increment's loads, or restores its state before."""
 
     def __init__(self, scene: Scene, options: Options) -> None:
         self.scene, self._options = scene, options
@@ -91,13 +91,13 @@ class IncrementSolver:
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
         self._earlier: TriedPaths | None = None
-        """What the run has tried that this one goes on from."""
+        """Rejected paths of the run that this one resumes."""
         self._known: tuple[LaidCable, ...] = ()
-        """The cables of the load steps before."""
+        """Cables at the last load step."""
 
     @property
     def system(self) -> System:
-        """The potential of the scene and its minimiser; made when first needed."""
+        """The scene's potential and its minimiser, made on first use."""
         if self._system is not None and self._system.is_outdated:
             self.release()  # another solver has advanced the scene
         if self._system is None:
@@ -105,14 +105,14 @@ class IncrementSolver:
         return self._system
 
     def release(self) -> None:
-        """Give back the memory of the potential; it is made again when needed."""
+        """Free the potential's memory; `system` makes it again."""
         if self._system is not None:
             self._system.destroy()
         self._system = self._search = self._earlier = None
 
     @property
     def search(self) -> EquilibriumSearch:
-        """What finds the equilibrium of each increment; made when first needed."""
+        """Search for the equilibrium of each increment, made on first use."""
         system = self.system
         if self._search is None:
             tried = self._earlier if self._options.slide else None
@@ -121,13 +121,13 @@ class IncrementSolver:
 
     @property
     def tried(self) -> TriedPaths | None:
-        """Paths that cables have not taken, if any were tried."""
+        """Paths that cables tried and rejected; None before the first."""
         if self._search is not None and self._search.tried is not None:
             return self._search.tried
         return self._earlier
 
     def forget_removed(self) -> None:
-        """Let cables not inherit paths that were tried for one of their name that is gone."""
+        """Drop tried paths of removed cables: a new cable may have the same name."""
         tried = self.tried
         for cable in self._known:
             if tried is not None and cable not in self.scene.cables:
@@ -135,12 +135,12 @@ class IncrementSolver:
         self._known = self.scene.cables
 
     def resume(self, tried: TriedPaths | None) -> None:
-        """Go on from load steps whose state the scene has, and which have tried some paths."""
+        """Continue from the scene's state and the paths tried before."""
         self.release()
         self._earlier, self._known = tried, self.scene.cables
 
     def restart_h0(self) -> None:
-        """Forget what the next solve would take over from the last one, as a resumed run has."""
+        """Reset H0, so that the next solve equals that of a resumed run."""
         if self._system is not None:
             self._system.reset_h0()
 
@@ -148,7 +148,7 @@ class IncrementSolver:
         self, target: Target, first: SceneState, before: SceneState, done: float, goal: float,
         steps: int,
     ) -> Increment:  # fmt: skip
-        """Solve and check an increment; without equilibrium the scene is as before. Collective."""
+        """Solve and verify an increment; restore the state before if it fails. Collective."""
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
             prestress = starting_prestress(self.system, target, (goal - done) / steps)
@@ -187,7 +187,7 @@ class IncrementSolver:
         return Increment(outcome, verification, warnings)
 
     def _warnings(self, outcome: Outcome) -> tuple[StateWarning, ...]:
-        """What to warn of in the state found. Collective."""
+        """Warnings about the state found. Collective."""
         found = list(covered_ends(self.scene))
         if self._options.stability != "ignore" and (self.system.bars or self.system.ponds):
             from crms_fenicsx.equilibrium.instability import instabilities
@@ -196,7 +196,7 @@ class IncrementSolver:
         return tuple(found)
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:
-        """Repeat a step of the paper's pressure until its forces are normal to the end state."""
+        """Solve again under the paper's pressure until its forces are normal to the final shape."""
         for _ in range(MOST_TURNS):
             self.system.commit()
             more = self.search.find((0.0,))
@@ -207,7 +207,7 @@ class IncrementSolver:
         return replace(outcome, converged=False, reason=reason)
 
     def _turn_wind(self, outcome: Outcome) -> Outcome:
-        """Repeat a solve until the wind's forces are those of the shape found."""
+        """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
         for _ in range(MOST_TURNS):
             turned = tuple(load.turned(scene.membrane) for load in scene.loads)
@@ -225,23 +225,23 @@ class IncrementSolver:
         return replace(outcome, converged=False, reason=reason)
 
     def snapshot(self) -> SceneState:
-        """The scene's state with the paths that were tried."""
+        """The scene's state and the paths tried."""
         return replace(self.scene.state, tried=deepcopy(self.tried))
 
     def go_back_to(self, snapshot: SceneState) -> None:
-        """Bring the scene to a state, and forget what was tried since."""
+        """Restore a state and the paths tried up to it."""
         self._restore(snapshot)
         self._search, self._earlier = None, deepcopy(snapshot.tried)
         self._known = self.scene.cables
 
     def _restore(self, state: SceneState) -> None:
-        """Bring the scene back to a state."""
+        """Restore a state of the scene."""
         scene, system = self.scene, self._system
-        # Terms keep the history that step-wise laws had: with another one they are made anew.
+        # Terms hold the history of step-wise laws, so another history needs new terms.
         same = scene.step_history is state.step_history
         keeps = same and system is not None and not system.is_outdated
         scene.state = state
-        if system is not None:  # its tables may be those of other cables in tension
+        if system is not None:  # its tables may be for other taut cables
             system.invalidate()
             if keeps:
                 system.follow()

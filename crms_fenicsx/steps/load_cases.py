@@ -1,4 +1,4 @@
-"""Combinations of loads from one base state."""
+"""Load combinations that start from one base state."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from crms_fenicsx.steps.loading import checked_target
 
 @dataclass(frozen=True)
 class Combination:
-    """What came of a combination of loads.
+    """Result of a load combination.
 
     Attributes
     ----------
     name
-        Its name.
+        Name of the combination.
     step
         Its last load step.
     snapshot
-        The state that it led to; `Solver.restore` goes there, to draw it or for its results.
+        Final state; pass it to `Solver.restore` to draw it or evaluate results.
     base
-        The state that it was brought on from.
+        State that the combination started from.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Combination:
 
 
 class HasStates(Protocol):
-    """A `Solver`, which lies above this module."""
+    """Interface of `Solver`, which this module must not import."""
 
     scene: ReadOnly[Scene]
 
@@ -48,12 +48,12 @@ class HasStates(Protocol):
         """The current state."""
 
     def restore(self, snapshot: SceneState) -> None:
-        """Bring the scene back to a state."""
+        """Restore a state of the scene."""
 
 
 @contextmanager
 def back_to_now(solver: HasStates) -> Iterator[None]:
-    """Bring the scene back to its state after the block, also after an error. Collective."""
+    """Restore the scene's present state after the block, also after an error. Collective."""
     now = solver.snapshot()
     try:
         yield
@@ -64,7 +64,7 @@ def back_to_now(solver: HasStates) -> Iterator[None]:
 def checked_states(
     call: str, scene: Scene, combinations: Mapping[str, Combination] | None
 ) -> dict[str, Combination]:
-    """Combinations of a scene, in one order; none for its current state. Collective."""
+    """Check combinations and return them in one order on all ranks; empty for None. Collective."""
     if combinations is not None:
         checks.collection(f"{call}: combinations", combinations, Mapping, "solver.combine(...)", 1)
     listed = None if combinations is None else dict.fromkeys(combinations)
@@ -84,7 +84,7 @@ def checked_states(
 
 
 def check_combinations(scene: Scene, combinations: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse combinations that cannot be brought on; see `Solver.combine`."""
+    """Refuse combinations that cannot be applied; see `Solver.combine`."""
     example = '{"weight": 1.35, "snow": 1.5}'
     checks.collection("combine: combinations", combinations, Mapping, f'{{"snow": {example}}}', 1)
     for name, given in combinations.items():
@@ -98,6 +98,6 @@ def check_combinations(scene: Scene, combinations: Mapping[str, Mapping[str, Any
 
 
 def split(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, float] | None]:
-    """The air's of a combination, and factors of its loads; None where it names none."""
+    """Air settings of a combination, and its load factors (None if it has none)."""
     factors = {load: factor for load, factor in given.items() if load not in AIR}
     return {name: given[name] for name in AIR if name in given}, factors or None

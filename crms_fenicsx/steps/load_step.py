@@ -1,4 +1,4 @@
-"""A load step: what it has found, and the warnings and errors about it."""
+"""A load step, with its warnings and errors."""
 
 from __future__ import annotations
 
@@ -30,21 +30,20 @@ class Step:
     Attributes
     ----------
     number
-        Counted from 1 over the solver's life.
+        Counted from 1 over the solver's lifetime.
     outcome
-        What the solve took; failed attempts of the step are included.
+        Statistics of the solve, including failed attempts.
     energies
-        Energy of each kind of term (force x length).
+        Energy by kind of term (force x length).
     seconds
         Wall time.
     halvings
-        How often the increment had to be halved.
+        How often the increment was halved.
     verification
-        What checks of the state say that do without the solver; None if it was told not to make
-        any. It is not saved with a run.
+        Independent checks of the state; None if verification is off. Checkpoints leave it out.
     warnings
-        What was warned of in this step: a snap-through and between which loads it was, an
-        equilibrium that is not stable, ends of cables under the membrane.
+        Warnings of the step: snap-through with its load interval, unstable equilibrium, cable
+        ends under the membrane.
     """
 
     number: int
@@ -61,7 +60,7 @@ class Step:
         return sum(self.energies.values())
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         words = [f"energy {self.energy:.6g}", counted(self.outcome.iterations, "iteration")]
         words += [f"{self.seconds:.2g} s"]
         words += [counted(self.halvings, "halving")] if self.halvings else []
@@ -73,7 +72,7 @@ class Step:
 
 
 CALLER = 6
-"""Level of the stack, from `_warn`, of who has called `Solver.advance`."""
+"""Stack level, from `_warn`, of the caller of `Solver.advance`."""
 
 CATEGORIES: dict[str, type[UserWarning]] = {
     "snap-through": SnapThroughWarning,
@@ -88,7 +87,7 @@ def _warn(number: int, text: str, category: type[UserWarning]) -> None:
 
 
 def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:
-    """Warn of friction forces that have not settled, or that have done work on a cable."""
+    """Warn of friction forces that have not settled, or that have done positive work."""
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
@@ -108,7 +107,7 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
 
 
 def warn_of_blocked(number: int, scene: Scene) -> None:
-    """Warn of cables that have run into vertices, which they may not pass."""
+    """Warn of cables stopped by vertices that they must not pass."""
     for cable in scene.cables:
         if cable.blocked and scene.comm.rank == 0:
             text = (
@@ -120,7 +119,7 @@ def warn_of_blocked(number: int, scene: Scene) -> None:
 
 
 def warn_of_state(number: int, scene: Scene, found: Sequence[StateWarning]) -> None:
-    """Warn of what was found of a step's state."""
+    """Issue the warnings of a step's state."""
     for one in found:
         if scene.comm.rank == 0:
             _warn(number, one.text, CATEGORIES[one.kind])
@@ -134,7 +133,7 @@ def no_equilibrium(
     number: int, outcome: Outcome, max_halvings: int, done: float, failed: Sequence[Pond],
     ponds: Sequence[Pond],
 ) -> ConvergenceError:  # fmt: skip
-    """Make the error of a step whose last attempt has failed."""
+    """Error of a step whose last attempt has failed."""
     water = "" if not ponds else (
         f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
         "more prestress or slope carries more, a given volume stays as it is. Water that ends at "

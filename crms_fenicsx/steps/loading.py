@@ -1,4 +1,4 @@
-"""The loads of a call to `Solver.advance`, checked: factors, pressure, fans and air."""
+"""Check the loads of `Solver.advance`: factors, pressure, fans and sealed air."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
 
 def between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; zero where only rounding is left."""
+    """Load at a share of the step, exactly zero if only rounding is left."""
     value = first + share * (last - first)
     rounding = 4 * EPSILON * max(abs(first), abs(last))
     return 0.0 if abs(value) <= rounding else value
@@ -36,21 +36,21 @@ def between(first: float, last: float, share: float) -> float:
 
 @dataclass(frozen=True)
 class InnerPressure:
-    """The inner pressure's way."""
+    """Inner pressure over a call of `Solver.advance`."""
 
-    # first, last: pressure at its ends (force per area); with fans what is on top of theirs
+    # first, last: pressure at start and end (force per area); with fans, in addition to theirs
     first: float
     last: float
-    fans: FanControl | None = None  # their control, if there is one
-    air: tuple[SealedAir, SealedAir] | None = None  # sealed air at the way's ends, if there is any
+    fans: FanControl | None = None  # control of the fans, if any
+    air: tuple[SealedAir, SealedAir] | None = None  # at start and end, if any
 
     @property
     def acts(self) -> bool:
-        """Whether there is any at the way's end."""
+        """Whether there is inner pressure at the end."""
         return self.last != 0.0 or self.fans is not None or self.air is not None
 
     def apply(self, scene: Scene, share: float) -> None:
-        """Set the pressure at a share of the way; the loads on the membrane are set. Collective."""
+        """Set the pressure at a share of the step, after the other loads. Collective."""
         if self.air is not None:
             first, last = self.air
             sealed = replace(
@@ -73,7 +73,7 @@ def checked_pressure(
     temperature: float | None,
     atmosphere: float | None,
 ) -> InnerPressure:
-    """Check the inner pressure that a call to `Solver.advance` asks for; see there."""
+    """Check the inner pressure given to `Solver.advance`."""
     air, given = scene.air.sealed, {"temperature": temperature, "atmosphere": atmosphere}
     for name, value in given.items():
         if value is not None and air is None:
@@ -103,38 +103,38 @@ def checked_pressure(
 
 @dataclass(frozen=True)
 class Target:
-    """Loads to reach, and those to start from."""
+    """Initial and target loads of a call of `Solver.advance`."""
 
-    pressure: InnerPressure  # way of the inner pressure
-    # first and last factor of each load that changes, by its name
+    pressure: InnerPressure  # inner pressure
+    # first and last factor of each changed load, by name
     factors: dict[str, tuple[float, float]]
-    movements: Movements  # how supports and anchors move
-    # a cable or bar, its first and last unstressed length (length)
+    movements: Movements  # of supports and anchors
+    # cable or bar, its first and last unstressed length (length)
     lengths: list[tuple[LaidCable | PlacedBar, float, float]]
 
     def is_first_load(self, scene: Scene) -> bool:
-        """Whether loads or ponds are brought on where there are none yet."""
+        """Whether the call applies the first loads or ponds."""
         new = any(last != 0.0 for _, last in self.factors.values())
         return new and not any(scene.factors.values())
 
     def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
-        """Set the loads at a share of the way from the state `first`; `before` is that reached."""
+        """Set the loads at `share` of the step from state `first`, from share `before` on."""
         scene.loads.replace_each(partial(self._at, share))
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
         for one, start, end in self.lengths:
             length = start + share * (end - start)
             if isinstance(one, LaidCable) and one.axial is not None and one.parts is not None:
-                rest = one.axial.rest * (length / one.L0)  # parts between clamps change alike
+                rest = one.axial.rest * (length / one.L0)  # the parts between clamps scale alike
                 one.update(axial=replace(one.axial, rest=rest))
             one.update(L0=length)
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
-        """A scene's ponds at a share of the way."""
+        """The scene's ponds at a share of the step."""
         return tuple(self._at(share, pond) for pond in scene.ponds)
 
     def _at(self, share: float, load: LoadT) -> LoadT:
-        """A load or a pond at a share of the way."""
+        """A load or pond at a share of the step."""
         if load.name not in self.factors:
             return load
         return replace(load, factor=between(*self.factors[load.name], share))
@@ -150,7 +150,7 @@ def checked_target(
     temperature: float | None = None,
     atmosphere: float | None = None,
 ) -> Target:
-    """Check the loads and say what they change; see `Solver.advance`. Collective."""
+    """Check the loads and return their initial and target values. Collective."""
     scene.membrane.check_finite("advance")
     braced = scene.frame.vertices and any(joint.held.any() for joint in scene.joints)
     if not braced and not scene.comm.allreduce(int(scene.held.any())):
@@ -175,7 +175,7 @@ def _lengths(
 ) -> list[tuple[LaidCable | PlacedBar, float, float]]:
     """First and last unstressed lengths of cables and bars."""
     found = []
-    for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # alike on all ranks
+    for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # same on all ranks
         if not isinstance(key, LaidCable | PlacedBar):
             raise InputError(f"advance: L0 of {key!r}; give a laid cable or a bar.")
         if isinstance(key, LaidCable) and key.cable.law == "step":
@@ -190,7 +190,7 @@ def _lengths(
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """First and last factors of loads and ponds, by their names."""
+    """First and last factors of loads and ponds, by name."""
     present = scene.factors
     if not present:
         raise InputError(
@@ -223,7 +223,7 @@ def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple
 
 
 def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:
-    """The paper's pressure goes from one state to another in turn, and wind with it."""
+    """Refuse wind with the paper's pressure, which is integrated step by step."""
     for load in scene.loads:
         if load.suction is not None and scene.pressure_law == "step":
             _, factor = factors.get(load.name, (0.0, load.factor))
@@ -236,14 +236,14 @@ def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> Non
 
 
 def has_free_rim(scene: Scene) -> bool:
-    """Whether the paper's pressure acts on a membrane with edges that are free. Collective."""
+    """Whether the paper's pressure acts on a membrane with free edges. Collective."""
     if scene.pressure_law == "total" or scene.pressure == 0.0:
         return False
     return bool(scene.comm.allreduce(len(rim_of(scene.membrane).free)))
 
 
 def _check_rim(scene: Scene) -> None:
-    """The exact follower pressure has a potential only if its rim is held or slides in planes."""
+    """Refuse follower pressure without a potential: its rim must be held or slide in planes."""
     if scene.pressure_law != "total":
         return
     rim = rim_of(scene.membrane)

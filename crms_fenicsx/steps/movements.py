@@ -1,4 +1,4 @@
-"""Movements of supports, cable ends and joints in a call to `Solver.advance`."""
+"""Movements of supports, cable ends and joints in `Solver.advance`."""
 
 from __future__ import annotations
 
@@ -18,34 +18,33 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 
 Way = Callable[[Array, float], Array]
-"""Displacements (3, n) (length) of places (3, n) at the call's start, at a part t of the call, 0 to
-1; zero at t = 0."""
+"""Displacements (3, n) (length) of places (3, n) given at the call's start, at a fraction t of the
+call, 0 to 1; zero at t = 0."""
 
 Move = Sequence[float] | Array | Way
-"""One displacement (3,) for all, reached in equal parts, or a function."""
+"""One displacement (3,) for all, applied in equal increments, or a function."""
 
 ROUNDING = 64 * EPSILON
-"""What a function may have left of zero, relative to places and displacements."""
+"""Rounding allowed in a function's zeros, relative to places and displacements."""
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """A movement of supports for `Solver.advance`: they turn about an axis, on circles.
+    """Rotation of supports about an axis, for `Solver.advance`.
 
     Parameters
     ----------
     point
         A point on the axis, (3,) (length).
     axis
-        Its direction, (3,), of any length.
+        Direction of the axis, (3,), of any length.
     angle
-        Angle by which they turn in the whole call (rad), right-handed about the axis. More than a
-        full turn is possible.
+        Angle over the whole call (rad), right-handed about the axis; it may exceed a full turn.
 
     Raises
     ------
     InputError
-        A point, axis or angle that is not finite, or an axis without length.
+        A point, axis or angle that is not finite, or an axis of zero length.
 
     Examples
     --------
@@ -66,7 +65,7 @@ class Rotation:
         checks.finite("Rotation: angle", self.angle)
 
     def __call__(self, x: Array, t: float) -> Array:
-        """Displacements (3, n) of places x (3, n) at a part t of the turn; Rodrigues' formula."""
+        """Displacements (3, n) of places x (3, n) at a fraction t of the turn (Rodrigues)."""
         axis = np.asarray(self.axis, dtype=float)
         axis = axis / np.linalg.norm(axis)
         arm = x - np.reshape(np.asarray(self.point, dtype=float), (3, 1))
@@ -81,20 +80,20 @@ class Rotation:
 class Motion:
     """A checked movement of some places."""
 
-    what: str  # what moves, for messages
+    what: str  # name for messages
     move: Array | Way  # one displacement (3,) for all, or a function
-    places: Array  # (n, 3) where they are at the call's start (length)
-    steps: int  # increments of the call; a function has been checked at their ends
+    places: Array  # (n, 3) at the call's start (length)
+    steps: int  # of the call; a function is checked at their ends
 
     @classmethod
     def of(cls, what: str, given: object, places: Array, steps: int) -> Motion:
-        """Check what the user gave, but for the values of a function: see `sampled`."""
+        """Check the user's movement; `sampled` checks a function's values."""
         if callable(given):
             return cls(what, given, places, steps)
         return cls(what, checks.vector(what, given), places, steps)
 
     def at(self, share: float) -> Array:
-        """Displacements (n, 3) at a part of the call, or (3,) for all (length)."""
+        """Displacements (n, 3) at a fraction of the call, or (3,) for all (length)."""
         if not callable(self.move):
             return share * self.move
         places, what = self.places.T, f"{self.what}: the function at t = {share:g}"
@@ -102,7 +101,7 @@ class Motion:
 
     @cached_property
     def sampled(self) -> Array:
-        """Displacements at the ends of the increments, (steps, n, 3); of one for all the last."""
+        """Displacements at the increments' ends, (steps, n, 3); only the last if one for all."""
         if callable(self.move):
             start = self.at(0.0)
             ends = [self.at((k + 1) / self.steps) for k in range(self.steps)]
@@ -118,7 +117,7 @@ class Motion:
         return np.broadcast_to(self.move, (1, *self.places.shape))
 
     def moving(self) -> Booleans:
-        """Which components of the places move, (n, 3), by more than a function's rounding."""
+        """Which components of the places move by more than rounding, (n, 3)."""
         least = 0.0
         if callable(self.move):
             least = max(np.abs(v).max(initial=0.0) for v in (self.places, self.sampled))
@@ -126,7 +125,7 @@ class Motion:
 
     @property
     def displacement(self) -> Array | None:
-        """The displacement (3,) that all have at the end; None of a function."""
+        """Final displacement (3,) common to all places; None for a function."""
         return None if callable(self.move) else self.move
 
 
@@ -137,24 +136,23 @@ TYPE_OF_MOVE = (
 
 @dataclass(frozen=True)
 class Movements:
-    """Movements of supports and anchors, checked."""
+    """Checked movements of supports and anchors."""
 
-    # local degrees of freedom and the movement of each group
+    # local degrees of freedom and movement of each group
     vertices: list[tuple[Indices, Motion]]
-    # a cable, its first (0) or last (-1) node, and that end's movement
+    # cable, first (0) or last (-1) node, and the movement of that end
     cable_ends: list[tuple[LaidCable, int, Motion]]
     joints: list[tuple[Joint, Motion]]
-    # (3,) displacement that all supports have in common, and zero if there is none (length): the
-    # whole structure begins each increment displaced by it
+    # (3,) displacement common to all supports, zero if there is none (length); each increment
+    # starts with the whole structure displaced by it
     rigid_translation: Array
-    travel: float  # the longest displacement at the end of an increment (length)
-    # by what was given numbers that tell a movement from others: the displacement, or sums of what
-    # a function gives
+    travel: float  # largest displacement at an increment's end (length)
+    # numbers that identify each movement, by the user's key: displacement, or sums of a function
     samples: dict[object, list[float]]
 
     def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
-        """Move to a share of the way from the state `first`, from `before` on. Collective."""
-        with raised_together(scene.comm):  # functions, before anything moves
+        """Move from share `before` to `share` of the step that began in `first`. Collective."""
+        with raised_together(scene.comm):  # evaluate functions before anything moves
             of_vertices = [motion.at(share) for _, motion in self.vertices]
             of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
             of_joints = [motion.at(share).reshape(3) for _, motion in self.joints]
@@ -183,14 +181,14 @@ class Movements:
 
 
 def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> Movements:
-    """Check movements and say what they change; see `Solver.advance`. Collective."""
+    """Check movements and return what they move; see `Solver.advance`. Collective."""
     places = scene.positions()
     ends: list[tuple[LaidCable, int, Motion]] = []
     joints: list[tuple[Joint, Motion]] = []
     vertices: list[tuple[Indices, Motion]] = []
     samples: dict[object, list[float]] = {}
     travel = 0.0
-    for key, given in sorted(move.items(), key=lambda item: repr(item[0])):  # alike on all ranks
+    for key, given in sorted(move.items(), key=lambda item: repr(item[0])):  # same on all ranks
         what = f"advance: move of {key!r}"
         own: list[Motion] = []
         if isinstance(key, LaidCable | CableEnd):
@@ -225,7 +223,7 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
 
 
 def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[float]:
-    """Numbers that tell a movement from others: a displacement, or weighted sums. Collective."""
+    """Numbers that identify a movement: displacement or weighted sums. Collective."""
     if motions[0].displacement is not None:
         return [float(x) for x in motions[0].displacement]
     found: Array = np.zeros(0)
@@ -248,7 +246,7 @@ def check_own(kind: str, one: object, scene: Scene) -> None:
 
 
 def _anchor(scene: Scene, end: CableEnd) -> int:
-    """The node of a cable's end, 0 or -1, if it is an anchor."""
+    """Node of a cable's end, 0 or -1, if it is an anchor."""
     check_own("cable", end.cable, scene)
     k = 0 if end.which == "start" else -1
     if end.cable.nodes[k].kind != "anchor":
@@ -266,7 +264,7 @@ def _anchor(scene: Scene, end: CableEnd) -> int:
 
 
 def _check_held(scene: Scene, what: object, held: Booleans, motion: Motion, remedy: str) -> None:
-    """Refuse a movement in directions in which its places, (n, 3), are not held. Collective."""
+    """Refuse movements in directions in which the places, (n, 3), are free. Collective."""
     with raised_together(scene.comm):
         free = motion.moving() & ~held
         if free.any():
@@ -278,7 +276,7 @@ def _check_held(scene: Scene, what: object, held: Booleans, motion: Motion, reme
 
 
 def _check_above_floor(scene: Scene, vertices: list[tuple[Indices, Motion]], steps: int) -> None:
-    """The floor is for the free vertices; held ones must not be moved through it."""
+    """Refuse supports moved through the floor, which stops free vertices only."""
     if scene.floor_level is None:
         return
     with raised_together(scene.comm):
@@ -303,7 +301,7 @@ def _carried(
     ends: list[tuple[LaidCable, int, Motion]],
     joints: list[tuple[Joint, Motion]],
 ) -> Array:
-    """The displacement that supports, anchors and held joints have in common, (3,); else zero."""
+    """Displacement common to supports, anchors and held joints, (3,); zero if there is none."""
     motions = (
         [own[-1] for own in vertices] + [own[-1] for own in ends] + [own[-1] for own in joints]
     )
@@ -316,7 +314,7 @@ def _carried(
     ranges: Array = np.stack([np.fmin.reduce(v, initial=np.inf) for v in (of_held, -of_held)])
     scene.comm.Allreduce(MPI.IN_PLACE, ranges, op=MPI.MIN)
     least, negative = ranges
-    # A direction in which nothing is held stays as it is.
+    # Directions without supports do not move.
     common: Array = np.where(np.isinf(least), 0.0, least)
     travels: dict[object, Array] = {
         (cable, k): np.zeros(3)
@@ -328,7 +326,7 @@ def _carried(
         travels[cable, k] = travels[cable, k] + motion.at(1.0)
     moved_by = {joint: motion.at(1.0) for joint, motion in joints}
     for joint in scene.joints:
-        if joint.held.any():  # where it is free it is carried
+        if joint.held.any():  # carried along in its free directions
             travels[joint] = np.where(joint.held, moved_by.get(joint, 0.0), common)
     alike = np.all((least == -negative) | np.isinf(least))
     alike &= all(np.array_equal(travel, common) for travel in travels.values())

@@ -14,7 +14,7 @@ from crms_fenicsx.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class Options:
-    """How a solver works: the arguments of `crms_fenicsx.Solver` but for the scene."""
+    """Arguments of `crms_fenicsx.Solver` except the scene."""
 
     results: Path | None
     resume: bool | None
@@ -28,7 +28,7 @@ class Options:
 
 
 def checked_options(comm: MPI.Intracomm, **given: Any) -> Options:
-    """Check the options of a solver. Collective."""
+    """Check a solver's options. Collective."""
     checks.same(comm, "Solver", **given)
     options = Options(**given)
     results, resume, rtol = options.results, options.resume, options.rtol

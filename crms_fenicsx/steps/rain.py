@@ -1,9 +1,9 @@
-"""Rain that stands in the hollows of a roof, as a load that follows from its shape.
+"""Ponding: rainwater in the hollows of a roof as a load that depends on its shape.
 
-The water of each hollow is a load of fixed direction on the shape that it was found on. The
-membrane sinks under it, its hollows grow, and the load with them, again and again: if it settles,
-the water stands in equilibrium. Where hollows will be, and up to which level, nobody has to know
-before, as for ponds.
+The water in each hollow acts as a load of fixed direction on the shape it was computed for. The
+membrane deflects, the hollows and the load grow, and the iteration repeats; if it converges, the
+water is in equilibrium. Unlike ponds, it needs neither the places of hollows nor their water
+levels in advance.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 
 NAME = "rain in hollows"
-"""The load's name."""
+"""Name of the load."""
 
 SETTLED, PATIENCE = 1e-4, 10
-"""Change of the water's volume, relative, from which on it has settled, and how often that change
-may be without becoming less."""
+"""Relative change of the water's volume at which the iteration has converged, and the number of
+fillings without a smaller change after which it is given up."""
 
 
 @dataclass(frozen=True, repr=False)
 class PondingCheck:
-    """What became of rain on a roof.
+    """Result of a ponding check.
 
     Attributes
     ----------
     passed
-        Whether the water has settled in an equilibrium, or there are no hollows.
+        Whether the water reached equilibrium, or there are no hollows.
     verdict
-        Why, in words.
+        The reason, in words.
     hollows
-        Those of the last shape, with the water in it.
+        Hollows of the last shape, with their water.
     volumes
-        Of the water on the roof each time that the hollows were filled (length cubed).
+        Total volume of water after each filling (length cubed).
     snapshot
-        The last state, with the water on; `Solver.restore` goes there.
+        Last state, water included; pass it to `Solver.restore`.
     """
 
     passed: bool
@@ -56,7 +56,7 @@ class PondingCheck:
 
     @property
     def depth(self) -> float:
-        """Of the deepest hollow (length), 0 where there is none."""
+        """Depth of the deepest hollow (length), 0 if there is none."""
         return max((hollow.depth for hollow in self.hollows), default=0.0)
 
     def __repr__(self) -> str:
@@ -65,8 +65,8 @@ class PondingCheck:
 
 
 class Rain:
-    """Fills the hollows of a scene's current shape. Units: depth (length) of the rain that falls on
-    the plan, weight by volume (force / length cubed)."""
+    """Fills the hollows of a scene's current shape. Units: depth of rain on the plan (length),
+    specific weight (force / length cubed)."""
 
     def __init__(self, scene: Scene, depth: float, weight: float) -> None:
         self.scene, self.depth, self.weight = scene, depth, weight
@@ -76,14 +76,14 @@ class Rain:
         self._changes: list[float] = []
 
     def put(self) -> None:
-        """Put the load on the scene, without water. Collective."""
+        """Add the load, with no water yet. Collective."""
         scene = self.scene
         scene.loads.add(MembraneLoad(NAME, np.zeros(scene.membrane.held.shape), 0.0))
 
     def fill(self) -> bool:
-        """Fill the hollows of the current shape; return whether that changes the load. Collective.
+        """Fill the hollows of the current shape; return whether the load changes. Collective.
 
-        Each takes all the rain that falls on the roof at most, as others may run over into it."""
+        Each hollow is limited to all the rain on the roof, since others may overflow into it."""
         scene, membrane = self.scene, self.scene.membrane
         self.found = find_hollows(scene.net)
         cells = membrane.V.dofmap.list[: membrane.mesh.mesh.topology.index_map(2).size_local]
@@ -127,7 +127,7 @@ class Rain:
         return True
 
     def check(self, snapshot: SceneState, why: str) -> PondingCheck:
-        """Say what has come of it."""
+        """Verdict on the ponding iteration."""
         volume = self.volumes[-1] if self.volumes else 0.0
         passed = self.settled and not why
         if passed and not self.found.hollows:

@@ -1,10 +1,9 @@
-"""Between two load steps a structure may snap through: find at which loads.
+"""Find the loads at which a structure snaps through within a load step.
 
-A load step whose minimisation has gone a way on which the energy is not convex is looked at again,
-in halves, with the half in which that is so halved again. If stable equilibria lead from one end to
-the other, as those of a sheet from its flat state, no half is left, or the way in it becomes
-shorter with the increment. What does not is a jump: the equilibrium in which the structure was has
-become unstable.
+A load step whose minimisation passed through non-convex energy is bisected, and so is each half in
+which this happens again. If stable equilibria connect both ends, as from the flat state of a sheet,
+no such half remains, or its displacement shrinks with the increment. A displacement that does not
+shrink is a jump: the equilibrium of the structure has become unstable.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.loading import Target, between
 
 FINE, LEAST, MOST = 0.005, 3, 12
-"""Width of the interval of each load, relative to its value, down to which it is halved, and how
-many intervals are looked at, at least and at most."""
+"""Load interval, relative to the load, at which bisection ends, and the least and largest number of
+intervals examined."""
 
 SMALLEST = 0.05
-"""Part of the larger end of a load's way that its value counts as at least."""
+"""Least load for that comparison, relative to the larger of the load's end values."""
 
 LEFT = 0.7
-"""Part of a way that two halvings of the increment leave at least of a jump. Where it is no jump
-but steep for a short while, as next to a bifurcation, they leave half."""
+"""Part of the displacement that a jump keeps at least after two bisections. A steep but stable
+branch, as next to a bifurcation, keeps half."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of an increment; `solved`: whether its end was found from this start."""
+    """Part of an increment; `solved`: whether its end was computed from this start."""
 
     start: SceneState
     end: SceneState
@@ -45,7 +44,7 @@ class _Part:
 
 
 class SnapThroughSearch:
-    """Looks between the ends of an increment for a jump."""
+    """Searches an increment for a snap-through."""
 
     def __init__(
         self, increments: IncrementSolver, target: Target, first: SceneState, steps: int
@@ -56,14 +55,14 @@ class SnapThroughSearch:
     def find(
         self, before: SceneState, low: float, high: float, balanced: bool
     ) -> StateWarning | None:
-        """Find the jump of the increment at whose end the scene is. Collective."""
+        """Find a snap-through in the increment that ends in the present state. Collective."""
         end, began = self.increments.snapshot(), low
         part = _Part(replace(before, tried=end.tried), end, low, high)
         sizes = [self._way(before, end)[0]]
         try:
             while len(sizes) < LEAST or (len(sizes) < MOST and not self._is_fine(part)):
                 halves = self._bent_halves(part, LEFT * sizes[-1])
-                if halves is None:  # without equilibria in between it cannot be said closer
+                if halves is None:  # no equilibrium in between to narrow the interval
                     break
                 if not halves:
                     return None
@@ -79,9 +78,9 @@ class SnapThroughSearch:
         return self._warning(part)
 
     def _bent_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
-        """Halves on which the energy is not convex, with their movements. Collective."""
-        # None without equilibrium in the middle. The second half is not solved while the way in it
-        # stays large: a jump takes the most iterations of all.
+        """Halves with non-convex energy and their displacements. Collective."""
+        # None if there is no equilibrium in the middle. While the second half's displacement stays
+        # large, it is not solved: a jump takes the most iterations.
         found: list[tuple[float, _Part]] = []
         start, middle = part.start, (part.low + part.high) / 2
         for low, high in ((part.low, middle), (middle, part.high)):
@@ -106,7 +105,7 @@ class SnapThroughSearch:
         return found
 
     def _is_calm(self, part: _Part) -> bool:
-        """Whether the energy is convex all the way from a part's start. Collective."""
+        """Whether the energy is convex all the way from the start of a part. Collective."""
         self.increments.go_back_to(part.start)
         outcome = self.increments.solve(
             self.target, self.first, part.start, part.low, part.high, self.steps
@@ -114,7 +113,7 @@ class SnapThroughSearch:
         return outcome.converged and not outcome.bent
 
     def _is_fine(self, part: _Part) -> bool:
-        """Whether the ends of a part tell each load well enough."""
+        """Whether a part narrows every load down to `FINE`."""
         for first, last in self._ways().values() or [(0.0, 1.0)]:
             value = max(abs(first + part.high / self.steps * (last - first)),
                         SMALLEST * max(abs(first), abs(last)))  # fmt: skip
@@ -123,14 +122,14 @@ class SnapThroughSearch:
         return True
 
     def _ways(self) -> dict[str, tuple[float, float]]:
-        """What loads go from and to, by their names; not of supports, lengths and sealed air."""
+        """First and last value of each changing load, without supports, lengths and sealed air."""
         ways, inner = dict(self.target.factors), self.target.pressure
         if inner.fans is None and inner.air is None:
             ways["pressure"] = (inner.first, inner.last)
         return {name: way for name, way in ways.items() if way[0] != way[1]}
 
     def _way(self, before: SceneState, after: SceneState) -> tuple[float, Array]:
-        """Largest movement (length) of a vertex or joint, and where that was before. Collective."""
+        """Largest displacement (length) of a vertex or joint, and its place before. Collective."""
         own = self.scene.V.dofmap.index_map.size_local
         places: Array = self.scene.membrane.stress_free[:own] + before.u.reshape(-1, 3)[:own]
         moved: Array = (after.u - before.u).reshape(-1, 3)[:own]
@@ -145,7 +144,7 @@ class SnapThroughSearch:
         return size, np.array(place)
 
     def _warning(self, part: _Part) -> StateWarning:
-        """Say what has happened in a part of the increment. Collective."""
+        """Warning for a snap-through in a part of the increment. Collective."""
         before, after = part.start, part.end
         low, high = float(part.low / self.steps), float(part.high / self.steps)
         loads = {

@@ -29,10 +29,10 @@ def adapt(
     share: float = 0.5,
     project: Callable[[Array], Array] | None = None,
 ) -> Solver:
-    """Refine a mesh adaptively until the estimated error is small enough. Collective.
+    """Refine a mesh where its estimated error is large, down to a tolerance. Collective.
 
-    Each level is built by the user's function on the previous mesh, refined by bisection of the
-    cells from `marked_cells`.
+    The user's function builds and solves each level anew, on the mesh of the level before with the
+    cells of `marked_cells` bisected.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ def adapt(
     mesh
         The initial mesh.
     tolerance
-        Relative error of the energy at which to stop, as estimated by `Solver.estimate_error`.
+        Estimated relative error of the energy at which to stop; see `Solver.estimate_error`.
     levels
-        Maximum number of meshes, including the initial one.
+        Largest number of meshes, this one included.
     share, project
         As for `marked_cells` and `meshes.refine`.
 
@@ -55,10 +55,10 @@ def adapt(
     Raises
     ------
     InputError
-        On all ranks: an invalid `build`, share, tolerance or number of levels, an estimated error
-        of zero, or a scene on another mesh than the given one.
+        On all ranks: no such function, an invalid share, tolerance or number of levels, an
+        estimated error of zero, or a scene on another mesh than the given one.
     ConvergenceError, PathError
-        As raised by `build` on one of the meshes.
+        From `build` on one of the meshes.
 
     Examples
     --------
@@ -87,23 +87,22 @@ def adapt(
 
 
 def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
-    """The fewest cells with a given share of the estimated error. Collective.
+    """Find the fewest cells that have a given share of the estimated error. Collective.
 
-    Cells are marked in descending order of their errors from `Solver.estimate_error`; cells of
-    equal error are marked together (W. Doerfler, A convergent adaptive algorithm for Poisson's
-    equation, 1996).
+    Cells are marked by decreasing error in `Solver.estimate_error`, equal ones together
+    (W. Doerfler, A convergent adaptive algorithm for Poisson's equation, 1996).
 
     Parameters
     ----------
     solver
         A solver in equilibrium.
     share
-        Share of the estimated error, in (0, 1]; 1 marks nearly all cells with an error.
+        Share of the estimated error, more than 0 and up to 1, which marks nearly all cells.
 
     Returns
     -------
     ndarray
-        Local indices (n,) of this rank's marked cells; the same cells for any number of ranks.
+        Local numbers of this rank's marked cells (n,), the same cells on any number of ranks.
 
     Raises
     ------

@@ -32,15 +32,15 @@ class Convergence:
     Attributes
     ----------
     cells
-        Number of cells on each level.
+        Number of cells of each level.
     seconds
-        Computing time of each level (s).
+        Wall time of each level.
     quantities
-        The compared quantities, by name.
+        Compared numbers, by names.
     finest
         Solver of the last level.
     comm
-        Communicator of the mesh.
+        Ranks of the mesh.
     """
 
     cells: tuple[int, ...]
@@ -54,7 +54,7 @@ class Convergence:
         return checks.named("quantity", dict(self.quantities), name)
 
     def table(self) -> str:
-        """Table of values on all levels, limits with error bars, orders and remarks."""
+        """Values of all levels, limits with bars, orders and remarks, as text."""
         heads = [f"{n} cells" for n in self.cells]
         rows = [["", *heads, "limit", "+-", "order", ""]]
         for name, one in self.quantities.items():
@@ -81,24 +81,23 @@ class Convergence:
         title: str = "",
         width: float = 8.0,
     ) -> Figure | None:
-        """Plot the distances from the limits over the cell size. Collective.
+        """Plot differences from the limits over the size of cells. Collective.
 
         Parameters
         ----------
         filename
-            Picture file; its suffix (.png, .pdf, .svg ...) gives the format. None returns the
-            figure.
+            Picture to write, in the format of its suffix (.png, .pdf, .svg ...); None returns it.
         names
-            Names of the quantities; all by default.
+            Quantities; all by default.
         title
-            Heading of the picture.
+            Title of the picture.
         width
-            Width of the picture (inches).
+            Width in inches.
 
         Returns
         -------
         matplotlib.figure.Figure
-            The figure for notebooks, on the first rank and without a file; else None.
+            On the first rank, without a file, for notebooks; else None.
 
         Raises
         ------
@@ -132,48 +131,47 @@ def convergence(
 ) -> Convergence:
     """Extrapolate a roof's results from successively finer meshes, with error bars. Collective.
 
-    Each level is built by the user's function on the previous mesh with each cell divided into
-    four, so everything is solved again: form finding, friction with its history, step-wise laws,
-    added terms. A level takes about four times as long as the previous one. Two levels give an
-    estimate; the third shows whether it is reliable. Energy and cable tensions are always compared.
-    The error is that of discretisation, not of the model.
+    The user's function builds and solves each level anew, on the mesh of the level before with each
+    cell divided into four, including form finding, the history of friction, step-wise laws and
+    added terms. A level takes about four times as long as the one before. Two levels give an
+    estimate, a third shows whether to trust it. Energy and tensions are always compared. The bars
+    are for the error of the mesh, not of the model.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it, applies the loads and returns the
-        solver. A cable's length that follows from the mesh, such as that of one laid just taut,
-        then differs between meshes. Give the solver no results folder: all levels would write into
-        it.
+        Function of a mesh that makes scene and solver, applies the loads, and returns the solver.
+        Cables laid just taut get their lengths from each mesh. Give the solver no folder for
+        results, as all levels would write into it.
     mesh
         The coarsest mesh.
     levels
         Number of meshes, including this one.
     points
-        Named points (3,) on the stress-free surface whose displacements are compared (length).
+        Stress-free places (3,), by names, for displacements (length).
     reactions
-        Groups of held vertices whose total reactions are compared (force).
+        Groups of held vertices, for total reactions (force).
     stresses
-        Parts of the mesh, or "membrane" for the whole, whose mean and largest true section forces
-        are compared (force per length). At re-entrant corners and ends of supports the largest may
-        have no limit: its differences grow.
+        Parts of the mesh, or "membrane" for all of it, for the mean and the largest true section
+        force (force per length). The largest one may have no limit at re-entrant corners and ends
+        of supports; the table then says that differences grow.
     quantities
-        Other quantities: functions of a solver, by name.
+        Functions of a solver that return further numbers, by names.
     project
         Projection of new vertices, as for `meshes.refine`.
 
     Returns
     -------
     Convergence
-        Results with a table (``print`` it) and a plot.
+        The results, with a table (``print``) and a plot.
 
     Raises
     ------
     InputError
-        On all ranks: an invalid `build`, fewer than 2 levels, or an invalid point, group, part or
-        function; the last three are checked on the coarsest level.
+        On all ranks: no such function, fewer than 2 levels, or an invalid point, group, part or
+        function; the last three after the coarsest level.
     ConvergenceError, PathError
-        As raised by `build` on one of the meshes.
+        From `build` on one of the meshes.
 
     Examples
     --------

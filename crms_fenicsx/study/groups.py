@@ -29,41 +29,40 @@ def combine_in_groups(
     report: str | Path | None = None,
     **options: Any,
 ) -> dict[str, Case]:
-    """Solve load combinations in parallel groups of processes. Collective.
+    """Solve combinations of loads in groups of processes side by side. Collective.
 
-    A scene of moderate size gains little from more processes, many combinations gain much. Each
-    group builds the scene on its own copy of the mesh and solves every `groups`-th combination.
+    One scene of moderate size gains little from more processes, many combinations gain much. Each
+    group builds the scene on its own copy of the mesh and takes every `groups`-th combination.
 
     Parameters
     ----------
     build
-        Function of a mesh that makes scene and solver on it and returns the solver in the base
-        state, the same in all groups. Give `Solver` no results folder, as groups cannot share one.
+        Function of a mesh that makes scene and solver and returns the solver in the base state,
+        the same in all groups. Give the solver no folder for results, which cannot be shared.
     mesh
-        The mesh, on all processes to be used.
+        The mesh, on all processes.
     combinations, steps
         As for `Solver.combine`.
     groups
-        Number of groups, at most the number of processes.
+        Number of groups, at most that of processes.
     report
-        Report file on all combinations, as for `Solver.report`; None writes none.
+        File for a report on all combinations, as for `Solver.report`; None writes none.
     **options
-        Options of the report, as for `Solver.report`: ``title``, ``unit``, ``force``, ``pictures``
-        ...
+        Options of `Solver.report`: ``title``, ``unit``, ``force``, ``pictures`` ...
 
     Returns
     -------
     dict
-        For each combination, in their order, a `Case` with ``summary`` and ``verification``, the
+        A `Case` with ``summary`` and ``verification`` for each combination, in their order, the
         same on all processes.
 
     Raises
     ------
     InputError
-        On all processes, before any combination is solved: an invalid combination, more groups than
-        processes, a `build` that returns no solver, or a report that cannot be written.
+        On all processes, before any combination is solved: an invalid combination, more groups
+        than processes, a `build` that returns no solver, or a report that cannot be written.
     ConvergenceError
-        On all processes: no equilibrium of a combination, which the message names.
+        On all processes: a combination without equilibrium, which is named.
 
     Examples
     --------

@@ -45,23 +45,23 @@ SAME = 1e-7
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity on several meshes, and its limit.
+    """A number on several meshes and its limit.
 
     Attributes
     ----------
     values
         Values from the coarsest mesh to the finest.
     limit, bar
-        Extrapolated value, and its error bar with respect to the exact solution of the model: it
-        contained the known limit in 19 of 20 cases.
+        Value extrapolated to fine meshes, and its error bar: it held the exact value in 19 of 20
+        cases with a known limit.
     order
-        Order of convergence of the last three levels; NaN if they show none.
+        Order of convergence on the last three levels; NaN without one.
     regular
-        Whether the bar is based on the order; otherwise on the scatter of the levels.
+        Whether the bar relies on the order; else it is as wide as the levels scatter.
     remark
-        Remark on the convergence.
+        Remark for the table.
     size
-        Reference size, such as the norm of the vector of which it is a component.
+        Scale of the number, such as the length of the vector that it is a component of.
     """
 
     values: tuple[float, ...]
@@ -74,7 +74,7 @@ class Quantity:
 
     @property
     def error(self) -> float:
-        """Error bar of the value on the first mesh."""
+        """Bound of the error on the first mesh."""
         return abs(self.values[0] - self.limit) + self.bar
 
 

@@ -143,14 +143,11 @@ def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Pl
     weights, _, gap = closest(flat, targets[target])
     floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
     holds = floor & (gap <= snap * altitudes(flat))
-    heights = mix(weights, triangles)[:, 2]
-    kept = []
-    for rows in _by_target(target, len(course)):
-        here = rows[holds[rows]]
-        if len(here):
-            top = surface.cells[near[here[np.argmax(heights[here])]]]
-            kept.append(here[np.isin(surface.cells[near[here]], top).any(axis=1)])
-    sheet = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    held = np.flatnonzero(holds)
+    heights = mix(weights[held], triangles[held])[:, 2]
+    top = near[held[_least_of(target[held], len(course), -heights)[target[held]]]]
+    with_top = surface.cells[near[held]][:, :, None] == surface.cells[top][:, None]
+    sheet = held[with_top.any(axis=(1, 2))]
     places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
     up = np.array([0.0, 0.0, 1.0])
     return [None if place is None else Place(*place, up) for place in places]
@@ -160,6 +157,14 @@ def _by_target(target: Integers, count: int) -> list[Integers]:
     """Positions of each target's entries in an ascending list of targets."""
     ends = np.searchsorted(target, np.arange(count + 1))
     return [np.arange(a, b) for a, b in pairwise(ends)]
+
+
+def _least_of(target: Integers, count: int, *keys: Array | Integers) -> Integers:
+    """The row (count,) of the least keys of each target, the first of equal ones; -1 without."""
+    order = np.lexsort((*keys[::-1], target))
+    found = np.full(count, -1)
+    found[target[order[::-1]]] = order[::-1]
+    return found
 
 
 def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
@@ -190,38 +195,37 @@ def located(
     a point in the closest of the cells given by pairs `target`, `rows` (p,)."""
     corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)
-    to_corner = norm(triangles - at[:, None])
-    to_corner = np.where(to_corner <= reach[:, None], to_corner, np.inf)
-    ids = surface.ids[corners]
-    i, j = np.array([0, 1, 2]), np.array([1, 2, 0])
+    ids, (i, j) = surface.ids[corners], np.array([[0, 1, 2], [1, 2, 0]])
     turned = ids[:, i] > ids[:, j]
     i, j = np.where(turned, j, i), np.where(turned, i, j)
     every = np.arange(len(rows))[:, None]
     side = triangles[every, j] - triangles[every, i]
     t = dot(at[:, None] - triangles[every, i], side) / np.maximum(dot(side, side), 1e-300)
     gap = norm(triangles[every, i] + t[..., None] * side - at[:, None])
-    on_edge = (gap <= reach[:, None]) & (0.0 < t) & (t < 1.0)
+    on_edge = np.nonzero((gap <= reach[:, None]) & (0.0 < t) & (t < 1.0))
+    start, end = corners[every, i][on_edge], corners[every, j][on_edge]
     weights, _, gaps = closest(triangles, at)
     positions = mix(weights, surface.points[corners])
+    to_corner = norm(triangles - at[:, None])
+    at_corner = np.nonzero(to_corner <= reach[:, None])
+    count = len(targets)
+    corner = _least_of(target[at_corner[0]], count, to_corner[at_corner])
+    a, b, fraction = surface.ids[start], surface.ids[end], t[on_edge]
+    edge = _least_of(target[on_edge[0]], count, gap[on_edge], a, b)
     found: list[tuple[SurfacePoint, Array] | None] = []
-    for own in _by_target(target, len(targets)):
-        if not len(own):
+    for k, n in enumerate(_least_of(target, count, gaps)):
+        if n < 0:
             found.append(None)
-        elif np.isfinite(to_corner[own]).any():
-            row = corners[own].ravel()[np.argmin(to_corner[own])]
+        elif corner[k] >= 0:
+            row = corners[at_corner][corner[k]]
             found.append((VertexPoint(int(surface.ids[row])), surface.points[row].copy()))
-        elif on_edge[own].any():
-            _, a, b, n, k = min(
-                (gap[n, k], ids[n, i[n, k]], ids[n, j[n, k]], n, k)
-                for n, k in zip(*np.nonzero(on_edge[own]), strict=True)
-                for n in [own[n]]
-            )
-            s, ends = float(t[n, k]), surface.points[[corners[n, i[n, k]], corners[n, j[n, k]]]]
-            found.append((EdgePoint((int(a), int(b)), s), (1.0 - s) * ends[0] + s * ends[1]))
+        elif edge[k] >= 0:
+            q, s = edge[k], float(fraction[edge[k]])
+            position = (1.0 - s) * surface.points[start[q]] + s * surface.points[end[q]]
+            found.append((EdgePoint((int(a[q]), int(b[q])), s), position))
         else:
-            n = own[np.argmin(gaps[own])]
-            (a, b, c), (u, v, w) = ids[n].tolist(), weights[n].tolist()
-            found.append((CellPoint((a, b, c), (u, v, w)), positions[n]))
+            (u, v, w), (x, y, z) = map(int, ids[n]), map(float, weights[n])
+            found.append((CellPoint((u, v, w), (x, y, z)), positions[n]))
     return found
 
 

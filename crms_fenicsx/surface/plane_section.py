@@ -44,18 +44,29 @@ class Plane:
 
     @classmethod
     def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
-        """The plane through two points, parallel to the mean of two directions."""
-        up, leg = normal_a + normal_b, b - a
-        across = cross(up, leg / norm(leg))
-        size = float(norm(across))
-        if size < 1e-6:
+        """The plane through two points and the mean of two directions."""
+        (plane,) = cls.of_legs(a[None], b[None], normal_a[None], normal_b[None])
+        if plane is None:
             raise PathError(
                 f"the leg from {as_text(a)} to {as_text(b)} has no section plane, as the surface's "
                 "normals there are opposite or point along it; put a route point between them"
             )
-        across = np.asarray(across / size, dtype=np.float64)
-        ahead = np.asarray(cross(across, up) / norm(up), dtype=np.float64)
-        return cls(a, ahead, across, float(dot(leg, ahead)))
+        return plane
+
+    @classmethod
+    def of_legs(cls, a: Array, b: Array, normals_a: Array, normals_b: Array) -> list[Plane | None]:
+        """The planes of legs between points (n, 3), as `of`; None for legs that have none."""
+        up, leg = normals_a + normals_b, b - a
+        across = cross(up, leg / norm(leg)[:, None])
+        size = norm(across)
+        sound = size >= 1e-6
+        across = across / np.where(sound, size, 1.0)[:, None]
+        ahead = cross(across, up) / np.where(sound, norm(up), 1.0)[:, None]
+        length = dot(leg, ahead)
+        return [
+            cls(a[i], ahead[i], across[i], float(length[i])) if sound[i] else None
+            for i in range(len(a))
+        ]
 
     @staticmethod
     def arrays(planes: Sequence[Plane]) -> tuple[Array, Array, Array, Array]:

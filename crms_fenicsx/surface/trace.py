@@ -7,7 +7,6 @@ with a plane.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -15,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.meshes.triangles import balls, dot, flattened, longest_sides, norm, vectors
+from crms_fenicsx.meshes.triangles import balls, dot, flattened, longest_sides, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import (
@@ -47,23 +46,35 @@ from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 DETOUR = 0.95
 
 
-def checked_route(route: ArrayLike, snap: float) -> Array:
-    """Check a route and return it as an array, (k, 2) or (k, 3); raise PathError if invalid."""
-    if not 0.0 < snap <= 0.1:
-        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
+def route_points(route: object) -> Array:
+    """The points of a route or of a cable's path, (k, 2) or (k, 3)."""
     try:
-        course = np.asarray(route, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise PathError(f"route {route!r}: give points (x, y) or (x, y, z), all alike") from None
+        course = np.array(route, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise PathError(
+            f"path: {route!r} is no list of points of one kind; give all in plan, (x, y), or all "
+            "in space, (x, y, z), as a joint is."
+        ) from None
     if course.ndim != 2 or course.shape[1] not in (2, 3) or len(course) < 2:
         raise PathError(
-            f"a route of shape {course.shape}: give two or more points (x, y) or (x, y, z)"
+            f"path: an array of shape {course.shape}; give two or more points in plan, (k, 2), or "
+            "in space, (k, 3)."
         )
-    for i, point in enumerate(vectors(course)):
-        if not np.isfinite(point).all():
-            raise PathError(f"route point {i} is {as_text(point)}; give finite coordinates")
-        if i and np.array_equal(point, course[i - 1]):
-            raise PathError(f"route points {i - 1} and {i} are both {as_text(point)}; drop one")
+    bad = np.flatnonzero(~np.isfinite(course).all(axis=1))
+    if len(bad):
+        raise PathError(f"path: point {bad[0]} is {as_text(course[bad[0]])}, which is not finite.")
+    return course
+
+
+def checked_route(route: object, snap: float) -> Array:
+    """The points of a route on which a path can be traced, (k, 2) or (k, 3)."""
+    if not 0.0 < snap <= 0.1:
+        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
+    course = route_points(route)
+    same = np.flatnonzero((course[1:] == course[:-1]).all(axis=1))
+    if len(same):
+        i = int(same[0])
+        raise PathError(f"route points {i} and {i + 1} are both {as_text(course[i])}; drop one")
     return course
 
 
@@ -88,8 +99,9 @@ def near_section(
     if course.shape[1] == 2:
         ends = np.column_stack([course, np.zeros(len(course))])
         up, margin = np.array([0.0, 0.0, 1.0]), 3.0 * size if along_legs else np.inf
-        # trace may move ends to the rim, which moves the plane
-        planes = [Plane.of(a, b, up, up) for a, b in pairwise(vectors(ends))]
+        # trace may move ends to the rim, and the plane along
+        ups = np.broadcast_to(up, ends[1:].shape)
+        planes = [plane for plane in Plane.of_legs(ends[:-1], ends[1:], ups, ups) if plane]
         mask[strips(planes, x, rows, (RIM + snap) * size, margin)[1]] = True
         flat = flattened(x[rows])
         centre, radius = balls(flat)
@@ -105,7 +117,7 @@ def near_section(
     places = np.array([foot.position for foot in feet])
     sizes = np.array([foot.size for foot in feet])
     mask[_in_reach(centre, radius, places, sizes * (1.0 + 1e-9) + snap * size)] = True
-    planes, straight = [], []
+    legs, straight = [], []
     for i in range(len(course) - 1):
         # an end is an anchor depending on the boundary, which a single rank may not see
         starts = [places[i]] + ([course[i]] if i == 0 else [])
@@ -115,10 +127,11 @@ def near_section(
             continue
         for a in starts:
             for b in stops:
-                if norm(b - a) == 0.0:
-                    continue
-                with suppress(PathError):  # raised again by trace if this leg occurs
-                    planes.append(Plane.of(a, b, feet[i].normal, feet[i + 1].normal))
+                if norm(b - a) > 0.0:
+                    legs.append((a, b, feet[i].normal, feet[i + 1].normal))
+    planes = []
+    if legs:  # of one without a plane trace says so
+        planes = [plane for plane in Plane.of_legs(*np.array(legs).swapaxes(0, 1)) if plane]
     mask[strips(planes, x, rows, snap * size, np.inf)[1]] = True
     if straight:  # no point of a path is farther from the leg's middle than half the path's length
         a, b = places[straight], places[np.array(straight) + 1]
@@ -268,7 +281,7 @@ def _direct_ways(
 ) -> list[list[SurfacePoint] | None]:
     """Points of the direct legs; None for others."""
     ways: list[list[SurfacePoint] | None] = [None] * (len(places) - 1)
-    legs: list[tuple[int, Plane, tuple[Place, Place]]] = []
+    others: list[tuple[int, Place, Place]] = []
     for i, (first, last) in enumerate(pairwise(places)):
         if first.point is None or last.point is None:
             continue
@@ -277,12 +290,20 @@ def _direct_ways(
         if surface.in_one_cell((first.point, last.point)):
             ways[i] = [first.point, last.point]
             continue
-        with suppress(PathError):  # raised later for this leg
-            plane = Plane.of(first.position, last.position, first.normal, last.normal)
-            legs.append((i, plane, (first, last)))
-    ends = [both for _, _, both in legs]
-    along = cuts(surface, [plane for _, plane, _ in legs], ends, snap, 2.0 * surface.size)
-    for (i, plane, (first, last)), cut in zip(legs, along, strict=True):
+        others.append((i, first, last))
+    if not others:
+        return ways
+    ends = [(first, last) for _, first, last in others]
+    a, b = (np.array([both[k].position for both in ends]) for k in (0, 1))
+    normals = (np.array([both[k].normal for both in ends]) for k in (0, 1))
+    # An error of a leg without a plane is raised when it is its turn.
+    legs = [
+        (*o, plane) for o, plane in zip(others, Plane.of_legs(a, b, *normals), strict=True) if plane
+    ]
+    along = cuts(
+        surface, [leg[3] for leg in legs], [leg[1:3] for leg in legs], snap, 2.0 * surface.size
+    )
+    for (i, first, last, plane), cut in zip(legs, along, strict=True):
         ways[i] = _direct_way(surface, plane, first, last, cut)
     return ways
 

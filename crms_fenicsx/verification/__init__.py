@@ -1,1 +1,1 @@
-"""Checks of an equilibrium by means of their own."""
+"""Independent checks of an equilibrium."""

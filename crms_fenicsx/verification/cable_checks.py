@@ -1,7 +1,7 @@
-"""What must be true of the cables in an equilibrium, checked on their positions in plain numpy.
+"""Checks of the cables in equilibrium, in plain numpy from the positions of their nodes.
 
-What a cable's state says of itself (length, tensions, places on edges, where it touches) is worked
-out again from where its points are in space. See `crms_fenicsx.verification.verifier`.
+Length, tensions, places on edges and contact are computed anew from the positions and compared with
+the cable's state. See `crms_fenicsx.verification.verifier`.
 """
 
 from __future__ import annotations
@@ -46,33 +46,33 @@ LIMITS = {
     "friction along beyond its bound": 0.01,
     "negative dissipation": 1e-12,
 }
-"""What is checked of each cable, and how far it may be from true, relative to that cable alone:
-places to its length or to the edge, its length to its elongation, other forces to its tension or to
-those with which it presses on the membrane; see docs/theory/verification.md. A cable pulls where it
-touched down on a point at which it was let go in the same step: there it stays. What holds a cable
-sideways would be 0.1 of its press on a line of the mesh half a cell beside its place."""
+"""Largest error of each check, relative to the single cable: places to its length or to the edge,
+its length to its elongation, other forces to its tension or to its contact force; see
+docs/theory/verification.md. "pull on the membrane" allows a point that was released and touched
+down again in the same step, where it stays. A cable half a cell beside its place on a line of the
+mesh would be held sideways by 0.1 of its contact force."""
 
 CRUDE = {
     "pull on the membrane", "depth below the membrane", "friction beyond its bound",
     "held by vertices", "held by edges", "unbalanced forces of cables",
 }  # fmt: skip
-"""Checks that depend on how coarse the mesh is, or on how small the forces are beside the scene's,
-by which the solver stops: a state that fails them is doubtful."""
+"""Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
+which the solver stops: a state that fails them is doubtful."""
 
 
 @dataclass(frozen=True)
 class _Nodes:
-    """A cable's nodes as tables."""
+    """Tables of a cable's nodes."""
 
-    # ids, weights: (n, 3) vertices on which a node lies, and their weights; those of sliding points
-    # are found from their fractions
+    # ids, weights: (n, 3) vertices that a node lies on, and their weights; sliding points use their
+    # fractions instead
     ids: Integers
     weights: Array
-    # on, slides: (n,) whether a node has a place on the mesh, and slides along an edge
+    # on, slides: (n,) whether a node lies on the mesh, and whether it slides along an edge
     on: Booleans
     slides: Booleans
-    on_edge: Integers  # (n,) how many points of cables that touch the membrane lie on a node's edge
-    breaks: int  # how often two nodes in a row do not lie on one cell
+    on_edge: Integers  # (n,) number of cable points touching the membrane on a node's edge
+    breaks: int  # number of consecutive node pairs without a common cell
 
     @classmethod
     def of(cls, cable: LaidCable, strip: Strip, points: Mapping[Edge, int]) -> _Nodes:
@@ -100,7 +100,7 @@ class _Nodes:
 
 
 class CableVerifier:
-    """Checks the cables of a solved state; keeps tables of their nodes while these stay."""
+    """Checks the cables of a solved state; keeps the tables of their nodes until these change."""
 
     def __init__(self) -> None:
         self._numbering: CableNumbering | None = None
@@ -160,7 +160,7 @@ class CableVerifier:
 
 
 def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[float]]:
-    """Lengths of parts between contacts, and errors of end and nodal forces. Collective."""
+    """Lengths of spans between contacts, and errors of end and nodal forces. Collective."""
     assert system.cables is not None
     cables, tables = system.scene.cables, system.cables.tables
     numbering, g = system.cables.numbering, system.potential.g
@@ -204,7 +204,7 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
 
 
 def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> dict[str, float]:
-    """Distances of the nodes from where they say that they are."""
+    """Distances of the nodes from their places in the cable's state."""
     x, length = cable.positions, max(cable.length, 1e-300)
     away = [
         float(np.linalg.norm(x[k] - ends[k])) for k in (0, -1) if cable.nodes[k].kind == "anchor"
@@ -213,7 +213,7 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
     corners = shape.current[np.searchsorted(shape.strip.vertices, nodes.ids)]
     s = cable.fractions
     weights = np.where(nodes.slides[:, None], np.stack([1 - s, s, 0 * s], axis=1), nodes.weights)
-    # Of nodes on vertices the edge is another one, which may be much longer.
+    # Nodes on vertices take the size of the cells around: their edge may be much longer.
     edge = norm(corners[:, 1] - corners[:, 0])
     some = [k for k in np.flatnonzero(nodes.weights[:, 0] == 1.0) if touches[k]]
     supports = [p.support for k in some if (p := cable.nodes[k].point) is not None]
@@ -222,7 +222,7 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
     edge = np.where(edge > 0.0, edge, cable.length)
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides
-    if cable.taut:  # what lies on an edge that folds is at a share of the edge's length
+    if cable.taut:  # on an edge that folds, a node lies at a share of the edge's length
         edge_sliders = folds & np.array([node.kind == "edge slider" for node in cable.nodes])
         straight |= edge_sliders
         folds &= ~edge_sliders
@@ -244,12 +244,12 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
 
 
 def _rounding(positions: Array) -> float:
-    """What rounding of coordinates makes of a distance (length)."""
+    """Error of a distance due to rounding of coordinates (length)."""
     return ROUNDED * float(np.abs(positions).max(initial=0.0))
 
 
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
-    """Tensions against the lengths of the cable's parts, relative to the elongation."""
+    """Errors of tensions against span lengths, relative to the elongation."""
     EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.smoothing_length
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
@@ -278,7 +278,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         errors.append(abs(cable.tension / EA - max(length / L0 - 1, 0.0)))
     if cable.axial is not None and len(spans):
         unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.smoothing_length])
-        # By elongations, as the strain of a short span is rounded.
+        # Compare elongations, as the strain of a short span is dominated by rounding.
         told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)
         errors.append(float(np.abs(told - by_law).max()) / L0)
@@ -290,7 +290,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
 
 
 def _open_clamps(scene: Scene) -> int:
-    """How many clamps of cables in tension these have no points of."""
+    """Number of clamps between taut cables that lack a point on one of them."""
     count = 0
     for clamp in scene.clamps:
         cables = [scene.cable(name) for name in clamp.cables]
@@ -306,7 +306,7 @@ def _open_clamps(scene: Scene) -> int:
 def _crossings(
     cables: Sequence[LaidCable], crossings: Sequence[Crossing]
 ) -> list[list[tuple[LaidCable, int]]]:
-    """The two nodes of each crossing at which the cables touch each other."""
+    """Pairs of nodes at which crossing cables touch each other."""
     nodes: dict[int, list[tuple[LaidCable, int]]] = {}
     for cable in cables:
         for k, node in enumerate(cable.nodes):

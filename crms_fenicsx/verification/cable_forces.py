@@ -1,4 +1,4 @@
-"""Balance of the cables with the membrane, and of vertices that only loads act on."""
+"""Force balance of the cables with the membrane, and vertices with loads only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from crms_fenicsx.verification.report import NO_STRAIN
 
 
 def plain_vertices(system: System) -> Integers:
-    """This rank's free vertices without cables in tension and bars; spoils `g`. Collective."""
+    """This rank's free vertices away from taut cables and bars; overwrites `g`. Collective."""
     scene, unknowns, potential = system.scene, system.unknowns, system.potential
     n = unknowns.n_vertices
     plain: Booleans = np.logical_not(np.any(unknowns.held[:n], axis=1))
@@ -42,7 +42,7 @@ def plain_vertices(system: System) -> Integers:
 
 
 def section_forces(scene: Scene) -> float:
-    """Size of the membrane's forces in a cut through it: of prestress and strain (force)."""
+    """Magnitude of the membrane's forces in a section through it (force)."""
     materials = scene.materials.values()
     modulus = max(m.reference_modulus for m in materials)
     prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
@@ -51,25 +51,25 @@ def section_forces(scene: Scene) -> float:
 
 
 SMOOTH = 0.3
-"""Coefficient of friction below which what is beyond its bounds is relative to the press: cells
-that are not alike carry some 0.02 of that sideways, more than little friction does."""
+"""Least coefficient of friction for normalising forces beyond the bounds: unequal cells carry some
+0.02 of the contact force sideways, more than slight friction does."""
 
 FLAT = 1e-3
-"""Turn (rad) of a cable that presses on nothing."""
+"""Turn (rad) that normalises the forces of a cable without contact force."""
 
 IN_LINE = 3
-"""Vertices in a row from which on they are a line of the mesh."""
+"""Number of consecutive vertices that make a line of the mesh."""
 
 
 def is_tense(cable: LaidCable) -> bool:
-    """Whether its tension is told apart from none."""
+    """Whether the cable has a tension beyond rounding."""
     return cable.tension > NO_STRAIN * cable.cable.EA
 
 
 def contacts(
     cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
 ) -> dict[str, float]:
-    """How hard the cable pulls the membrane outward, and how deep it runs below it."""
+    """Outward pull of the cable on the membrane, and its depth below the membrane."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
     supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
@@ -95,10 +95,10 @@ def contacts(
 def forces(
     cable: LaidCable, shape: StripShape, free: float, others: Pulls | None = None
 ) -> dict[str, float]:
-    """Forces on a cable relative to those with which it presses on the membrane; `others`: the
-    pulls of cables that are clamped to it."""
+    """Force errors of a cable relative to its contact force; `others`: pulls of cables clamped to
+    it."""
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
-    (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
+    (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # shorter spans have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
     turns = norm(np.diff(ways, axis=0))
     least = FLAT * cable.tension if is_tense(cable) else np.inf
@@ -107,7 +107,7 @@ def forces(
     press = max(float(turns.sum()), least)
     values |= _held(cable, shape, press, others)
     if cable.slides_freely and not cable.keeps_line:
-        # the edge carries them, where it is much stiffer than the cable is tight
+        # An edge carries the forces if it is much stiffer than the cable's tension.
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
         values["held by edges"] = float(beyond.sum()) / press
@@ -117,7 +117,7 @@ def forces(
 def _held(
     cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
 ) -> dict[str, float]:
-    """Forces with which vertices hold a cable sideways, relative to its press."""
+    """Lateral forces that vertices exert on a cable, relative to its contact force."""
     runs = held_runs(cable, shape, others)
     lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
     return {
@@ -127,7 +127,7 @@ def _held(
 
 
 def _folds(cable: LaidCable) -> list[int]:
-    """Nodes that slide freely on edges of the mesh, where no other cable lies."""
+    """Nodes that slide freely on mesh edges and touch no other cable."""
     return [
         k
         for k in held_nodes(cable)
@@ -137,7 +137,7 @@ def _folds(cable: LaidCable) -> list[int]:
 
 
 def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
-    """Friction forces beyond their bounds, relative to the press, and negative dissipation."""
+    """Friction forces beyond their bounds, relative to the contact force; negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
@@ -150,8 +150,8 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         bounds = friction.at_rest * forces.bearing
         if friction.cone:
             bounds[held_nodes(cable)] *= _left_sideways(cable, shape)
-        # At a held edge the cable may turn by so much that its sides there and on the stress-free
-        # membrane, on which slip is measured, are not the same.
+        # Leave out held edges: there the cable may turn so far that its lateral direction differs
+        # from that on the stress-free membrane, on which slip is measured.
         free = _folds(cable)
         beyond = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
@@ -175,7 +175,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
 
 
 def _left_sideways(cable: LaidCable, shape: StripShape) -> Array:
-    """Part of the friction bounds sideways that the tensions along a cable leave of the cone."""
+    """Part of the lateral friction bounds left by the axial friction in the cone."""
     nodes = held_nodes(cable)
     left = np.ones(len(nodes))
     if cable.axial is None or not len(cable.axial.spans):

@@ -1,4 +1,4 @@
-"""What must be true of bars and joints in an equilibrium, relative to the bars that meet there."""
+"""Checks of bars and joints in equilibrium, relative to the bars that meet there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.report import NO_STRAIN, ROUNDED, UNBALANCED, Check
 
 FORCE = 1e-6
-"""Largest error of a bar's force, relative to it."""
+"""Largest relative error of a bar's force."""
 PLACE = 1e-12
 """Largest distance of a bar's end from its joint or vertex, relative to its length."""
 
@@ -48,7 +48,7 @@ def _worst(name: str, values: Array, limit: float, names: list[str], binding: bo
 
 
 def _errors(system: System, bars: BarContribution) -> Array:
-    """Errors of the places of bars' ends and of their forces, (2 n,), on the first rank."""
+    """Errors of the bars' end positions and forces, (2 n,), on the first rank."""
     scene, found = system.scene, np.zeros((2, len(system.scene.bars)))
     if scene.comm.rank == 0:
         places, forces = bars.found(system.potential)
@@ -63,7 +63,7 @@ def _errors(system: System, bars: BarContribution) -> Array:
 
 
 def _free_forces(system: System, bars: BarContribution) -> Array:
-    """Sizes of unbalanced forces on joints and vertices of bars, (m,), on their owners."""
+    """Unbalanced forces at joints and vertices of bars, (m,) (force), on their owners."""
     scene, g = system.scene, system.potential.g
     joints, vertices = scene.joints, scene.frame.vertices
     found = np.zeros(len(joints) + len(vertices))
@@ -79,7 +79,7 @@ def _free_forces(system: System, bars: BarContribution) -> Array:
 
 
 def _own_forces(scene: Scene) -> Array:
-    """Sums of the sizes of forces of bars and cables at joints and vertices, (m,) (force)."""
+    """Sums of bar and cable force magnitudes at joints and vertices of bars, (m,) (force)."""
     points: list[object] = [*scene.joints, *scene.frame.vertices]
     forces, least = np.zeros((2, len(points)))
     for bar in scene.bars:

@@ -1,4 +1,4 @@
-"""What a verification has found."""
+"""Result of a verification."""
 
 from __future__ import annotations
 
@@ -7,32 +7,31 @@ from dataclasses import dataclass
 from crms_fenicsx.model.versions import StateWarning
 
 NO_STRAIN = 1e-8
-"""Strain of a cable or a bar that is none: the solver may stop at forces as small."""
+"""Strain below which a cable or bar counts as unstressed: the solver's tolerance is as coarse."""
 
 ROUNDED = 1e-12
-"""Part of a length, or of the distance from the origin, that is rounding."""
+"""Relative rounding of a length, or of the distance from the origin."""
 
 UNBALANCED = 1e-3
-"""Unbalanced forces of one part of a scene, relative to that part's own, from which on a state is
-doubtful: the solver stops by the largest forces of all, beside which a part's may be small."""
+"""Unbalanced forces of one part of a scene, relative to that part's own, beyond which a state is
+doubtful: the solver stops by the scene's largest forces, and a part's may be small beside them."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that is true of an equilibrium."""
+    """One check of an equilibrium."""
 
     name: str  # what is checked
-    value: float  # how far it is from true, without a unit
-    limit: float  # how far it may be
-    where: str = ""  # the cable, bar or joint for which it is worst; empty if it concerns the scene
-    # whether a state that fails is no result. What depends on how coarse the mesh is, as the
-    # contact of single points, or on forces that are small beside the scene's, only makes it
-    # doubtful.
+    value: float  # error, without a unit
+    limit: float  # largest admissible error
+    where: str = ""  # worst cable, bar or joint; empty if it concerns the scene
+    # whether a failure rejects the state; checks that depend on the mesh size, as contact at single
+    # points does, or on forces that are small beside the scene's, only make it doubtful
     binding: bool = True
 
     @property
     def passed(self) -> bool:
-        """Whether the value is within the limit; not a number is not."""
+        """Whether the value is within the limit; NaN is not."""
         return bool(self.value <= self.limit)
 
     def __str__(self) -> str:
@@ -43,16 +42,16 @@ class Check:
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """What came of the checks of a load step."""
+    """Result of a load step's checks."""
 
-    checks: tuple[Check, ...]  # all of them
-    seconds: float  # wall time that they took
-    # what the state's user is warned of, though it is an equilibrium
+    checks: tuple[Check, ...]  # all checks
+    seconds: float  # wall time of the checks
+    # warnings about a state that is an equilibrium
     warnings: tuple[StateWarning, ...] = ()
 
     @property
     def verdict(self) -> str:
-        """In a few words."""
+        """The result in a few words."""
         if self.failed:
             return "not verified"
         kinds = dict.fromkeys(one.kind for one in self.warnings)
@@ -60,28 +59,28 @@ class Verification:
 
     @property
     def failed(self) -> tuple[Check, ...]:
-        """The checks that say that the state is no equilibrium."""
+        """Failed checks that reject the state."""
         return tuple(check for check in self.checks if check.binding and not check.passed)
 
     @property
     def doubtful(self) -> tuple[Check, ...]:
-        """The checks that say that the state is crude in what they look at."""
+        """Failed checks that only make the state doubtful."""
         return tuple(check for check in self.checks if not check.binding and not check.passed)
 
     @property
     def passed(self) -> bool:
-        """Whether all is as it must be."""
+        """Whether no check rejects the state."""
         return not self.failed
 
     def __getitem__(self, name: str) -> Check:
-        """The check with a name."""
+        """The check of that name."""
         for check in self.checks:
             if check.name == name:
                 return check
         raise KeyError(name)
 
     def __repr__(self) -> str:
-        """A table of all checks, or in one line those that have failed."""
+        """A table of all checks, or one line with those that failed."""
         if self.failed:
             return f"{self.verdict}: " + "; ".join(map(str, self.failed))
         rows = [

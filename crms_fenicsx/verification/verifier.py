@@ -1,13 +1,13 @@
-"""Is the answer one? Checks of a solved load step, each on another way than the solver's.
+"""Verify a solved load step by other means than the solver's.
 
-The solver brings the gradient of the energy to zero. What is checked here is what an equilibrium
-must be however it was found: virtual work by differences of the energy, without the gradient;
-loads from areas and normals of the current triangles, without the forms; the balance of supports
-and loads in forces and moments; supports and anchors where they were told to be. What is checked of
-cables is in `crms_fenicsx.verification.cable_checks`.
+The solver reduces the energy's gradient to zero. The checks test what holds in any equilibrium:
+virtual work, by differences of the energy instead of the gradient; loads, by areas and normals of
+the current triangles instead of the forms; balance of reactions and loads in forces and moments;
+prescribed positions of supports and anchors. `crms_fenicsx.verification.cable_checks` checks the
+cables.
 
-A state that fails is no result: `Solver.advance` goes back and halves the increment, as when the
-solve had not converged, and in the end raises a `ConvergenceError` that names what failed.
+A state that fails is rejected: `Solver.advance` goes back and halves the increment, as if the solve
+had not converged, and finally raises a `ConvergenceError` that names the failed check.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ if TYPE_CHECKING:
 logger = logging.getLogger("crms_fenicsx")
 
 SHAKE = 1e-5
-"""Size of the virtual displacements: the change of the nodal forces that a membrane of stiffness
-E t and its prestress answers them with, relative to the scene's force.
+"""Size of the virtual displacements: the change of nodal forces that they cause in a membrane of
+stiffness E t and its prestress, relative to the scene's force.
 
-The difference of the energy is of second order in them where the energy is smooth; where it is not,
-as in cells that turn slack there and then, it is wrong by `SHAKE` of the scene's force at most.
+Where the energy is smooth, its difference is of second order in them; where it is not, as in cells
+about to turn slack, the error is at most `SHAKE` times the scene's force.
 """
 LARGEST_SHAKE = 1e-6
-"""Largest size of the virtual displacements, relative to the cells: cables can be so tight that the
-membrane's stiffness says nothing."""
+"""Largest virtual displacement, relative to the cell size: beside very tight cables the membrane's
+stiffness is no measure."""
 SMALLEST_SLIP = 0.01
-"""Largest size of the virtual displacements, relative to the smallest slip at which friction along
-a cable is mobilised: beyond it the energy is not smooth."""
+"""Largest virtual displacement, relative to the smallest slip that mobilises axial friction: beyond
+it the energy is not smooth."""
 FINER = 16.0
-"""How much shorter displacements are tried where the virtual work is too large: what an energy that
-is not smooth makes of it falls with them."""
+"""Factor by which virtual displacements are reduced while the virtual work is too large: the error
+of an energy that is not smooth falls with them."""
 VIRTUAL_WORK = 1e-3
-"""Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
-`SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
+"""Largest virtual work, relative to the scene's force, without rounding. A hundred times what
+`SHAKE` explains, as edges near cable points are stiffer than the membrane."""
 VISIBLE = 0.1
-"""Part of that which rounding may be, unless displacements would become too large."""
+"""Part of it that rounding may take, unless displacements would become too large."""
 BALANCE = 1e-7
-"""Largest difference of forces that must be equal, relative to their size."""
+"""Largest relative imbalance of forces."""
 PLACE = 1e-12
-"""Largest distance of points from where they must be, relative to the scene's size, or to its
-distance from the origin if that is larger: they are told, and not found."""
+"""Largest distance of points from their prescribed places, relative to the scene's size or, if
+larger, to its distance from the origin: these places are set, not solved for."""
 SPREAD = 8.0
-"""Standard deviations in which a sum of unbalanced forces with random signs lies."""
+"""Standard deviations that bound a sum of unbalanced forces with random signs."""
 BY_OTHER_MEANS = "pressure", "dead load", "pond", "bars"
-"""Terms whose forces the balance does not take from them."""
+"""Terms whose forces the balance computes from the geometry."""
 NEGLIGIBLE = 1e-300
-"""Forces below this have no size that others could be relative to."""
+"""Least force (force) that others are divided by."""
 
 
 class Verifier:
@@ -81,7 +81,7 @@ class Verifier:
         self._least = 1.0
 
     def begin(self) -> None:
-        """Remember what a load step prescribes: called once its loads are on the scene."""
+        """Record a load step's prescribed positions, after its loads are set."""
         scene = self.scene
         u = scene.u.x.array.reshape(-1, 3)[scene.held]
         ends = [cable.positions[[0, -1]] for cable in scene.cables]
@@ -89,11 +89,11 @@ class Verifier:
         self._joints = [joint.position for joint in scene.joints]
 
     def check(self, system: System, outcome: Outcome) -> Verification:
-        """Check a solve's state, which stays as it is. Collective."""
+        """Check a solved state without changing it. Collective."""
         began = time.perf_counter()
         force = max(outcome.scale, NEGLIGIBLE)
         checks = [self._finite(system)]
-        if not checks[0].passed:  # what follows would divide by what is not there
+        if not checks[0].passed:  # the other checks would divide by NaN
             return Verification(tuple(checks), time.perf_counter() - began)
         checks += self._balance(system, outcome, force)
         if system.bars is not None:
@@ -114,14 +114,14 @@ class Verifier:
         return found
 
     def _finite(self, system: System) -> Check:
-        """Places and energies that are not finite numbers."""
+        """Number of positions and energies that are not finite."""
         state = system.potential.x, *(cable.positions for cable in self.scene.cables)
         bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in state)
         bad += sum(not np.isfinite(energy) for energy in self.scene.energies.values())
         return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
 
     def _virtual_work(self, system: System, outcome: Outcome, force: float) -> Check:
-        """Difference of the energy along a random displacement of unit variance."""
+        """Energy difference along a random displacement of unit variance."""
         potential, unknowns = system.potential, system.unknowns
         n, scene = unknowns.n_owned, self.scene
         materials = scene.materials.values()
@@ -145,15 +145,15 @@ class Verifier:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
         rounding = EPSILON * np.sqrt(cells) * self._cancelling()
-        # Displacements so large that rounding hides nothing; where the energy is not smooth what it
-        # makes of them falls with their size.
+        # Take displacements large enough to exceed rounding. Where the energy is not smooth, the
+        # error falls with their size.
         size = min(max(step, rounding / (VISIBLE * VIRTUAL_WORK * force)), largest)
         found, before = Check("virtual work", np.inf, 0.0), np.inf
         while size > 0.9 * min(step, largest) / FINER:
             work = self._difference(system, shake, size)
             limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding / size) / force
             value = abs(work) / (2 * size * force)
-            if value > 0.5 * before:  # a force that is not balanced works along the shortest way
+            if value > 0.5 * before:  # an unbalanced force works along any displacement
                 break
             found, before = Check("virtual work", value, float(limit)), value
             if found.passed:
@@ -162,7 +162,7 @@ class Verifier:
         return found
 
     def _cancelling(self) -> float:
-        """Energies, and forces times places, of whose rounding the virtual work has a part."""
+        """Sum of energies, and of forces times lengths, whose rounding enters the virtual work."""
         scene, energies = self.scene, self.scene.energies
         reach = 1.0
         if not scene.cables:
@@ -174,7 +174,7 @@ class Verifier:
         return float(forces + sum(abs(energy) for energy in energies.values()))
 
     def _difference(self, system: System, shake: Array, size: float) -> float:
-        """Difference of the energy between displacements by +-size."""
+        """Energy difference between displacements +size and -size."""
         potential, unknowns = system.potential, system.unknowns
         n = unknowns.n_owned
         start, change = potential.x.copy(), np.zeros(len(potential.terms))
@@ -189,9 +189,9 @@ class Verifier:
         return float(change.sum())
 
     def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:
-        """Shake vertices of small or thin cells less, and cables' points least."""
+        """Reduce displacements of vertices of small or thin cells, and of cable points most."""
         scene, unknowns = self.scene, system.unknowns
-        if self._share is None:  # on all ranks, also those without a vertex
+        if self._share is None:  # on all ranks, also those without vertices
             mesh = scene.mesh.mesh
             cells = scene.V.dofmap.list
             corners = scene.membrane.stress_free[cells]
@@ -204,7 +204,7 @@ class Verifier:
             np.add.at(values[:, 0], cells, (longest / (2 * areas))[:, None])
             unknowns.add_to_vertices(values, g)
             unknowns.gather_forces(system.potential.g_vector, g)
-            # Six cells of the usual height around a vertex leave it as it is.
+            # Six cells of the usual height around a vertex give the share 1.
             narrow = g[: unknowns.n_vertices, 0]
             self._share = np.asarray(6.0 / np.maximum(size * narrow, 6.0))
             smallest = float(self._share.min(initial=1.0))
@@ -213,7 +213,7 @@ class Verifier:
         shake[unknowns.n_vertices :] *= self._least
 
     def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
-        """Unbalanced forces, and supports against loads, the loads taken from the geometry."""
+        """Balance of free nodes, and of reactions with loads that come from the geometry."""
         scene, potential, unknowns = self.scene, system.potential, system.unknowns
         n, size = unknowns.n_owned, scene.membrane.size
         x = unknowns.X + potential.x
@@ -245,7 +245,7 @@ class Verifier:
         ])  # fmt: skip
         total = np.zeros_like(local)
         self.comm.Allreduce(local, total)
-        # The sum of m unbalanced forces of random signs.
+        # Bound of the sum of m unbalanced forces with random signs.
         rounding = SPREAD * potential.rounding()
         unbalanced = SPREAD * outcome.residual + rounding + EPSILON * SPREAD * float(total[12])
         all_loads = max(float(total[13]), force)
@@ -262,7 +262,7 @@ class Verifier:
         ]  # fmt: skip
         laws = [cable.cable.sideways for cable in scene.cables if cable.taut]
         if not any(friction is not None and friction.law == "step" for friction in laws):
-            # else forces of the paper's friction elements turn with no shape
+            # The paper's friction elements are exempt: their forces do not rotate with the shape.
             moment = _norm(total[3:6] + total[9:12])
             checks.append(Check("moment of supports and loads", moment / (all_loads * size), limit))
         if scene.floor_level is not None:
@@ -270,7 +270,7 @@ class Verifier:
         return checks
 
     def _off_places(self, unknowns: Unknowns) -> Array:
-        """How far supports are off, how deep the membrane is below the floor, and how far away."""
+        """Errors of support positions, depth below the floor, and distance from the origin."""
         scene, (moved, _) = self.scene, self._prescribed
         away = float(
             np.max(np.abs(scene.u.x.array.reshape(-1, 3)[scene.held] - moved), initial=0.0)
@@ -282,7 +282,7 @@ class Verifier:
             heights = scene.positions()[~scene.held[:, 2], 2]
             under = float(np.max(scene.floor_level - heights, initial=0.0))
         far = max(scene.membrane.size, float(np.abs(unknowns.X).max(initial=0.0)))
-        worst = np.nan_to_num([away, under, far], nan=np.inf)  # of which MPI's maximum is undefined
+        worst = np.nan_to_num([away, under, far], nan=np.inf)  # MPI's maximum of NaN is undefined
         self.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
         return worst
 
@@ -315,7 +315,7 @@ class Verifier:
         return loads
 
     def _obstacle(self, system: System) -> Array:
-        """Forces (n, 3) of the floor on what lies on it; it only pushes."""
+        """Contact forces (n, 3) of the floor, which only pushes."""
         potential, unknowns = system.potential, system.unknowns
         n = unknowns.n_owned
         forces = np.zeros((n, 3))

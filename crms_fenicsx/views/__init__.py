@@ -1,1 +1,1 @@
-"""The current state as arrays that are looked at: surface, lines and points with their data."""
+"""The current state as arrays for display: surface, lines and points with their data."""

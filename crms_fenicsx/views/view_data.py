@@ -1,4 +1,4 @@
-"""Surface and lines of the current state as arrays, for files and pictures, and for pyvista."""
+"""Surface and lines of the current state as arrays, for files, pictures and pyvista."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles in space with data on their vertices and on themselves.
+    """Triangles in space with data at vertices and in triangles.
 
     Attributes
     ----------
     points : (n, 3) array of length
-        Vertices, deformed.
+        Deformed vertices.
     triangles : (m, 3) array of int
-        Vertices of each triangle. A folded cell arrives as several triangles.
+        Vertices of each triangle. A folded cell is split into several triangles.
     point_data, cell_data : dict of (n,) or (n, c), and of (m,) or (m, c) arrays
         Values by name.
     homes : (n, 2) array of int, or None
-        For pieces of a surface on several ranks that share points: the rank that each point belongs
-        to, and its number among the points that belong to that rank. None: all belong to this one.
+        Owner of each point and its number among the owner's points, for pieces on several ranks
+        that share points. None: this rank owns all.
     """
 
     points: ArrayLike
@@ -51,7 +51,7 @@ class Surface:
         Raises
         ------
         InputError
-            Where shapes disagree, an index points outside or a coordinate is not finite.
+            Shapes disagree, an index is out of range or a coordinate is not finite.
         """
         points = checked_points("surface points", self.points)
         triangles = np.asarray(self.triangles)
@@ -89,11 +89,11 @@ class Line:
     Attributes
     ----------
     points : (k, 3) array of length
-        Its corners, k >= 2.
+        Corners, k >= 2.
     data : dict of float, (k,) or (k - 1,) array
         Values by name: one for the line, one per corner or one per segment.
     name : str
-        What the line is called in pictures.
+        Label in pictures.
     """
 
     points: ArrayLike
@@ -106,7 +106,7 @@ class Line:
         Raises
         ------
         InputError
-            Where there are fewer than two points, or data of another length.
+            Fewer than two points, or data of another length.
         """
         label = f"line {self.name!r}" if self.name else "line"
         points = checked_points(f"{label}: points", self.points)
@@ -155,12 +155,12 @@ def checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict[
 
 
 Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
-"""Points, pairs of them, and data on points and on pairs."""
+"""Points, point pairs, and data at points and on pairs."""
 
 
 def cable_lines(net: CableNet) -> list[Line]:
-    """Cables with "tension", "lifted" and "contact force" (force per length); with clamps also
-    "clamp", 1 where one is. Collective."""
+    """Cables with "tension", "lifted" and "contact force" (force per length), and with clamps
+    "clamp", 1 at a clamp. Collective."""
     if not net.cables:
         return []
     shape = net.strip_shape()
@@ -187,7 +187,7 @@ def bar_lines(bars: Sequence[PlacedBar]) -> list[Line]:
 
 
 def joined(lines: Sequence[Line]) -> Segments:
-    """Lines as one mesh of segments; data NaN where a line has none, "line": its number from 0."""
+    """Lines as one mesh of segments; missing data are NaN; "line" numbers the lines from 0."""
     counts = np.array([len(line.points) for line in lines], dtype=np.int64)  # type: ignore[arg-type]
     starts = np.concatenate([[0], np.cumsum(counts)])
     last = np.zeros(starts[-1], dtype=bool)
@@ -212,7 +212,7 @@ def joined(lines: Sequence[Line]) -> Segments:
 def surface_piece(
     membrane: Membrane, shape: CurrentSurface, fields: Mapping[str, Array]
 ) -> Surface:
-    """This rank's piece of the surface with "displacement" and the cells' fields. Collective."""
+    """This rank's piece of the surface with "displacement" and cell data. Collective."""
     return Surface(
         shape.points,
         shape.triangles,
@@ -223,7 +223,7 @@ def surface_piece(
 
 
 def point_homes(membrane: Membrane, points: int) -> Integers:
-    """Rank and number there of the current surface's points, (points, 2). Collective."""
+    """Owner and number of the current surface's points, (points, 2). Collective."""
     vertices = membrane.V.dofmap.index_map
     own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
     starts = vertex_starts(membrane.V)
@@ -236,7 +236,7 @@ def point_homes(membrane: Membrane, points: int) -> Integers:
 
 
 def whole_surface(comm: MPI.Intracomm, piece: Surface) -> Surface | None:
-    """The surface of all ranks' pieces, on the first rank; None on the others. Collective."""
+    """The whole surface on the first rank; None on the others. Collective."""
     pieces = comm.gather(piece)
     if pieces is None:
         return None
@@ -260,9 +260,9 @@ def whole_surface(comm: MPI.Intracomm, piece: Surface) -> Surface | None:
 
 
 SLENDER = 0.003
-"""Radius of tubes, where none is given, in parts of the diagonal of the box around the surface."""
+"""Default radius of tubes, relative to the diagonal of the surface's bounding box."""
 SIDES = 12
-"""Of a tube."""
+"""Sides of a tube."""
 
 
 def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
@@ -307,7 +307,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
 
 
 def _tubes(pyvista: Any, lines: Sequence[Line], radius: float) -> Any:
-    """Lines with data, or a tube around each of their segments."""
+    """Lines with data, or tubes around their segments."""
     points, pairs, on_points, on_segments = joined(lines)
     mesh = _mesh(pyvista, points, {"lines": pairs}, on_points, on_segments)
     if radius > 0.0:
@@ -323,7 +323,7 @@ def _mesh(
     point_data: Mapping[str, ArrayLike],
     cell_data: Mapping[str, ArrayLike],
 ) -> Any:
-    """A mesh of points and cells, all with as many corners, and data on both."""
+    """A mesh of points and cells of one type, with data on both."""
     padded: dict[str, NDArray[Any]] = {
         kind: np.insert(corners, 0, corners.shape[1], axis=1).ravel()
         for kind, corners in cells.items()
@@ -336,7 +336,7 @@ def _mesh(
 
 
 def _supported(scene: Scene) -> tuple[Array, Booleans]:
-    """Held vertices of all ranks on the first one, and their directions. Collective."""
+    """Held vertices of all ranks and their directions, on the first rank. Collective."""
     held = scene.held[: scene.V.dofmap.index_map.size_local]
     rows = np.flatnonzero(held.any(axis=1))
     parts = scene.comm.gather((scene.positions()[rows], held[rows]))

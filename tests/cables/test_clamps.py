@@ -272,6 +272,21 @@ def test_bad_clamps_are_refused(comm) -> None:
         assert scene.clamps == () and scene.net.state.clamps == before.clamps
 
 
+@pytest.mark.ranks
+def test_cables_apart_where_both_bend_are_told_from_others_that_do_not_cross(comm) -> None:
+    """One lies in a line of the mesh, the other hangs over it, between bends of both."""
+    mesh = meshes.rectangle(comm, 7.3, 7.3, 7.3 / 11, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=260.0, nu=0.3, thickness=1.0, prestress=0.8))
+    scene.fix("boundary")
+    y = 7.3 * 4 / 11
+    for name, path in (("a", [(0.0, y), (7.3, y)]), ("b", [(2.117, 0.0), (2.14, 7.3)])):
+        scene.lay_cable(Cable(900.0), path, tension=4.0, name=name)
+    scene.put_load((0.0, 0.0, -0.7), per="plan", name="snow")
+    Solver(scene).advance(pressure=2.0, load={"snow": 1.0})
+    with pytest.raises(InputError, match=r"'a' and 'b' lie 0.0\d+ apart where they cross"):
+        scene.clamp("a", "b")
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_clamped_cables_along_lines_of_the_mesh_are_tightened(comm, order) -> None:
     """One after the other: the one that hangs on to its line has the clamp on an edge beside a

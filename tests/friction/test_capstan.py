@@ -477,6 +477,18 @@ def test_slack_spans_have_no_tension() -> None:
     assert np.abs(s).max() < 1e-6
 
 
+@pytest.mark.parametrize("kind", [ENERGY, LAW])
+def test_slips_from_a_start_that_leaves_a_span_nothing(kind: int) -> None:
+    """After a change of the path: it is so stiff that nothing else counts beside it."""
+    spans, rest = np.array([1.0, 0.3, 0.21, 0.2, 1.0]), np.array([0.98, 1.18, 1.38, 1.38])
+    bound, eps, d = np.full(4, 1e-3), np.full(4, 1e-4), np.zeros(5)
+    even, s = np.zeros(4), np.array([0.0, 0.0, 0.0, 1e-15])
+    spread_evenly(spans, rest, 2.36, even)
+    assert find_slips(kind, spans, rest, 2.36, bound, eps, even, d) >= 0
+    assert find_slips(kind, spans, rest, 2.36, bound, eps, s, d) >= 0
+    np.testing.assert_allclose(s, even, atol=1e-9)
+
+
 def test_bounds_of_small_angles() -> None:
     """Series and formula meet; a node that slides has the capstan's difference of P."""
     wrap, G = np.array([1e-9, 1.9e-4, 2.1e-4, 0.5]), np.full(4, 0.02)

@@ -251,6 +251,9 @@ def test_tables_group_rows_of_one_heading() -> None:
     assert 'rowspan="2"' in html(table)
     assert table.csv() == "A,B,C,of nothing\na,x,1.0,\na,y,,\nb,x,2,\n"
     assert "1000 rows" in html(Table("T", ("A",), [("a",)] * 1000, "t"))
+    many = Table("T", ("A", "B", "C"), [("a", k, 1.0) for k in range(20)], headings=2)
+    assert [len(group) for group in many.groups] == [6, 7, 7]  # each stays on one page
+    assert [row[1] for group in many.groups for row in group] == list(range(20))
 
 
 def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) -> None:

@@ -547,7 +547,7 @@ def test_strip_of_a_mesh_divided_among_ranks(comm, space):
         ([(0, 0)], "two or more"),
         ([(0, 0), (0, 0)], "drop one"),
         ([(1, 1), (1 + 1e-9, 1)], "move them apart"),
-        ([(0, 0), (1, 1, 0)], "all alike"),
+        ([(0, 0), (1, 1, 0)], "of one kind"),
         ([(0, 0, 0, 0), (1, 1, 0, 0)], "shape"),
         ([(-1, 2, 0), (-2, 2, 0)], "never meets"),
     ],

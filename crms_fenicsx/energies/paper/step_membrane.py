@@ -132,6 +132,7 @@ class StepMembraneEnergy(MembraneEnergy):
         self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None
     ) -> None:
         super().__init__(u, materials, cell_tags)
+        self.integral.inputs = None
         mesh = u.function_space.mesh
         self.history = fem.Function(fem.functionspace(mesh, ("DG", 0, (6,))))
         self.stiffness_n = fem.Function(fem.functionspace(mesh, ("DG", 0, (3, 3))))

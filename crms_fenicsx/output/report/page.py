@@ -202,10 +202,16 @@ class Table:
 
     @property
     def groups(self) -> list[list[Sequence[Cell]]]:
-        """Rows grouped by their first heading; one group if there is one heading column."""
+        """Rows that share their first heading, at most `SHORT` of them, as they stay on one page;
+        all in one if they have one heading only."""
         if self.headings == 1:
             return [list(self.rows)]
-        return [list(group) for _, group in groupby(self.rows, key=lambda row: row[0])]
+        every = (list(group) for _, group in groupby(self.rows, key=lambda row: row[0]))
+        parts = ((group, math.ceil(len(group) / SHORT)) for group in every)
+        return [
+            group[k * len(group) // n : (k + 1) * len(group) // n]
+            for group, n in parts for k in range(n)
+        ]  # fmt: skip
 
     def csv(self) -> str:
         """The table as CSV text, numbers with all digits, texts escaped."""
