@@ -29,7 +29,7 @@ PSI: dict[str, Psi] = {
 
 @dataclass(frozen=True)
 class CombinationRules:
-    """Combination rules of a standard.
+    """Combinations of a standard.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ def combinations(
     Parameters
     ----------
     rules
-        `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the latest edition.
+        `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the newest one.
     permanent
         Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
         to the initial state of the combinations.

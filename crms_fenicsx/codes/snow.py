@@ -40,7 +40,7 @@ Shape = Callable[[Array, Array], Array]
 
 
 def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
-    """Coefficient mu_1 for a pitch, EN 1991-1-3, Table 5.2.
+    """Coefficient mu_1 of a pitch, EN 1991-1-3, Table 5.2.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     Raises
     ------
     InputError
-        A pitch outside 0 to 90 degrees.
+        A pitch that is not between 0 and 90 degrees.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def _checked_pitch(call: str, pitch: float | None) -> None:
 
 @dataclass(frozen=True)
 class PitchedSnow:
-    """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, or on any surface by its local slope.
+    """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, and on any surface by its own slope.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class PitchedSnow:
     Raises
     ------
     InputError
-        A pitch outside 0 to 90 degrees.
+        A pitch that is not between 0 and 90 degrees.
     """
 
     pitch: float | None = None
@@ -222,7 +222,7 @@ class DriftedSnow:
     wall
         Point (x, y) of the wall of the taller works (length).
     away
-        Direction (x, y) in plan from the wall across the roof.
+        Direction (x, y) in plan from the wall over the roof.
     height
         Height h of the taller works above the roof (m).
     upper, lower
@@ -238,12 +238,12 @@ class DriftedSnow:
     Attributes
     ----------
     length, mu_w, mu_s : float
-        Length l_s of the drift (m), and its coefficients due to wind and to sliding.
+        Length l_s of the drift (m), and its coefficients by wind and by sliding.
 
     Raises
     ------
     InputError
-        A dimension that is not positive, a pitch out of range, or a steep upper roof without
+        A size that is not positive, a pitch out of range, or a steep upper roof without
         `upper_slope`.
 
     Notes
@@ -298,7 +298,7 @@ class DriftedSnow:
 def snow_load(
     s_k: float, shape: Shape | None = None, *, exposure: float = 1.0, thermal: float = 1.0
 ) -> Callable[[Array, Array], Array]:
-    """Snow load s = mu C_e C_t s_k on plan, EN 1991-1-3, expression (5.1).
+    """Snow load s = mu C_e C_t s_k on the plan, EN 1991-1-3, expression (5.1).
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def snow_load(
     Returns
     -------
     callable
-        Load for `Scene.put_load`, with ``per="plan"``.
+        For `Scene.put_load`, with ``per="plan"``.
 
     Raises
     ------

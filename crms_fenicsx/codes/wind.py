@@ -104,7 +104,7 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     rise
         f/d, 0.05 to 0.5.
     height
-        h/d of the walls below; only 0, a vault on the ground, is available.
+        h/d of the walls below; 0, a vault that stands on the ground, is what is known here.
 
     Returns
     -------
@@ -186,7 +186,7 @@ class ArchWind:
     Attributes
     ----------
     roof
-        Dimensions of the roof along the wind.
+        Sizes of the roof along the wind.
     zones
         Coefficients A, B and C along the arc of a circle over the roof.
     stepped
@@ -214,7 +214,7 @@ class CanopyWind:
     Attributes
     ----------
     roof
-        Dimensions of the roof along its slope.
+        Sizes of the roof along its slope.
     zones
         Net coefficients of the zones A, B and C, on duopitch canopies also D; or "overall" alone.
     loaded
@@ -285,7 +285,7 @@ def vault(
     Returns
     -------
     ArchWind
-        Coefficients for `Scene.put_wind`.
+        For `Scene.put_wind`.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def dome(
     Returns
     -------
     ArchWind
-        Coefficients for `Scene.put_wind`; f and d are in its `roof`.
+        For `Scene.put_wind`; its `roof` has f and d.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def canopy(
     kind, pitch
         "monopitch" with 0 to 30 degrees, or "duopitch" with -20 (trough) to -5 or 5 to 30 degrees.
     effect
-        "down" takes the largest coefficients, "up" the smallest.
+        "down" takes the largest coefficients, "up" the least.
     blockage
         Degree of blockage phi below the canopy, 0 to 1, 7.3(2).
     take

@@ -42,7 +42,7 @@ def equidistant(
     *,
     least_angle: float = 30.0,
 ) -> Net:
-    """Lay out a net whose meshes have sides of equal length. Collective.
+    """Lay out a net whose meshes all have sides of one length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
     two others. The net ends where a mesh would have an angle below `least_angle`; from there, all
@@ -55,7 +55,7 @@ def equidistant(
     Parameters
     ----------
     scene
-        Scene on whose current shape the net is laid out.
+        A scene, on whose current shape the net is laid out.
     width
         Straight distance between neighbouring nodes (length).
     origin
@@ -75,7 +75,7 @@ def equidistant(
     InputError
         On all ranks: a width too large for any mesh, or parallel directions.
     PathError
-        On all ranks: an origin off the membrane, or a line that cannot be laid.
+        An origin off the membrane, or a line that cannot be laid.
 
     Warns
     -----

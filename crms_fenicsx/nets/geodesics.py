@@ -23,7 +23,7 @@ from crms_fenicsx.scene import Scene
 def geodesics_between(
     scene: Scene, edges: Sequence[tuple[str, str]], n: int | Sequence[int]
 ) -> Net:
-    """Lay out a net of geodesics between pairs of edges. Collective.
+    """Lay out a net of shortest paths between pairs of edges. Collective.
 
     The n lines of a family join points that divide both of its edges into n + 1 equal parts, each
     by the shortest path near the straight line in plan.
@@ -31,7 +31,7 @@ def geodesics_between(
     Parameters
     ----------
     scene
-        Scene on whose current shape the net is laid out.
+        A scene, on whose current shape the net is laid out.
     edges
         Pairs of edge groups, one for each family, such as ``[("left", "right"), ("front",
         "back")]``. A group is one line with two ends.
@@ -48,7 +48,7 @@ def geodesics_between(
     InputError
         On all ranks: unknown groups, groups that are closed or in pieces, or an invalid number.
     PathError
-        On all ranks: a line that cannot be laid on the membrane.
+        A line that cannot be laid on the membrane.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def geodesics_across(
     Parameters
     ----------
     scene
-        Scene on whose current shape the net is laid out.
+        A scene, on whose current shape the net is laid out.
     lines
         Points of one line for each family, in plan, (k, 2), or in space, (k, 3) (length).
     spacing
@@ -105,7 +105,7 @@ def geodesics_across(
     InputError
         On all ranks: a spacing larger than a line.
     PathError
-        On all ranks: a line that leaves the membrane.
+        A line that leaves the membrane.
 
     Examples
     --------

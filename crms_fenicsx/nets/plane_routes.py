@@ -26,7 +26,7 @@ def sections(
     center: Sequence[float] = (0.0, 0.0),
     shortest: bool = False,
 ) -> Net:
-    """Lay out a net of plane vertical sections, straight in plan. Collective.
+    """Lay out a net that is straight in plan: sections of the membrane with vertical planes.
 
     Collective. On an air hall such cables are longer than the shortest paths between their ends and
     slide towards these unless friction or clamps hold them.
@@ -34,7 +34,7 @@ def sections(
     Parameters
     ----------
     scene
-        Scene on whose current shape the net is laid out.
+        A scene, on whose current shape the net is laid out.
     angles
         Direction of each family in plan, from the x axis (rad).
     offsets
@@ -52,9 +52,9 @@ def sections(
     Raises
     ------
     InputError
-        On all ranks: a non-finite argument, or a plane that does not cross the rim twice.
+        On all ranks: arguments that are not finite, or a plane that does not meet the rim twice.
     PathError
-        On all ranks: a line that cannot be laid on the membrane.
+        A line that cannot be laid on the membrane.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     Parameters
     ----------
     scene
-        Scene on whose current shape the net is laid out.
+        A scene, on whose current shape the net is laid out.
     families
         Paths of each family, as for `Scene.lay_cable`, (k, 2) or (k, 3) (length).
     shortest
@@ -134,11 +134,11 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> A
     Parameters
     ----------
     radius, height
-        As for `meshes.spherical_cap`, less than a hemisphere, centred at the origin.
+        As for `meshes.spherical_cap`; the cap is less than a hemisphere. Its centre is the origin.
     angle
-        Direction in plan of the line between the two rim points, from the x axis (rad).
+        Direction in plan of the line between the two points of the rim, from the x axis (rad).
     offset
-        Distance of this line from the rim's centre, to its left (length).
+        Distance of that line from the rim's centre, to its left (length).
 
     Returns
     -------

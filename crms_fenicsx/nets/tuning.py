@@ -46,7 +46,7 @@ class Tuned(Protocol):
 def tune(
     solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
 ) -> dict[LaidCable, float]:
-    """Find the unstressed lengths of cables for prescribed tensions under the current loads.
+    """Find the unstressed lengths of cables for prescribed tensions under the present loads.
 
     Collective. By `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`.
     Each evaluation is a load step; the last one has the tensions.
@@ -54,13 +54,13 @@ def tune(
     Parameters
     ----------
     solver
-        Solver in equilibrium, with the cables in tension.
+        A `Solver` at an equilibrium in which the cables are in tension.
     tensions
         Tensions by cables (force), mean ones for cables with clamps.
     rtol
         Largest relative difference.
     most
-        Maximum number of load steps.
+        Largest number of load steps.
 
     Returns
     -------

@@ -39,7 +39,7 @@ MOST_SHOWN = 20
 
 
 class History:
-    """Table of named values; its file is complete after each row.
+    """Rows of named values; the file is complete after each row.
 
     A row may add columns, as for a cable laid later; other rows hold NaN there, or "" in a column
     of text. Floats are written with all digits, and texts that a spreadsheet would take for a
@@ -143,7 +143,7 @@ class History:
         self._columns, self._rows = columns, rows
 
     def resume(self, rows: Iterable[Mapping[str, Value]]) -> None:
-        """Replace all rows by those of an earlier run; the file is updated with the next row.
+        """Replace all rows by those of an earlier run; the file follows with the next row.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class History:
 
     @classmethod
     def read(cls, path: str | Path) -> History:
-        """Read a history from a CSV file into memory. Not collective.
+        """Return the history in a CSV file, kept in memory; not collective.
 
         Columns are integers or numbers if all their values read as such, else text.
 

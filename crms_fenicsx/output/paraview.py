@@ -289,7 +289,7 @@ class Series:
     def resume(self, times: Sequence[float]) -> None:
         """Continue the series in the folder. Collective.
 
-        Later steps remain until the next one is written.
+        Its later steps stay until the next one is written.
 
         Parameters
         ----------

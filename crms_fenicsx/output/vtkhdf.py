@@ -82,7 +82,7 @@ def write_vtkhdf(
     Raises
     ------
     InputError
-        On all ranks, with nothing written: another suffix, combinations of another solver, or a
+        On all ranks, with nothing written: another suffix, no combinations of this solver, or a
         file that cannot be written.
     ImportError
         On all ranks: h5py is not installed.

@@ -32,7 +32,7 @@ class Adjusted:
     Attributes
     ----------
     pattern
-        The adjusted pattern.
+        The pattern.
     solver
         Solver of the roof sewn from it.
     comparisons
@@ -70,7 +70,7 @@ def adjust(
     build
         Function of a pattern that sews it, applies supports and loads, and returns the solver.
     forces
-        Wanted section forces along warp and weft, or one value for both (force per length).
+        Wanted section forces along warp and weft, or one for both (force per length).
     each
         Whether to adjust the compensation of each piece by its own means.
     tolerance

@@ -106,15 +106,15 @@ class EdgeShrink:
 def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) -> Shrink:
     """Return the compensation for given section forces in the form.
 
-    Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, with stretches l
-    and second Piola-Kirchhoff forces S = D E.
+    Section forces are per current length: n1 = (l1 / l2) S1, n2 = (l2 / l1) S2, where l are the
+    stretches and S = D E the law's forces.
 
     Parameters
     ----------
     material
         The fabric.
     forces
-        Section forces along warp and weft, or one value for both (force per length).
+        Section forces along warp and weft, or one for both (force per length).
 
     Returns
     -------
@@ -184,7 +184,8 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     Returns
     -------
     float
-        ``sqrt(12 n / (E t |K|))`` (length), conservative on a saddle; infinite without curvature.
+        ``sqrt(12 n / (E t |K|))`` (length), on the safe side on a saddle; infinite without
+        curvature.
     """
     K = checks.finite("largest_width: curvature", curvature)
     return width_in_tension(float(warp_moduli(material.stiffness)), force, K)

@@ -31,7 +31,7 @@ class Estimate:
     curvature
         Mean Gaussian curvature (1 / length squared).
     strain
-        Largest strain, ``|K| W**2 / 12``, with the largest width W.
+        Largest strain, ``|K| W**2 / 12``.
     energy
         Energy per area, ``E t K**2 W**4 / 1440`` with E t along the warp and the mean of W**4 over
         the piece (force per length).
@@ -54,7 +54,7 @@ def estimates(
     pieces
         Pieces from `cut`.
     material, warp
-        As for `flatten`.
+        As of `flatten`.
 
     Returns
     -------

@@ -49,7 +49,7 @@ class FlatPiece:
     piece
         The piece in space.
     shape
-        Flat coordinates (n, 2) of its vertices (length): x along the warp, seen from outside.
+        Flat places (n, 2) of its vertices (length): x along the warp, seen from outside.
     shrink
         Mean compensation (2,) along warp and weft.
     strains
@@ -207,7 +207,7 @@ def flatten(
     equal: bool = True,
     limit: float | None = None,
 ) -> Pattern:
-    """Flatten pieces with the least strain energy, and compensate them. Collective.
+    """Lay pieces flat with the least strain energy, and compensate them. Collective.
 
     A flat piece takes its form in space with the strain of the compensation and, where the form is
     doubly curved, the least possible energy of further strains (J. Linhard, R. Wuechner,
@@ -244,7 +244,7 @@ def flatten(
         On all ranks: an invalid argument, or a piece strained beyond `limit`; the message tells
         how many strips would do.
     ConvergenceError
-        On all ranks: a piece that cannot be flattened.
+        On all ranks: a piece that does not lie flat.
 
     Warns
     -----

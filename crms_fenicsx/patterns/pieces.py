@@ -38,7 +38,7 @@ class PieceEdge:
     sewn
         Whether it belongs to a seam.
     vertices
-        Vertices (k,) of the piece along it, counter-clockwise seen from outside.
+        Vertices of the piece (k,) along it, counter-clockwise seen from outside.
     """
 
     name: str
@@ -111,7 +111,7 @@ class Joints:
 
 @dataclass(frozen=True, repr=False)
 class Pieces:
-    """A surface divided into pieces.
+    """A surface that is cut into pieces.
 
     Attributes
     ----------

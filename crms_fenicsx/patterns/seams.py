@@ -81,7 +81,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     mesh
         The surface, such as `FoundForm.mesh`.
     points
-        Two or more points in plan (k, 2) or in space (k, 3) (length).
+        Two or more places in plan (k, 2) or in space (k, 3) (length).
     name
         Name of the seam.
 
@@ -256,7 +256,7 @@ def parallel(
     mesh
         The surface, such as `FoundForm.mesh`.
     line
-        A seam, or the name of an edge group, such as a side of the roof.
+        A seam, or the name of a group of edges, such as a side of the roof.
     distance
         Distance (length).
     toward

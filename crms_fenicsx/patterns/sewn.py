@@ -179,7 +179,7 @@ def compare(
     pattern
         The pattern.
     forces
-        Wanted section forces along warp and weft, or one value for both (force per length).
+        Wanted section forces along warp and weft, or one for both (force per length).
 
     Returns
     -------

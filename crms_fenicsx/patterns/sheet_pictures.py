@@ -46,12 +46,12 @@ def draw_sheets(
     sheet
         Roll, allowances and marks.
     unit
-        Unit of length, for labels.
+        Name of the unit of length.
 
     Returns
     -------
     matplotlib.figure.Figure or None
-        The figure, on the first rank and without `filename`.
+        The figure, without `filename`.
 
     Raises
     ------

@@ -50,11 +50,11 @@ def strips(
     mesh
         The surface, such as `FoundForm.mesh`.
     first, last
-        Seams or names of edge groups, such as two opposite sides of a hall.
+        Two lines, seams or names of groups of edges, such as two opposite sides of a hall.
     width
         Width of the roll (length).
     kind
-        "geodesic", or "parallel": the lines of equal distance shares themselves.
+        "geodesic", or "parallel": the lines of even distances themselves.
     warp
         Direction of the fabric (3,), or a function that returns directions (3, n) for points
         (3, n), which the seams follow from the middle of their lines to the rim on both sides.

@@ -52,7 +52,7 @@ class Air(Stateful[AirState]):
     @collective
     @changes_model
     def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
-        """Seal the air under the membrane at its current pressure. Collective.
+        """Seal the air under the membrane at its present pressure. Collective.
 
         From now on the gas law gives the pressure from the volume, as in a cushion, or in a hall
         in a gust that is faster than its fans. `pressure` is the current one.
@@ -62,7 +62,7 @@ class Air(Stateful[AirState]):
         volume
             Current volume of the air (length cubed), which a mesh open at the ground does not tell.
         atmosphere
-            Atmospheric pressure (force per area); the default is in kPa.
+            Pressure of the atmosphere (force per area); the default is in kPa.
         exponent
             1 for isothermal changes, 1.4 for adiabatic ones, too fast to exchange heat.
 

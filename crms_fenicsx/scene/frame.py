@@ -140,12 +140,12 @@ class Frame:
         L0
             Unstressed length (length); by default the current distance of the ends.
         name
-            Name in tables and pictures; by default "bar 1", "bar 2" ...
+            Name in tables and pictures; "bar 1", "bar 2" ... by default.
 
         Returns
         -------
         PlacedBar
-            The bar, a handle for load steps and results.
+            The bar, as a handle for load steps and results.
 
         Raises
         ------

@@ -83,7 +83,7 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
-        """Apply a load of fixed direction to the membrane.
+        """Put a load of fixed direction on the membrane.
 
         Its forces follow from the current shape and then keep direction and size;
         `Solver.advance` scales them by the load's factor.
@@ -150,7 +150,7 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
-        """Apply forces to the membrane's vertices, such as those from another program. Collective.
+        """Put forces on the membrane's vertices, as from another program. Collective.
 
         They keep direction and size. The function is copied: later changes have no effect.
 
@@ -182,7 +182,7 @@ class Loads(Stateful[LoadsState]):
     def put_line_load(
         self, force: Sequence[float] | Array, edges: str, *, name: str = "line load"
     ) -> None:
-        """Apply a line load along edges, such as the weight of a gutter. Collective.
+        """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
 
         Its forces follow from the current lengths of the edges and then keep direction and size;
         half of an edge's force acts at each end.
@@ -192,7 +192,7 @@ class Loads(Stateful[LoadsState]):
         force
             Force per length, (3,) (force / length).
         edges
-            Name of an edge group of the mesh.
+            Name of a group of edges of the mesh.
         name
             Name in load steps and results.
 
@@ -269,7 +269,7 @@ class Loads(Stateful[LoadsState]):
         level
             Height z of the surface of the water (length).
         volume
-            Volume of the water (length cubed), which determines the level.
+            Amount of water (length cubed); its level follows.
         on
             Parts of the mesh below the water, on the side that faces up; by default all cells
             whose outer side faces up when stress-free.

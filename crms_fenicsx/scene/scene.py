@@ -71,18 +71,19 @@ class Scene:
     mesh
         The stress-free membrane.
     material
-        Material of the membrane, or materials by parts.
+        Material of the membrane, or of each of its parts by name.
     strain
         "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
-        strain, linear in a step and aligned with a side of each cell, (2.3-3 ... 2.3-14).
+        strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
     pressure
         "total": the exact follower pressure. The rim of the pressurised surface must be held, or
-        slide in planes x, y or z = constant held in their normal direction, such as planes of
-        symmetry. "step": the paper's nodal forces, constant during a step, (2.4-1, 2). The rim may
-        be free; steps are then repeated until the forces equal the follower pressure.
+        slide in planes x, y or z = constant that are held in their normal direction, as planes of
+        symmetry. "step": the paper's nodal forces, which keep direction and size in a step, (2.4-1,
+        2). The rim may be free; steps are then repeated until the forces equal the follower
+        pressure.
     pressure_on
-        Parts of the mesh on which pressure acts; all by default. Leave out walls below the roof,
-        with the same air on both sides.
+        The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
+        roof, which has the same air on both sides.
     penalty
         Factor c of the penalty mu = c E t A that keeps unfolded cells flat triangles; stable and
         free of locking from 1e-3 to 1.
@@ -297,7 +298,7 @@ class Scene:
     @collective
     @changes_model
     def floor(self, z: float = 0.0) -> None:
-        """Add a rigid, frictionless floor at height z, which no vertex or fold point penetrates.
+        """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
 
         Raises
         ------
@@ -533,7 +534,7 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross, lie apart at crossings, or have the step-wise
+            On all ranks: cables that do not cross, lie apart where they do, or have the step-wise
             law.
 
         Warns

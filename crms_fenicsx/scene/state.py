@@ -38,7 +38,7 @@ class SceneState:
     energies
         Energy of each kind of term (force x length).
     tensions
-        Tension of each cable, by name (force).
+        Tension of each cable, by its name (force).
     """
 
     membrane: MembraneState

@@ -39,7 +39,7 @@ def adapt(
     build
         As for `convergence`.
     mesh
-        The initial mesh.
+        The first mesh.
     tolerance
         Estimated relative error of the energy at which to stop; see `Solver.estimate_error`.
     levels

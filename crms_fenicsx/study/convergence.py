@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Convergence:
-    """Results on successively finer meshes; ``print`` shows the table.
+    """Results on finer and finer meshes; ``print`` shows the table.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ def convergence(
     quantities: Mapping[str, Callable[[Solver], float]] | None = None,
     project: Callable[[Array], Array] | None = None,
 ) -> Convergence:
-    """Extrapolate a roof's results from successively finer meshes, with error bars. Collective.
+    """Solve a roof on finer and finer meshes; limits of its results, with error bars. Collective.
 
     The user's function builds and solves each level anew, on the mesh of the level before with each
     cell divided into four, including form finding, the history of friction, step-wise laws and
@@ -146,7 +146,7 @@ def convergence(
     mesh
         The coarsest mesh.
     levels
-        Number of meshes, including this one.
+        Number of meshes, this one included.
     points
         Stress-free places (3,), by names, for displacements (length).
     reactions
