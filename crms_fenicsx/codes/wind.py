@@ -104,7 +104,7 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     rise
         f/d, 0.05 to 0.5.
     height
-        h/d of the walls below; 0, a vault that stands on the ground, is what is known here.
+        h/d of the walls below; only 0, a vault on the ground, is available.
 
     Returns
     -------
@@ -115,8 +115,8 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     Raises
     ------
     InputError
-        A rise outside the figure, or walls, for which it has two values in part of its range: read
-        them there and give ``zones=`` to `vault`.
+        A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
+        read it and give ``zones=`` to `vault`.
 
     Examples
     --------

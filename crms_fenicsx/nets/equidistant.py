@@ -42,12 +42,12 @@ def equidistant(
     *,
     least_angle: float = 30.0,
 ) -> Net:
-    """Lay out a net whose meshes all have sides of one length. Collective.
+    """Lay out a net whose meshes have sides of equal length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
     two others. The net ends where a mesh would have an angle below `least_angle`; from there, all
-    lines run straight on to the rim. Where a geodesic ends at the rim before the membrane does, the
-    next line of its family starts from one that goes on.
+    lines run straight on to the rim. Where a geodesic meets the rim before the membrane ends, the
+    next line of its family continues straight in its place.
 
     The lines are no geodesics, so cables that slide freely do not stay on them: clamp their
     crossings, or let friction hold them.

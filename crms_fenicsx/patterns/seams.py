@@ -175,7 +175,7 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
     mesh
         The surface, such as `FoundForm.mesh`.
     origin
-        Point of the plane (3,) (length), next to which the seam is if there are several lines.
+        Point of the plane (3,) (length); of several lines, the nearest to it becomes the seam.
     normal
         Normal of the plane (3,).
     name
@@ -260,8 +260,8 @@ def parallel(
     distance
         Distance (length).
     toward
-        Point (3,) (length) on the seam's side of the line, next to which it is if there are
-        several.
+        Point (3,) (length) on the seam's side of `line`; of several lines at the distance, the
+        nearest to it becomes the seam.
     name
         Name of the seam.
 

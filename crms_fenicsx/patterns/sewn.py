@@ -27,17 +27,17 @@ SLOPE = 1e-12
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
     """Make a scene of the pieces of a pattern, sewn along the seams. Collective.
 
-    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains of the
-    cut and without supports, loads and cables. Its mesh is that of the cut form: groups as before,
-    seams as groups of edges, pieces as parts.
+    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains due to
+    the cut, without supports, loads and cables. Its mesh has the form's groups, the seams as groups
+    of edges and the pieces as parts.
 
     Parameters
     ----------
     pattern
         The pattern.
     material
-        The fabric, or one for each part; by default the pattern's. The pieces set the warp and the
-        cut the prestress, so that the fabric's own are ignored.
+        The fabric, or one for each part; by default the pattern's. Its warp and prestress are
+        ignored, as the pieces set the warp and the cut the prestress.
     **options
         Options of `Scene`.
 

@@ -90,8 +90,8 @@ class Scene:
     literal_penalty
         The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
     frames : (n, 2, 3)
-        For cells with stress-free shapes of their own: images in the mesh of unit vectors along
-        their warp and weft, for this rank's cells. `patterns.sew` makes them.
+        For this rank's cells with individual stress-free shapes, from `patterns.sew`: images in the
+        mesh of their unit vectors along warp and weft.
 
     Raises
     ------
@@ -509,7 +509,7 @@ class Scene:
 
         A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
         and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
-        unless friction along it varies that. The unstressed lengths between clamps are those at
+        which varies only with friction along it. The unstressed lengths between clamps are those at
         clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
         an equilibrium.
 

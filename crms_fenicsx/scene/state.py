@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class SceneState:
     """State of a scene: everything that load steps, supports, loads and cables can change.
 
-    In memory it is that of this process's part of the mesh; `Solver.save` writes it to files.
+    In memory it holds this process's part of the mesh; `Solver.save` writes it to files.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ class Camera:
         return np.array([right, np.cross(towards, right), towards])
 
     def project(self, points: ArrayLike) -> Array:
-        """Coordinates right, up and towards the viewer of points (..., 3); projective."""
+        """Projections (..., 3), right, up and towards the viewer; straight lines stay straight."""
         seen = (np.asarray(points, dtype=np.float64) - np.asarray(self.centre)) @ self.axes.T
         return seen / (1.0 - seen[..., 2:] / self.distance)
 

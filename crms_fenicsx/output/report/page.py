@@ -202,8 +202,8 @@ class Table:
 
     @property
     def groups(self) -> list[list[Sequence[Cell]]]:
-        """Rows that share their first heading, at most `SHORT` of them, as they stay on one page;
-        all in one if they have one heading only."""
+        """Rows grouped by their first heading, up to `SHORT` per group, kept on one printed page;
+        one group if there is one heading column."""
         if self.headings == 1:
             return [list(self.rows)]
         every = (list(group) for _, group in groupby(self.rows, key=lambda row: row[0]))

@@ -10,8 +10,8 @@ from crms_fenicsx.output.report.page import Verdict, number, per_cent, place
 from crms_fenicsx.output.report.results_tables import PEAK
 
 COLLAPSED, TURNED = 0.5, 0.01
-"""Share of the base volume below which a roof has collapsed; of the area above which it is
-inverted."""
+"""Fraction of the base volume below which a roof has collapsed; fraction of its area above which it
+has turned over."""
 
 
 @dataclass(frozen=True)
