@@ -226,8 +226,8 @@ def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def front(p, q, da, db):  # type: ignore[no-untyped-def]
-    """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p and q
-    are the sides to the corners at distances da and db."""
+    """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p
+    and q are the sides to the corners at distances da and db."""
     pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
     det = pp * qq - pq * pq
     s = (pp - 2 * pq + qq) / det
