@@ -1,7 +1,7 @@
-"""Loads by code: snow and wind for `Scene.put_load` and `Scene.put_wind`, combinations of loads.
+"""Loads by codes: snow and wind for `Scene.put_load` and `Scene.put_wind`, load combinations.
 
-The recommended values of EN 1990, EN 1991-1-3 and EN 1991-1-4, and ASCE 7; national annexes may
-give others. Each value names its clause.
+Recommended values of EN 1990, EN 1991-1-3 and EN 1991-1-4, and ASCE 7, each with its clause;
+national annexes may differ.
 """
 
 from crms_fenicsx.codes.combinations import (

@@ -1,4 +1,4 @@
-"""Combinations of loads by EN 1990 and ASCE 7, as the table that `Solver.combine` takes."""
+"""Load combinations by EN 1990 and ASCE 7, as tables for `Solver.combine`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 Psi = tuple[float, float, float]
-"""The factors psi_0, psi_1 and psi_2 of a variable action."""
+"""Combination factors psi_0, psi_1 and psi_2 of a variable action."""
 
 PSI: dict[str, Psi] = {
     "imposed A": (0.7, 0.5, 0.3),
@@ -24,7 +24,7 @@ PSI: dict[str, Psi] = {
     "wind": (0.6, 0.2, 0.0),
     "temperature": (0.6, 0.5, 0.0),
 }
-"""EN 1990, table A1.1; "imposed H": roofs, "snow": up to 1000 m above the sea."""
+"""EN 1990, table A1.1; "imposed H": roofs, "snow": up to 1000 m above sea level."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +59,20 @@ en1990 = CombinationRules(
 
 _ASCE_KINDS: dict[str, None] = dict.fromkeys(("live", "roof live", "snow", "rain", "wind"))
 asce7_16 = CombinationRules("ASCE 7-16", _ASCE_KINDS, ("strength", "allowable stress"))
-"""ASCE 7-16: sections 2.3.1 and 2.4.1, without earthquakes."""
+"""ASCE 7-16: sections 2.3.1 and 2.4.1, without seismic loads."""
 asce7_22 = CombinationRules("ASCE 7-22", _ASCE_KINDS, ("strength", "allowable stress"))
-"""ASCE 7-22: sections 2.3.1 and 2.4.1, without earthquakes."""
+"""ASCE 7-22: sections 2.3.1 and 2.4.1, without seismic loads."""
 asce7 = asce7_22
-"""The newest ASCE 7 that is known."""
+"""The latest edition of ASCE 7 included."""
 
 STRENGTH = {
     "ASCE 7-16": {"snow": 1.6, "rain": 1.6, "with snow": 0.5},
     "ASCE 7-22": {"snow": 1.0, "rain": 1.6, "with snow": 0.3},
 }
-"""Factors of snow and rain in 2.3.1, leading and not."""
+"""Load factors of snow and rain in 2.3.1, leading; and of snow as an accompanying load."""
 
 ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7, "rain": 0.6}}
-"""Factors of snow and rain in 2.4.1."""
+"""Load factors of snow and rain in 2.4.1."""
 
 
 def combinations(
@@ -140,7 +140,7 @@ def combinations(
 def _kinds(
     rules: CombinationRules, permanent: Sequence[str], variable: Sequence[str] | Mapping[str, str]
 ) -> dict[str, str]:
-    """The kind of each variable load, of names that are all different."""
+    """The kind of each variable load; names must be unique."""
     checks.collection("combinations: permanent", permanent, Sequence, 'permanent=["weight"]')
     if not isinstance(variable, Mapping):
         checks.collection("combinations: variable", variable, Sequence, 'variable=["snow"]')
@@ -168,7 +168,7 @@ def _kinds(
 
 
 def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
-    """All sets of loads that act together: of each kind one or none."""
+    """All sets of loads that act together: at most one of each kind."""
     groups: dict[str, list[str | None]] = {}
     for name, kind in kinds.items():
         groups.setdefault(kind, [None]).append(name)
@@ -177,8 +177,7 @@ def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
 
 
 def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
-    """Factors of the permanent and the variable loads of each combination, EN 1990, 6.4.3, 6.5.3
-    and table A1.2(B)."""
+    """Factors of permanent and variable loads, EN 1990, 6.4.3, 6.5.3 and table A1.2(B)."""
     found: list[tuple[float, dict[str, float]]] = []
     steady: tuple[float, ...]
     psi = {name: PSI[kind] for name, kind in kinds.items()}
@@ -205,7 +204,7 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
 def _american(
     edition: str, state: str, kinds: Mapping[str, str]
 ) -> list[tuple[float, dict[str, float]]]:
-    """Factors of the permanent and the variable loads of each combination, ASCE 7, 2.3.1, 2.4.1."""
+    """Factors of permanent and variable loads, ASCE 7, 2.3.1 and 2.4.1."""
     roof = ("roof live", "snow", "rain")
     found: list[tuple[float, dict[str, float]]] = []
     if state == "strength":
@@ -238,7 +237,7 @@ def _american(
 def _add(
     found: list[tuple[float, dict[str, float]]], steady: float, factors: dict[str, float]
 ) -> None:
-    """Add a combination that is not there yet; loads with the factor 0 do not act."""
+    """Add a combination without duplicates; loads with the factor 0 do not act."""
     acting = {name: round(factor, 12) for name, factor in factors.items() if factor}
     if (one := (round(steady, 12), acting)) not in found:
         found.append(one)

@@ -1,4 +1,4 @@
-"""Where places of a roof lie in plan, along a direction; how large the roof is."""
+"""Dimensions of a roof in plan, and positions relative to it along a direction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from crms_fenicsx.scene import Scene
 
 
 def checked_within(what: str, value: object, low: float, high: float, unit: str = "") -> float:
-    """Return a number that lies within two others, which are its figure's ends."""
+    """A number checked to lie in [low, high], the range of its figure."""
     number = checks.finite(what, value)
     if not low - 8 * EPSILON <= number <= high + 8 * EPSILON:
         unit = unit and f" {unit}"
@@ -25,7 +25,7 @@ def checked_within(what: str, value: object, low: float, high: float, unit: str 
 
 
 def plan_vector(what: str, value: object) -> Array:
-    """Return two finite numbers, (2,); the third of three does not count."""
+    """Two finite numbers, (2,); a third one is ignored."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -36,7 +36,7 @@ def plan_vector(what: str, value: object) -> Array:
 
 
 class Along:
-    """Coordinates (length) along a direction in plan, from a point on."""
+    """Coordinate (length) along a direction in plan, from an origin."""
 
     def __init__(self, call: str, direction: Sequence[float], origin: Sequence[float]) -> None:
         vector = plan_vector(f"{call}: direction", direction)
@@ -46,35 +46,34 @@ class Along:
         self.direction, self.origin = vector / size, plan_vector(f"{call}: point", origin)
 
     def __call__(self, x: Array) -> Array:
-        """Those of points (3, n)."""
+        """Coordinates (n,) of points (3, n)."""
         return np.asarray(self.direction @ (x[:2] - self.origin[:, None]))
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Sizes of a roof in its current shape (length), along a direction in plan."""
+    """Dimensions of a roof in its current shape (length), along a direction in plan."""
 
     direction: tuple[float, float]
-    start: tuple[float, float]  # where it begins along the direction and, from the left, across it
+    start: tuple[float, float]  # its start along the direction and, from the left, across it
     depth: float  # d, along the direction
     breadth: float  # b, across it
-    low: float  # heights z of its lowest and its highest place
+    low: float  # z of its lowest and highest point
     high: float
 
     @property
     def rise(self) -> float:
-        """f, from the lowest to the highest place (length)."""
+        """f, from the lowest to the highest point (length)."""
         return self.high - self.low
 
     def parts(self, x: Array) -> tuple[Array, Array]:
-        """Places (3, n) by parts of the depth and of the breadth, 0 to 1."""
+        """Relative positions of points (3, n) along depth and breadth, 0 to 1."""
         c, s = self.direction
         along, across = c * x[0] + s * x[1], c * x[1] - s * x[0]
         return (along - self.start[0]) / self.depth, (across - self.start[1]) / self.breadth
 
     def arcs(self, x: Array) -> Array:
-        """Places (3, n) by parts of the arc of a circle over the depth with this rise, from -1 at
-        its start over 0 at the crown to 1."""
+        """Positions of points (3, n) along a circular arc of this depth and rise, from -1 to 1."""
         half, rise = self.depth / 2, max(self.rise, EPSILON**0.25 * self.depth)
         radius = max((half**2 + rise**2) / (2 * rise), half)
         distance = half * np.clip(2 * self.parts(x)[0] - 1.0, -1.0, 1.0)
@@ -82,7 +81,7 @@ class Footprint:
 
 
 def footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
-    """Measure a scene's membrane, or a part of it. Collective."""
+    """Dimensions of a scene's membrane, or of a part. Collective."""
     checks.of_type(f"{call}: scene", scene, Scene)
     checks.same(scene.comm, call, direction=direction, part=part)
     unit = Along(call, direction, (0.0, 0.0)).direction

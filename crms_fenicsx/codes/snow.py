@@ -1,7 +1,7 @@
 """Snow on roofs by EN 1991-1-3:2003, section 5.3, as functions for `Scene.put_load`.
 
-A shape gives the coefficient mu at places of the roof, from the slope that the surface has there
-or from one pitch of the whole roof. `snow_load` makes it a load on the plan.
+A shape gives the coefficient mu on the roof, from the local slope or from one pitch of the whole
+roof. `snow_load` turns it into a load on plan.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 FLAT, STEEP = 30.0, 60.0
-"""Pitches (degrees) up to which all snow stays and from which on none does, Table 5.2."""
+"""Pitches (degrees) up to which all snow stays and from which none does, Table 5.2."""
 
 MU_1 = 0.8
 """Coefficient mu_1 of flat roofs, Table 5.2."""
@@ -33,10 +33,10 @@ SHORTEST, LONGEST = 5.0, 15.0
 """Recommended range of the drift's length l_s (m), 5.3.6(1), note 2."""
 
 SLIDES = 15.0
-"""Pitch (degrees) of the upper roof from which on its snow slides off, 5.3.6(1)."""
+"""Pitch (degrees) of the upper roof above which its snow slides off, 5.3.6(1)."""
 
 Shape = Callable[[Array, Array], Array]
-"""A function of points and unit normals, both (3, n), that gives coefficients mu, (n,)."""
+"""Function of points and unit normals, both (3, n), that returns coefficients mu, (n,)."""
 
 
 def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
@@ -73,7 +73,7 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
 
 
 def _slopes(pitch: float | None, normals: Array) -> Array:
-    """Pitches (degrees) at places, of the roof or of the surface there."""
+    """Pitches (degrees): the roof's, or the local slopes."""
     if pitch is not None:
         return np.full(normals.shape[1], pitch)
     return np.degrees(np.arccos(np.clip(np.abs(normals[2]), 0.0, 1.0)))
@@ -276,14 +276,14 @@ class DriftedSnow:
 
     @property
     def mu_w(self) -> float:
-        """Coefficient mu_w by wind, expression (5.8)."""
+        """Coefficient mu_w due to wind, expression (5.8)."""
         drift = min((self.upper + self.lower) / (2 * self.height),
                     self.weight * self.height / self.s_k)  # fmt: skip
         return min(max(drift, LEAST_DRIFT), MOST_DRIFT)
 
     @property
     def mu_s(self) -> float:
-        """Coefficient mu_s by sliding: half of the upper slope's snow, as a triangle."""
+        """Coefficient mu_s due to sliding: half of the upper slope's snow, as a triangle."""
         if self.upper_pitch <= SLIDES:
             return 0.0
         return float(snow_on_pitch(self.upper_pitch)) * self.upper_slope / self.length

@@ -1,10 +1,10 @@
 """Pressure coefficients of curved roofs and canopies by EN 1991-1-4, for `Scene.put_wind`.
 
-The zones are laid over the roof's current shape, whatever it is: parts of its depth d along a
-direction and of its breadth b across it.
+The zones are laid over any roof's current shape: fractions of its depth d along a direction and of
+its breadth b across it.
 
-No copy of the standard was at hand. What the coefficients below have been compared with is said at
-each; compare those that a design rests on with yours.
+No copy of the standard was available. The sources with which coefficients were compared are given
+at each; compare those that a design relies on with your copy.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Zones = tuple[float, float, float]
 """Coefficients in the zones A (windward), B (crown) and C (leeward)."""
 
 VAULT_RISES = (0.05, 0.5)
-"""f/d at the ends of figure 7.11."""
+"""Range of f/d in figure 7.11."""
 
 VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
-"""Figure 7.11 at its ends for h/d = 0; straight lines between them stand for its own. A published
-reading at f/d = 0.26 has 0.42, -0.96, -0.40, which these meet within 0.03."""
+"""Ends of figure 7.11 for h/d = 0; straight lines replace its curves. A published reading at f/d =
+0.26 (0.42, -0.96, -0.40) is met within 0.03."""
 
 HEMISPHERE: Zones = (0.8, -1.2, 0.0)
 """Figure 7.12 for f/d = 0.5 and h/d = 0."""
@@ -38,7 +38,7 @@ MONOPITCH = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Pitches (degrees) of table 7.6."""
 
 DUOPITCH = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Pitches (degrees) of table 7.7; negative ones are of trough roofs."""
+"""Pitches (degrees) of table 7.7; negative for trough roofs."""
 
 Rows = dict[str, tuple[float, ...]]
 
@@ -48,8 +48,7 @@ MONOPITCH_MOST: Rows = {
     "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
     "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
 }
-"""Table 7.6: largest net coefficients, with any blockage; as in BS 6399-2, table 13, of which they
-are."""
+"""Table 7.6: largest net coefficients for any blockage, from BS 6399-2, table 13."""
 
 MONOPITCH_LEAST: tuple[Rows, Rows] = (
     {
@@ -65,9 +64,9 @@ MONOPITCH_LEAST: tuple[Rows, Rows] = (
         "C": (-2.2, -2.5, -2.7, -3.0, -3.0, -2.8, -2.7),
     },
 )
-"""Table 7.6: least net coefficients without blockage, as in BS 6399-2, table 13, and with full
-blockage, which differ from those there; overall as in a second implementation. Zone A is -2.1 at
-10 degrees in the Spanish DB SE-AE, table D.10, otherwise the same."""
+"""Table 7.6: least net coefficients without blockage, equal to BS 6399-2, table 13, and with full
+blockage, different from it; "overall" as in a second implementation. Zone A is -2.1 at 10 degrees
+in the Spanish DB SE-AE, table D.10, otherwise equal."""
 
 DUOPITCH_MOST: Rows = {
     "overall": (0.7, 0.5, 0.4, 0.3, 0.3, 0.4, 0.4, 0.6, 0.7, 0.9),
@@ -76,7 +75,7 @@ DUOPITCH_MOST: Rows = {
     "C": (0.6, 0.7, 0.8, 0.8, 1.3, 1.4, 1.4, 1.5, 1.6, 1.6),
     "D": (1.7, 1.4, 1.1, 0.8, 0.4, 0.4, 0.4, 0.4, 0.5, 0.7),
 }
-"""Table 7.7: largest net coefficients, with any blockage."""
+"""Table 7.7: largest net coefficients for any blockage."""
 
 DUOPITCH_LEAST: tuple[Rows, Rows] = (
     {
@@ -105,7 +104,7 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     rise
         f/d, 0.05 to 0.5.
     height
-        h/d of the walls below; 0, a vault that stands on the ground, is what is known here.
+        h/d of the walls below; only 0, a vault on the ground, is available.
 
     Returns
     -------
@@ -116,8 +115,8 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     Raises
     ------
     InputError
-        A rise outside the figure, or walls, for which it has two values in part of its range: read
-        them there and give ``zones=`` to `vault`.
+        A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
+        read it and give ``zones=`` to `vault`.
 
     Examples
     --------
@@ -201,7 +200,7 @@ class ArchWind:
     stepped: bool
 
     def __call__(self, x: Array, n: Array) -> Array:
-        """Coefficients at points (3, n)."""
+        """Coefficients (n,) at points (3, n)."""
         arc = self.roof.arcs(x)
         if self.stepped:
             return np.asarray(self.zones)[np.searchsorted((-0.5, 0.5), arc)]
@@ -227,7 +226,7 @@ class CanopyWind:
     loaded: tuple[float, float] = (0.0, 1.0)
 
     def __call__(self, x: Array, n: Array) -> Array:
-        """Coefficients at points (3, n)."""
+        """Coefficients (n,) at points (3, n)."""
         along, across = self.roof.parts(x)
         low, high = self.loaded
         on = (along >= low - 8 * EPSILON) & (along <= high + 8 * EPSILON)
@@ -239,7 +238,7 @@ class CanopyWind:
             "C": np.abs(along - 0.5) > 0.4,
             "B": np.abs(across - 0.5) > 0.4,
         }
-        for zone, there in places.items():  # where two meet, the one that loads more
+        for zone, there in places.items():  # where two zones meet, the larger load counts
             value = self.zones.get(zone)
             if value is not None:
                 more = there & ((found == self.zones["A"]) | (abs(value) > np.abs(found)))

@@ -1,5 +1,4 @@
-"""Layout of cable nets on the current shape of a membrane: where their cables lie, how long they
-are, and where they cross; lengths to order.
+"""Layout of cable nets on a membrane's current shape: paths, lengths, crossings, lengths to order.
 
 `Scene.lay_net` lays the cables of a net.
 """

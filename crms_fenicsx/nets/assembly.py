@@ -1,4 +1,4 @@
-"""From routes to a net: paths on the membrane, their lengths, names and crossings."""
+"""Assembly of nets from routes: paths on the membrane, their lengths, names and crossings."""
 
 from __future__ import annotations
 
@@ -22,22 +22,21 @@ from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.trace import route_points
 
 APART = 0.01
-"""Distance, relative to the size of cells, below which a point of a line is left out: both might be
-taken for one vertex when a cable is laid."""
+"""Least distance of a line's points relative to the cell size; laying may merge closer ones."""
 
 
 @dataclass(frozen=True)
 class _Way:
-    """A line on the cells."""
+    """A line of the net on the cells."""
 
     name: str
     path: Path
-    points: Array  # (k, 3) its points, anchors included (length)
-    steps: Array  # (k - 1,) lengths of its parts
+    points: Array  # (k, 3), including anchors (length)
+    steps: Array  # (k - 1,) lengths of its segments
 
 
 def checked_scene(call: str, scene: object) -> Scene:
-    """The scene on which a net is laid out."""
+    """Checked scene of a net."""
     if not isinstance(scene, Scene):
         raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
     scene.membrane.check_finite(call)
@@ -52,7 +51,7 @@ def assembled(
     taut: bool = False,
     nodes: Array | None = None,
 ) -> Net:
-    """The net of families of routes (k, 2) or (k, 3), pulled taut or not. Collective."""
+    """The net of families of routes (k, 2) or (k, 3), pulled taut if `taut`. Collective."""
     lines: list[NetLine] = []
     ways: list[_Way] = []
     for letter, routes in zip(ascii_uppercase, families, strict=False):
@@ -81,7 +80,7 @@ def route_of_call(call: str, route: object) -> Array:
 
 
 def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
-    """Points (k, 3) of a path, anchors included, and the lengths of its k - 1 parts."""
+    """Points (k, 3) of a path, including anchors, and lengths of its k - 1 segments."""
     ids = surface.strip.vertices
     rows = [np.searchsorted(ids, [*point.support, 0, 0][:3]) for point in path.points]
     weights = np.array([[*point.weights, 0.0, 0.0][:3] for point in path.points])
@@ -98,7 +97,7 @@ def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
 
 
 def _thinned(points: Array, apart: float) -> Array:
-    """Points of which none but the first and last is nearer to the one before, (m, 3)."""
+    """Points (m, 3) without inner ones closer than `apart` to the previous or the last."""
     kept = [points[0]]
     for point in points[1:-1]:
         if np.all(norm(point - np.array([kept[-1], points[-1]])) > apart):
@@ -107,7 +106,7 @@ def _thinned(points: Array, apart: float) -> Array:
 
 
 def _crossings(surface: WholeSurface, ways: Sequence[_Way]) -> tuple[NetCrossing, ...]:
-    """Where lines cross, by the cells in which both are: on edges and at vertices only once."""
+    """Crossings of lines of different families; those on edges and at vertices count once."""
     cells, strip = surface.strip.vertices[surface.cells], surface.strip
     in_cell: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for n, way in enumerate(ways):
@@ -140,7 +139,7 @@ def _crossings(surface: WholeSurface, ways: Sequence[_Way]) -> tuple[NetCrossing
 
 
 def _meeting(a: Array, b: Array) -> tuple[float, float] | None:
-    """Parameters at which two segments (2, 3) in one plane cross; None if they do not."""
+    """Parameters of the crossing of two coplanar segments (2, 3); None if they do not cross."""
     u, v, w = a[1] - a[0], b[1] - b[0], b[0] - a[0]
     normal = cross(u, v)
     square = float(dot(normal, normal))

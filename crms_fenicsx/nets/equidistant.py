@@ -1,9 +1,9 @@
-"""Equidistant nets: all meshes have sides of one length, as those of nets made in a workshop.
+"""Equidistant nets: all meshes have sides of equal length, like nets made in a workshop.
 
-Also called Chebyshev nets (P. L. Chebyshev, Sur la coupe des vêtements, 1878). Node by node each
-new one is found by the compass: at one distance from two neighbours. On a surface of Gaussian
-curvature K the angle w between the families changes by w_uv = -K sin w, so that far from the two
-first lines the meshes fold.
+Also called Chebyshev nets (P. L. Chebyshev, Sur la coupe des vêtements, 1878). Each new node is
+found by the compass method, at one distance from two neighbours. On a surface of Gaussian curvature
+K the angle w between the families changes by w_uv = -K sin w, so the meshes fold far from the two
+first lines.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from crms_fenicsx.scene import Scene
 Node = tuple[int, int]
 
 AXES: tuple[Node, ...] = ((1, 0), (-1, 0), (0, 1), (0, -1))
-"""Ways from the origin along the two first lines."""
+"""Directions from the origin along the two first lines, in node numbers."""
 
 APART = 0.51
-"""Distance, in widths, from any other node below which a line has come around a tube. The diagonals
-of meshes with angles of 30 degrees are longer."""
+"""Distance from other nodes, relative to the width, below which a line has come around a tube; the
+diagonals of meshes with angles of 30 degrees are longer."""
 
 
 @collective
@@ -42,12 +42,12 @@ def equidistant(
     *,
     least_angle: float = 30.0,
 ) -> Net:
-    """Lay out a net whose meshes all have sides of one length. Collective.
+    """Lay out a net whose meshes have sides of equal length. Collective.
 
     Two geodesics start from the origin; between them each node lies at the distance `width` from
     two others. The net ends where a mesh would have an angle below `least_angle`; from there, all
-    lines run straight on to the rim. Where a geodesic ends at the rim before the membrane does, the
-    next line of its family starts from one that goes on.
+    lines run straight on to the rim. Where a geodesic meets the rim before the membrane ends, the
+    next line of its family continues straight in its place.
 
     The lines are no geodesics, so cables that slide freely do not stay on them: clamp their
     crossings, or let friction hold them.
@@ -130,17 +130,17 @@ def equidistant(
 
 
 class Chart:
-    """The nodes of a net by their numbers in both families."""
+    """The nodes of a net, numbered along both families."""
 
     def __init__(self, surface: WholeSurface, width: float, least_angle: float) -> None:
         self.surface, self.width, self.least_angle = surface, width, least_angle
         self.nodes: dict[Node, Array] = {}
-        # where meshes would fold: number of meshes from the origin, angle (degrees), place
+        # folds: number of meshes from the origin, angle (degrees), place
         self.folds: list[tuple[int, float, tuple[float, ...]]] = []
         self._folded: set[Node] = set()
 
     def grow(self, origin: Array, ways: Sequence[Array]) -> None:
-        """Find the nodes along the two first lines, and then those between them."""
+        """Find the nodes along the two first lines, then those between."""
         self.nodes[0, 0] = origin
         for (i, j), way in zip(AXES, ways, strict=True):
             self._grow_axis(i, j, origin, way)
@@ -149,7 +149,7 @@ class Chart:
                 self._fill(p, q)
 
     def _grow_axis(self, i: int, j: int, point: Array, way: Array) -> None:
-        """Go on from the origin, until the rim or until the line comes back to itself."""
+        """Extend a line from the origin to the rim, or until it closes."""
         first = self.surface.step(point, way, self.width)
         if first is None:
             return
@@ -159,7 +159,7 @@ class Chart:
                 self.nodes[k * i, k * j] = new
 
     def _fill(self, p: int, q: int) -> None:
-        """Find the nodes of a quadrant, in the order of their distance from the origin."""
+        """Find the nodes of a quadrant, in order of their distance from the origin."""
         reach = max(p * i + q * j for i, j in self.nodes)
         level = 1
         while level < max(reach, 2) + 1:
@@ -172,7 +172,7 @@ class Chart:
                     reach = max(reach, level)
 
     def _node(self, p: int, q: int, i: int, j: int) -> Array | None:
-        """A node from its neighbours nearer to the origin; None where there is none."""
+        """A node from its neighbours closer to the origin; None if it cannot be found."""
         nodes, beside, below = self.nodes, (i - p, j), (i, j - q)
         if {beside, below, (i - p, j - q)} & self._folded:
             self._folded.add((i, j))
@@ -186,7 +186,7 @@ class Chart:
         return None
 
     def _by_compass(self, node: Node, a: Array, b: Array, corner: Array) -> Array | None:
-        """The node opposite to a mesh's corner; None where there is the rim, or meshes fold."""
+        """The fourth node of a mesh; None beyond the rim or where meshes fold."""
         found = self.surface.compass(a, b, self.width)
         found = found[norm(found - corner) > SAME_POINT * self.width]
         if not len(found):
@@ -200,7 +200,7 @@ class Chart:
         return np.asarray(new)
 
     def _straight_on(self, node: Node, last: Node, before: Node) -> Array | None:
-        """The node after the last two of a line whose neighbour ends at the rim."""
+        """The node straight ahead on a line whose adjacent line has ended at the rim."""
         if before not in self.nodes:
             return None
         point = self.nodes[last]
@@ -211,7 +211,7 @@ class Chart:
         return new
 
     def table(self) -> Array:
-        """The nodes by number, from the lowest ones on, (n, m, 3); NaN where there is none."""
+        """Nodes by number from the lowest on, (n, m, 3); NaN where missing."""
         numbers = np.array(list(self.nodes))
         low, high = numbers.min(axis=0), numbers.max(axis=0)
         table = np.full((*(high - low + 1), 3), np.nan)
@@ -223,7 +223,7 @@ class Chart:
         return [self._family(0), self._family(1)]
 
     def _family(self, along: Literal[0, 1]) -> list[Array]:
-        """Routes of the lines on which one of the two numbers grows."""
+        """Routes of the lines along which one of the node numbers increases."""
         found = []
         for other in sorted({node[1 - along] for node in self.nodes}):
             own = sorted(node[along] for node in self.nodes if node[1 - along] == other)
@@ -244,7 +244,7 @@ def _angle(corner: Array, a: Array, b: Array) -> float:
 
 
 def _vector(what: str, value: object) -> Array:
-    """Two or three finite numbers, (2,) or (3,)."""
+    """A vector of two or three finite numbers, (2,) or (3,)."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Nets of shortest paths, on which cables without friction stay where they are laid."""
+"""Nets of geodesics, along which frictionless cables stay in place."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def geodesics_across(
 
 
 def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> Array:
-    """Points (k, 3) of the line straight on from rim to rim, through a point in a direction."""
+    """Points (k, 3) of the straight line through a point in a direction, from rim to rim."""
     halves = []
     for sign in (-1.0, 1.0):
         first = surface.step(start, sign * way, step)
@@ -155,7 +155,7 @@ def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> 
 
 
 def _checked_pairs(edges: object) -> list[tuple[str, str]]:
-    """Pairs of names of groups."""
+    """Checked pairs of group names."""
     pairs = list(edges) if isinstance(edges, list | tuple) else []
     for pair in pairs:
         if not isinstance(pair, list | tuple) or len(pair) != 2:
@@ -170,7 +170,7 @@ def _checked_pairs(edges: object) -> list[tuple[str, str]]:
 
 
 def _chain(surface: WholeSurface, name: str) -> Array:
-    """Places of the vertices of a group of edges from end to end, (k, 3). Collective."""
+    """Vertices of an edge group from end to end, (k, 3). Collective."""
     membrane = surface.membrane
     groups = membrane.mesh.edges
     if name not in groups:
@@ -191,7 +191,7 @@ def _chain(surface: WholeSurface, name: str) -> Array:
 
 
 def _divided(points: Array, n: int) -> Array:
-    """The n points that divide a polyline into equal parts, (n, 3)."""
+    """The n points that divide a polyline into n + 1 equal parts, (n, 3)."""
     along = arc_lengths(points)
     at = along[-1] * np.arange(1, n + 1) / (n + 1)
     return np.column_stack([np.interp(at, along, points[:, i]) for i in range(3)])

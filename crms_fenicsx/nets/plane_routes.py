@@ -1,4 +1,4 @@
-"""Nets of plane sections, great circles, and paths of one's own."""
+"""Nets of plane sections, great circles and user-defined paths."""
 
 from __future__ import annotations
 

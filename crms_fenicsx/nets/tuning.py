@@ -1,4 +1,4 @@
-"""Lengths of cables for prescribed tensions."""
+"""Unstressed lengths of cables for prescribed tensions."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from crms_fenicsx.scene.state import SceneState
 
 
 class _Reached(Exception):  # noqa: N818 - no error: the end of a search
-    """The tensions are those that are wanted."""
+    """The wanted tensions are reached."""
 
 
 class Tuned(Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     scene: ReadOnly[Scene]
     comm: MPI.Intracomm
 
     def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
-        """Go to other lengths."""
+        """Solve at other unstressed lengths."""
 
     def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
         """Derivatives of tensions."""
@@ -39,7 +39,7 @@ class Tuned(Protocol):
         """The current state."""
 
     def restore(self, snapshot: SceneState) -> None:
-        """Bring the scene back to a state."""
+        """Restore a state of the scene."""
 
 
 @collective
@@ -104,7 +104,7 @@ def tune(
         return found
 
     def slopes(shares: Array) -> Array:
-        errors(shares)  # where the last step was none to keep
+        errors(shares)  # in case the last step was not at these lengths
         return solver.sensitivities(cables, cables).values * first / wanted[:, None]
 
     try:

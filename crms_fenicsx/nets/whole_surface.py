@@ -1,4 +1,4 @@
-"""The membrane's current shape on all ranks, and steps of given length over its triangles."""
+"""The membrane's current shape on all ranks, and steps of given length across its triangles."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from crms_fenicsx.surface.closest_point import TargetSurface, places_in_plan
 from crms_fenicsx.surface.feet import feet_of
 
 ON_CELL = 1e-9
-"""Distance from a triangle, relative to its size, up to which a point counts as lying on it."""
+"""Distance outside a triangle, relative to its size, within which a point counts as inside."""
 
 SAME_POINT = 1e-6
-"""Distance, relative to that of a step, up to which two points are one."""
+"""Distance, relative to the step, below which two points are the same."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +49,28 @@ class WholeSurface:
 
     @cached_property
     def _corners(self) -> Array:
-        """Corners of the cells, (m, 3, 3)."""
+        """Cell corners (m, 3, 3)."""
         return self.points[self.cells]
 
     @cached_property
     def _tree(self) -> tuple[cKDTree, float]:
-        """The cells' centres, and the largest distance of a corner from its centre."""
+        """Tree of the cells' centres, and the largest distance of a corner from its centre."""
         centres, radii = balls(self._corners)
         return cKDTree(centres), float(radii.max())
 
     @cached_property
     def size(self) -> float:
-        """Mean size of the cells (length)."""
+        """Mean cell size (length)."""
         return float(np.sqrt(norm(double_areas(self._corners)).mean()))
 
     def _near(self, point: Array, reach: float) -> Integers:
-        """Rows of the cells of which some part may be within reach."""
+        """Rows of the cells possibly within reach of a point."""
         tree, radius = self._tree
         found = tree.query_ball_point(point, reach + radius, return_sorted=True)
         return np.array(found, dtype=np.int64)
 
     def place(self, point: Array) -> Array:
-        """The place of a point given in plan, (2,), or in space, (3,); (3,)."""
+        """Point on the surface (3,) for a point in plan (2,) or in space (3,)."""
         if len(point) == 3:
             foot = feet_of(self.points, self.cells, point[None])[0]
             if foot.distance > foot.size:
@@ -83,8 +83,7 @@ class WholeSurface:
         return places_in_plan(target, point[None], 1e-3)[0].position
 
     def normal(self, point: Array) -> Array:
-        """Unit normal (3,) of the smooth surface at a point of it; of the facet where it has none,
-        as at creases."""
+        """Unit normal (3,) of the smooth surface at a point; at creases the facet's."""
         tree, radius = self._tree
         near = self._near(point, float(tree.query(point)[0]) + radius)
         weights, _, gaps = closest(self._corners[near], point)
@@ -97,8 +96,7 @@ class WholeSurface:
         return np.asarray(normal / norm(normal))
 
     def tangent(self, point: Array, direction: Array) -> Array:
-        """Unit tangent (3,) at a point: below a direction in plan, (2,), or that nearest to one in
-        space, (3,)."""
+        """Unit tangent (3,) at a point, along a direction in plan (2,) or in space (3,)."""
         normal = self.normal(point)
         way = np.append(direction, 0.0)[:3]
         if len(direction) == 2:
@@ -117,11 +115,11 @@ class WholeSurface:
         return np.asarray(way / norm(way))
 
     def compass(self, a: Array, b: Array, reach: float) -> Array:
-        """All points of the surface at one distance from two of its points, (k, 3)."""
+        """All points of the surface at distance `reach` from two of its points, (k, 3)."""
         near = np.intersect1d(self._near(a, reach), self._near(b, reach))
         x, middle, across = self._corners[near], (a + b) / 2, b - a
         normals = double_areas(x)
-        # They lie on a circle around the middle, which meets the plane of a cell in two points.
+        # The points lie on a circle around the middle, which meets a cell's plane in two points.
         line = cross(normals, across)
         square = np.maximum(dot(line, line), 1e-300)
         height = dot(normals, x[:, 0] - middle)
@@ -144,8 +142,7 @@ class WholeSurface:
         return y, np.all(weights >= -ON_CELL, axis=1)
 
     def step(self, point: Array, way: Array, length: float) -> Array | None:
-        """Go straight on for a distance, in the plane of the normal and a direction; None where
-        the surface ends before."""
+        """The point straight ahead at a distance; None if the surface ends before."""
         across = cross(self.normal(point), way)
         starts, sides = self._section(self._corners[self._near(point, length)], point, across)
         from_start = starts - point
@@ -163,7 +160,7 @@ class WholeSurface:
 
     @staticmethod
     def _section(x: Array, origin: Array, across: Array) -> tuple[Array, Array]:
-        """Segments in which a plane cuts triangles (k, 3, 3): starts and vectors to the ends."""
+        """Segments of triangles (k, 3, 3) cut by a plane: start points and vectors to the ends."""
         height = dot(x - origin, across)
         above = height >= 0.0
         cut = above.any(axis=1) & ~above.all(axis=1)
@@ -180,14 +177,14 @@ class WholeSurface:
 
     @cached_property
     def _rim(self) -> tuple[Array, cKDTree, float]:
-        """Ends (e, 2, 3) of the edges with one cell, and their middles with half the longest."""
+        """Boundary edges (e, 2, 3), a tree of their midpoints, and half the longest edge."""
         table = EdgeTable.of(self.cells)
         ends = self.points[table.vertices[table.counts == 1]]
         half = float(norm(ends[:, 1] - ends[:, 0]).max(initial=0.0)) / 2
         return ends, cKDTree(ends.mean(axis=1)), half
 
     def rim_ahead(self, point: Array, way: Array, reach: float) -> Array | None:
-        """Where the way straight on first meets the rim, within reach; None if it does not."""
+        """First crossing of the rim straight ahead, within reach; None if there is none."""
         ends, tree, half = self._rim
         ends = ends[np.array(tree.query_ball_point(point, reach + half), dtype=np.int64)]
         height = dot(ends - point, cross(self.normal(point), way))
@@ -200,8 +197,7 @@ class WholeSurface:
         return found[ahead][np.argmin(away[ahead])] if ahead.any() else None
 
     def to_rim(self, line: list[Array], length: float) -> list[Array]:
-        """Lead a line of two or more points straight on by steps, to the rim or until it comes back
-        to itself."""
+        """Extend a line of at least two points straight by steps, to the rim or until it closes."""
         line = list(line)
         while True:
             last = line[-1]
@@ -216,7 +212,7 @@ class WholeSurface:
 
 
 def _distinct(points: Array, apart: float) -> Array:
-    """Points of which none is as near to an earlier one as that, (k, 3)."""
+    """Points (k, 3), each farther than `apart` from all earlier ones."""
     kept: list[Array] = []
     for point in points:
         if all(norm(point - other) > apart for other in kept):

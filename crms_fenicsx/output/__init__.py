@@ -1,4 +1,4 @@
-"""What a run leaves behind: its history, files for ParaView, and pictures."""
+"""Output of a run: history, ParaView files and pictures."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -42,7 +42,7 @@ NAMES = {
     "crms_fenicsx.output.vtkhdf": ("write_vtkhdf",),
     "crms_fenicsx.views.view_data": ("Line", "Surface"),
 }
-"""Modules that are imported when a name of theirs is first asked for."""
+"""Modules imported at the first access to one of their names."""
 
 
 def __getattr__(name: str) -> object:

@@ -1,4 +1,4 @@
-"""The numbers of a run, one row per load step, in memory and in a CSV file."""
+"""History of a run: one row of values per load step, in memory and in a CSV file."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
 
 MARK = "'"
-"""What comes before a text that spreadsheets would calculate, or that begins with it itself."""
+"""Prefix of a text that a spreadsheet would take for a formula, or that starts with the prefix."""
 CALCULATED = ("=", "+", "-", "@", "\t", "\r", "\n", MARK)
 
 
 def escaped(cell: object) -> object:
-    """A cell for a file; numbers stay as they are."""
+    """A cell for the file; numbers stay unchanged."""
     return MARK + cell if isinstance(cell, str) and cell.startswith(CALCULATED) else cell
 
 
 def unescaped(text: str) -> str:
-    """The text that a file has for a cell."""
+    """The text of a file's cell."""
     return text.removeprefix(MARK)
 
 
 Value = int | float | str
 
 MOST_SHOWN = 20
-"""Rows that a notebook shows, the last ones."""
+"""Number of last rows shown in a notebook."""
 
 
 class History:
@@ -76,7 +76,7 @@ class History:
         return tuple(self._columns)
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         return f"History({counted(len(self), 'row')}; {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str:
@@ -95,7 +95,7 @@ class History:
         return (dict(row) for row in self._rows)
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return a column: integers, floats with NaN where absent, or text with "" there."""
+        """Values of a column: integers, floats or texts; NaN or "" where missing."""
         if column not in self._columns:
             raise InputError(f"no column {column!r}; there are {self._columns}")
         given = [row[column] for row in self._rows if column in row]
@@ -208,7 +208,7 @@ def _name(column: object) -> str:
 
 
 def _short(value: Value | None) -> str:
-    """A value as a table in a notebook shows it; nothing where there is none."""
+    """A value as shown in a notebook's table; "" for None."""
     if value is None:
         return ""
     return f"{value:.5g}" if isinstance(value, float) else escape(str(value))

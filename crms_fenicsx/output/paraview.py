@@ -1,7 +1,7 @@
-"""Time series for ParaView, `surface.pvd` and `cables.pvd`, of meshes in VTK XML files (.vtu).
+"""Time series for ParaView: `surface.pvd` and `cables.pvd` list meshes in VTK XML files (.vtu).
 
-The numbers follow the XML text as they are in memory ("appended raw"), array by array, each after
-its size in bytes. So every rank knows where its rows go as soon as it knows all ranks' counts.
+The arrays follow the XML text in binary form ("appended raw"), each after its size in bytes. So
+every rank knows its offsets in the file from all ranks' counts.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from crms_fenicsx.runtime.files import PARTIAL, absolute, make_writable, read_te
 from crms_fenicsx.views.view_data import Line, Surface, joined
 
 CELL_TYPES = {2: 3, 3: 5}
-"""VTK's number of a cell by its corners: line and triangle."""
+"""VTK cell types by number of corners: line and triangle."""
 
 SECTIONS = ("Points", "Cells", "PointData", "CellData")
 
 SIZE = np.dtype("<u8")
-"""Type of the number before each array."""
+"""Type of the size before each array."""
 
 BEGIN = """<?xml version="1.0"?>
 <VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">
@@ -45,7 +45,7 @@ END = b"\n  </AppendedData>\n</VTKFile>\n"
 
 
 class Column(NamedTuple):
-    """What an array of the file is: its section, its name, its type and components of a row."""
+    """An array of the file: its section, name, type and components per row."""
 
     section: str
     name: str
@@ -54,19 +54,19 @@ class Column(NamedTuple):
 
     @property
     def on_points(self) -> bool:
-        """Whether it has a row for each point, and not for each cell."""
+        """Whether it has a row per point, rather than per cell."""
         return self.section in ("Points", "PointData")
 
     @property
     def row_size(self) -> int:
-        """Bytes of a row."""
+        """Bytes per row."""
         return np.dtype(self.dtype).itemsize * self.components
 
     def tag(self, offset: int) -> str:
-        """XML element that says where the array is."""
+        """XML element with the array's offset."""
         dtype = np.dtype(self.dtype)
         kind = {"i": "Int", "u": "UInt", "f": "Float"}[dtype.kind] + str(8 * dtype.itemsize)
-        # A row of cells has all corners of one, which VTK counts one by one.
+        # VTK counts the corners of cells one by one, although a row holds all corners of a cell.
         many = self.components > 1 and self.section != "Cells"
         components = f'NumberOfComponents="{self.components}" ' if many else ""
         return (
@@ -84,8 +84,7 @@ def write_vtu(
     cell_data: Mapping[str, NDArray[Any]],
     texts: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Write points (n, 3), cells (m, corners), data on both, and texts of the whole mesh by name.
-    Collective."""
+    """Write points (n, 3), cells (m, corners), data on both, and named texts. Collective."""
     corners = cells.shape[1]
     first_point, n_points = first_row(len(points), comm)
     first_cell, n_cells = first_row(len(cells), comm)
@@ -129,7 +128,7 @@ def write_vtu(
 
 
 def _field_data(texts: Mapping[str, Sequence[str]]) -> str:
-    """XML element of texts: VTK has their bytes as numbers, each text with a zero at its end."""
+    """XML element of texts, which VTK stores as byte values, each text ending in zero."""
     arrays = [
         f'      <DataArray type="String" Name={quoteattr(name)} NumberOfTuples="{len(some)}" '
         f'format="ascii">{" ".join(str(k) for text in some for k in (*text.encode(), 0))}'
@@ -140,7 +139,7 @@ def _field_data(texts: Mapping[str, Sequence[str]]) -> str:
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Values in a type that VTK has, little endian."""
+    """Values in a type known to VTK, little endian."""
     dtype = values.dtype
     if dtype.kind == "f" and dtype.itemsize not in (4, 8):
         dtype = np.dtype(np.float64)
@@ -152,7 +151,7 @@ def _bytes(text: bytes) -> NDArray[np.uint8]:
 
 
 def _agreed(own: list[Column], comm: MPI.Intracomm) -> list[Column]:
-    """The columns of all ranks, of which those without points and cells have none."""
+    """The columns common to all ranks that have points or cells."""
     known = [(rank, part) for rank, part in enumerate(comm.allgather(own)) if part]
     first, columns = known[0]
     for rank, other in known[1:]:
@@ -251,7 +250,7 @@ class Series:
         )
         with raised_together(self.comm):
             if self.comm.rank == 0:
-                # without a file for no lines the last ones would stay in the picture
+                # without a new file, ParaView would keep showing the last lines
                 some = lines or self._entries["cables"]
                 names = {"names": [line.name for line in lines]}
                 if some:
@@ -267,7 +266,7 @@ class Series:
         self.times.append(float(time))
 
     def _rows(self, surface: Surface) -> tuple[Integers, Integers]:
-        """The points that this rank writes, and the row of each of its points in the file."""
+        """Indices of the points that this rank writes, and the file row of each of its points."""
         n = len(surface.points)  # type: ignore[arg-type]
         homes = np.stack([np.full(n, self.comm.rank), np.arange(n)], axis=1)
         if surface.homes is not None:
@@ -311,7 +310,7 @@ class Series:
         self._begun = False
 
     def _listed(self, collection: str, times: Sequence[float]) -> list[str]:
-        """Entries of a collection's file at some times."""
+        """Entries of a collection's file at given times."""
         path = self.folder / f"{collection}.pvd"
         if not path.exists():
             return []
@@ -325,9 +324,9 @@ class Series:
         return [_entry(time, name) for time, name in found if time in times]
 
     def _begin(self, steps: Path) -> None:
-        """Remove an older series, but for the steps that this one goes on from."""
+        """Remove an older series except for the steps to keep."""
         make_writable(steps)
-        # the collections first, so that none ever lists a file that is gone
+        # collections first, so that none ever lists a removed file
         for collection, entries in self._entries.items():
             if entries:
                 self._write(collection, entries)

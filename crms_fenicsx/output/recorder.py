@@ -1,4 +1,4 @@
-"""What a solver writes of each accepted load step, into a folder that it keeps to itself."""
+"""Records of accepted load steps, in a folder locked for one solver."""
 
 from __future__ import annotations
 
@@ -32,14 +32,13 @@ if TYPE_CHECKING:
 
 
 NAME = ".lock"
-"""Name of the file that is locked. It stays, as a file that comes and goes could be locked twice.
-"""
+"""Name of the locked file, which is never removed: a recreated file could be locked twice."""
 GRACE = 10.0
-"""Seconds for which a run that goes on waits for the processes of the one that was killed."""
+"""Seconds for which a resumed run waits for processes of the killed one."""
 
 
 class FolderLock:
-    """Keeps other writers out of a folder, where locks exist, until it or its process ends."""
+    """Lock on a folder, until it or its process ends, where the file system has locks."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
         self.folder, self.comm = folder, comm
@@ -47,7 +46,7 @@ class FolderLock:
         self._taken = False
 
     def take(self, going_on: bool) -> None:
-        """Keep others out from now on. Collective."""
+        """Acquire the lock. Collective."""
         deadline = time.monotonic() + (GRACE if going_on else 0.0)
         collected = False
         while not self._taken:
@@ -61,12 +60,12 @@ class FolderLock:
                     "other one end first: its process, or in the same script `del solver`."
                 )
             if not self._taken:
-                gc.collect()  # a solver in a cycle of references, as the frames of errors are
+                gc.collect()  # frees solvers in reference cycles, such as frames of errors
                 time.sleep(0.1 if collected else 0.0)
                 collected = True
 
     def _try(self) -> str | None:
-        """Take the lock on this rank; who has it, if it is not free."""
+        """Try to lock on this rank; returns the current holder, or None."""
         make_writable(self.folder)
         path = self.folder / NAME
         with explained(path):
@@ -79,7 +78,7 @@ class FolderLock:
             return holder or "another process"
         except OSError:
             pass  # no locks on this file system
-        with suppress(OSError):  # the text is for messages only
+        with suppress(OSError):  # the text only serves messages
             os.ftruncate(number, 0)
             os.pwrite(number, self._own.encode(), 0)
         weakref.finalize(self, os.close, number)
@@ -89,14 +88,13 @@ class FolderLock:
 class Recorder:
     """Records a scene's load steps.
 
-    Columns of the `history`: number, "halvings" of the increment, "pressure", "load" factors,
-    "energy" and that of each kind of term, "dissipated" by friction and "passes" of its forces,
-    "volume" gained; "tension", "length" and "L0" of each cable by its name (with friction along it
-    or clamps also "start" and "end"), the force of each "clamp" along the membrane; "force",
-    "bar length" and "bar L0" of each bar; "warnings", "blocked points", and of the
-    solve "iterations", "evaluations", "factorizations", "solves", "flips", "residual" (force) and
-    "seconds". With `estimate` also "error of energy" (force x length) and
-    "relative error".
+    Columns of the `history`: "step", "halvings" of the increment, "pressure", "load" factors,
+    "energy" and that of each kind of term, energy "dissipated" by friction and "passes" of its
+    forces, "volume" gained; "tension", "length" and "L0" of each cable (also "start" and "end"
+    tensions with friction along it or clamps), the force of each "clamp" along the membrane;
+    "force", "bar length" and "bar L0" of each bar; "warnings", "blocked points", and the solve's
+    "iterations", "evaluations", "factorizations", "solves", "flips", "residual" (force) and
+    "seconds". With `estimate` also "error of energy" (force x length) and "relative error".
     """
 
     def __init__(self, scene: Scene, folder: str | Path | None, estimate: bool = False) -> None:
@@ -112,12 +110,12 @@ class Recorder:
             self._lock = FolderLock(self.series.folder, scene.comm)
 
     def claim(self, going_on: bool = False) -> None:
-        """Keep the folder for this recorder, until it is gone or its process ends. Collective."""
+        """Lock the folder for this recorder, until it or its process ends. Collective."""
         if self._lock is not None:
             self._lock.take(going_on)
 
     def write(self, step: Step, system: System, case: str = "") -> None:
-        """Record a step that the scene has just reached, in a branch of a name. Collective."""
+        """Record the step just accepted, of a named load case. Collective."""
         row = self._row(step)
         if self._estimator is not None:
             estimate = self._estimator.of(system)
@@ -134,7 +132,7 @@ class Recorder:
             self.series.write(step.number, surface, lines, case)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
-        """Go on after the steps of an earlier run, with its files if they fit. Collective."""
+        """Continue after the steps of an earlier run, in its files if they match. Collective."""
         with raised_together(self.scene.comm):
             self.history.resume(rows)
         path = self.history.path
@@ -193,12 +191,12 @@ class Recorder:
         row["solves"] = outcome.solves
         row["flips"] = outcome.flips
         row["residual"] = outcome.residual
-        # Each rank's clock says something else; a row is the same on all.
+        # ranks' clocks differ, but a row must be the same on all
         row["seconds"] = scene.comm.bcast(step.seconds)
         return row
 
     def _volume(self) -> float:
-        """The volume gained in the step's state: where it can be, from the work of the pressure."""
+        """Volume gained at this step, from the work of the pressure where possible."""
         scene = self.scene
         if scene.pressure_law == "total" and scene.pressure != 0.0 and scene.air.sealed is None:
             return -scene.energies["pressure"] / scene.pressure
@@ -206,9 +204,9 @@ class Recorder:
 
 
 def _begins(path: Path, history: History) -> bool:
-    """Whether a table begins with the rows of a history."""
+    """Whether a table in a file begins with the rows of a history."""
     try:
-        there = History.read(path)  # refuses one that is missing
+        there = History.read(path)  # raises InputError if missing
     except InputError:
         return False
     n = len(history)

@@ -1,7 +1,7 @@
-"""Files that all ranks write at once, such as numpy arrays (.npy), so that nothing is gathered.
+"""Files written by all ranks together, and arrays (.npy) whose rows have global ids.
 
-Rows have global ids, so that any number of ranks can write them and any other read them. The first
-rank has the whole array while it writes or reads the file.
+Any number of ranks can write an array's rows and any other number read them. The first rank holds
+the whole array meanwhile.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from crms_fenicsx.runtime.files import (
 )
 
 SLAB = 2**30
-"""Most bytes that one call writes, as MPI counts them in 32 bits."""
+"""Largest number of bytes per write call, as MPI counts in 32 bits."""
 
 Part = tuple[int, NDArray[Any]]
-"""Where in a file, in bytes from its beginning, an array goes."""
+"""Offset in a file (bytes) and the array written there."""
 
 
 def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[Part]) -> None:
-    """Write parts of a file from all ranks, which then takes the place of `path`. Collective."""
-    # Ranks write independently: MPI's collective writing waits forever for one whose disk is full.
+    """Write parts of a file from all ranks, then replace `path` by it. Collective."""
+    # Ranks write independently: collective MPI writes deadlock if a rank's disk is full.
     partial = partial_of(path)
     try:
         with raised_together(comm), explained(path):
@@ -52,7 +52,7 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
                 for offset, array in parts:
                     _write(file, offset, array)
             with raised_together(comm), explained(path), _as_system_error(path):
-                file.Sync()  # now it is on the disk
+                file.Sync()  # flushes to disk
         finally:
             file.Close()
         with raised_together(comm), explained(path):
@@ -65,7 +65,7 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
 
 
 def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
-    """How many rows the ranks before this one have, and how many all have. Collective."""
+    """Number of rows of the previous ranks, and of all ranks. Collective."""
     before = comm.exscan(count)
     return (0 if before is None else int(before)), int(comm.allreduce(count))
 
@@ -80,7 +80,7 @@ def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
 
 @contextmanager
 def _as_system_error(path: Path) -> Iterator[None]:
-    """Let an error of MPI be one of the system, of which MPI does not tell the reason."""
+    """Raise MPI errors as OSError with the free disk space, as MPI gives no reason."""
     try:
         yield
     except MPI.Exception as error:
@@ -92,14 +92,14 @@ def _as_system_error(path: Path) -> Iterator[None]:
 Rows = npt.NDArray[Any]
 
 HEADER = 128
-"""Bytes before the numbers."""
+"""Bytes before the values."""
 
 FACTOR = np.uint64(0x9E3779B97F4A7C15)
-"""An odd number whose multiples look random."""
+"""Odd multiplier for hashing (golden ratio)."""
 
 
 def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
-    """Write an array of the ranks' rows `ids` (n,); returns its digest. Collective."""
+    """Write an array from all ranks' rows `ids` (n,); returns its digest. Collective."""
     parts, found = comm.gather((ids, values)), ""
     with raised_together(comm):
         if parts is not None:
@@ -114,13 +114,13 @@ def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, tot
 
 
 def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
-    """How a file of version 1.0 begins: the same bytes for the same type and shape."""
+    """Header of an .npy file of version 1.0: equal bytes for equal type and shape."""
     text = repr({"descr": dtype.str, "fortran_order": False, "shape": shape})
     return b"\x93NUMPY\x01\x00\x76\x00" + text.ljust(HEADER - 11).encode() + b"\n"
 
 
 def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
-    """A number that another array hardly has, from all ranks' rows (n, ...). Collective."""
+    """Checksum of all ranks' rows (n, ...), independent of their distribution. Collective."""
     columns = np.ascontiguousarray(values.reshape(len(values), int(np.prod(values.shape[1:]))))
     words = columns.view(np.uint64) if columns.dtype.itemsize == 8 else columns.astype(np.uint64)
     numbers = np.zeros(len(ids), dtype=np.uint64)
@@ -138,7 +138,7 @@ def read_rows(
     shape: tuple[int, ...],
     due: str,
 ) -> Rows:
-    """Read the rows `ids` (n,) of an array, or all of them for None, (n, ...). Collective."""
+    """Read rows `ids` (n,) of an array, (n, ...), or all rows for None. Collective."""
     wanted, parts = comm.gather(ids), None
     with raised_together(comm):
         if wanted is not None:
@@ -148,7 +148,7 @@ def read_rows(
 
 
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
-    """Read an array of a type, shape and digest, or raise `InputError`."""
+    """Read an array of given type, shape and digest; raises `InputError` otherwise."""
     wrong, size = "", HEADER + dtype.itemsize * math.prod(shape)
     with readable(path, "give a checkpoint that is complete"):
         found = size_of_file(path)

@@ -1,7 +1,7 @@
-"""States of a structure as one VTKHDF file, with the combinations as its steps.
+"""States of a structure in one VTKHDF file, one step per combination.
 
-The file is an unstructured grid: triangles of the surface, then segments of cables and bars. Arrays
-of all steps follow each other, and the group Steps says where each begins (VTKHDF 2.2).
+The file is an unstructured grid: surface triangles, then segments of cables and bars. The arrays of
+all steps are concatenated; the group Steps holds their offsets (VTKHDF 2.2).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from crms_fenicsx.views.view_data import (
 )
 
 TRIANGLE, SEGMENT = 5, 3
-"""VTK's numbers of the cells."""
+"""VTK cell types."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -46,11 +46,11 @@ class Grid:
     geometry: Arrays  # "Points", "Connectivity", "Offsets" and "Types"
     on_points: Arrays
     on_cells: Arrays
-    lines: list[str]  # names
+    lines: list[str]  # line names
 
 
 class Solved(HasStates, Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     comm: MPI.Intracomm
 
@@ -147,7 +147,7 @@ def _grid(name: str, surface: Surface, lines: list[Line]) -> Grid:
 
 
 def _together(first: Mapping[str, Any], second: Mapping[str, Any], n: int, m: int) -> Arrays:
-    """Data of two meshes with n and m rows as one, NaN where a mesh has none."""
+    """Data of two meshes with n and m rows concatenated, NaN where undefined."""
     found: Arrays = {}
     for name in dict.fromkeys((*first, *second)):
         lacking = np.shape(first[name] if name in first else second[name])[1:]
@@ -197,7 +197,7 @@ def _write_texts(root: Any, name: str, of_steps: Sequence[Sequence[str]]) -> Non
     counts = np.array([len(some) for some in of_steps])
     if counts.any():
         texts = [text.encode() for some in of_steps for text in some]
-        # VTK takes bytes called ASCII only, and reads them as UTF-8
+        # VTK accepts only strings marked ASCII, but reads them as UTF-8
         kind = _h5py().string_dtype("ascii")
         root.create_dataset(f"FieldData/{name}", data=texts, dtype=kind)
         root[f"Steps/FieldDataOffsets/{name}"] = np.cumsum(counts) - counts

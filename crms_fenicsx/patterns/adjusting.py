@@ -1,4 +1,4 @@
-"""Compensation adjusted until the sewn roof has the wanted section forces, or the wanted form."""
+"""Compensation adjusted until the sewn roof reaches the wanted section forces or form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.solver import Solver
 
 Build = Callable[[Pattern], Solver]
-"""Makes scene and solver of a pattern, brings the loads on, and returns the solver."""
+"""Function that sews a pattern, applies supports and loads and returns the solver."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def adjust(
     found: list[Comparison] = []
     errors: list[float] = []
     names = [one.name for one in pattern.flat]
-    # logarithms of further stretches, and the changes that are called for there
+    # logarithms of the additional stretches, and the changes required at each iterate
     places: list[Array] = [np.zeros(2 * len(names) if each else 2)]
     changes: list[Array] = []
     while True:
@@ -140,8 +140,8 @@ def adjust(
 
 
 def _accelerated(places: list[Array], changes: list[Array]) -> Array:
-    """The next step of a fixed-point iteration by D. G. Anderson (J. ACM 12, 1965), which learns
-    how far the roof's edges give way."""
+    """Next step of the fixed-point iteration with Anderson acceleration (D. G. Anderson, J. ACM 12,
+    1965), which learns how flexible the roof's edges are."""
     depth = min(len(places) - 1, len(changes[-1]), 3)
     if depth == 0:
         return changes[-1]
@@ -151,8 +151,8 @@ def _accelerated(places: list[Array], changes: list[Array]) -> Array:
 
 
 def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[float, float]:
-    """Logarithms of further stretches along warp and weft, were the edges rigid."""
-    stretch = got.stretch  # what is too short is cut longer, and stretched less
+    """Logarithms of the additional stretches along warp and weft if the edges were rigid."""
+    stretch = got.stretch  # a piece that is too short is cut longer, hence stretched less
     if wanted is not None:
         assert isinstance(material, MembraneMaterial)
         stretch = 1.0 + np.linalg.solve(material.stiffness[:2, :2], wanted - got.mean)
@@ -161,7 +161,7 @@ def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[flo
 
 
 def _error(wanted: Array | None, got: SewnPiece) -> float:
-    """Largest difference from what is wanted."""
+    """Largest relative error of the section forces, or of the lengths."""
     if wanted is None:
         return float(np.abs(got.stretch - 1.0).max())
     return float(np.abs(got.mean - wanted).max() / np.abs(wanted).max())

@@ -1,4 +1,4 @@
-"""Flat pieces turned so that the warp lies along x."""
+"""Rotation of flat pieces so that the warp lies along x."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text
 
 SENSE = np.array([1.0, 1e-3, 1e-6])
-"""Along seams, which have no sense, the warp is to run along this in the form."""
+"""Sense of the warp in the form where it follows the seams."""
 
 
 def aligned(piece: Piece, flat: Array, warps: Array | None) -> Array:
-    """Flat places (n, 2), turned so that the mean of the warps (m, 3) of the cells in the form, or
-    without any of the seams, lies along x, and moved to positive ones."""
+    """Flat coordinates (n, 2), rotated so that the mean warp (cells' warps (m, 3) in the form; the
+    seams' direction if None) lies along x, and moved to the positive quadrant."""
     turned = _turned(flat, _angle(piece, flat, warps))
     if warps is None:
         x = piece.points[piece.triangles]
@@ -33,7 +33,7 @@ def _turned(flat: Array, angle: float) -> Array:
 
 
 def _angle(piece: Piece, flat: Array, warps: Array | None) -> float:
-    """Mean angle of the warp to x."""
+    """Mean angle between warp and x."""
     if warps is None:
         runs = [flat[edge.vertices] for edge in piece.edges if edge.sewn]
         lines = np.concatenate([np.diff(run, axis=0) for run in runs or [flat[piece.outline]]])

@@ -1,4 +1,4 @@
-"""Compensation: how much shorter than the form the fabric is cut, so that it is stretched there."""
+"""Compensation: how much shorter than the form the fabric is cut, to be stretched into it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 MOST = 0.5
-"""No fabric is cut shorter, or longer, by this part."""
+"""Bound of the compensation, as a fraction: a larger one is an input error."""
 
 Profile = float | Sequence[tuple[float, float]]
-"""A number, or numbers at places along a piece, from 0 at its start to 1 at its end."""
+"""A number, or pairs of position along a piece (0 at its start, 1 at its end) and number."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Shrink:
                 raise InputError(f"Shrink: the places of {name} = {given!r} must ascend.")
 
     def at(self, places: Array) -> Array:
-        """Parts along warp and weft at places along a piece, (n, 2)."""
+        """Compensations along warp and weft at positions along a piece, (n, 2)."""
         found = [np.array(_stations("", given)) for given in (self.warp, self.weft)]
         return np.stack([np.interp(places, *one.T) for one in found], axis=1)
 
@@ -72,7 +72,7 @@ def _stations(what: str, given: object) -> list[tuple[float, float]]:
 
 
 def checked_part(what: str, value: object) -> float:
-    """A part by which fabric can be cut shorter."""
+    """A checked compensation."""
     part = checks.finite(what, value)
     if not -MOST < part < MOST:
         raise InputError(
@@ -137,7 +137,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
 def stretches_for(
     call: str, material: MembraneMaterial, forces: float | tuple[float, float]
 ) -> Array:
-    """Stretches (2,) along warp and weft with these forces per current length."""
+    """Stretches (2,) along warp and weft at the given section forces per current length."""
     if not isinstance(material, MembraneMaterial) or material.law == UFL_LAW:
         raise InputError(
             f"{call}: material = {material!r} has no linear law; give an IsotropicMembrane or "
@@ -192,12 +192,12 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
 
 
 def warp_moduli(stiffness: Array) -> Array:
-    """E t along the warp (...) of stiffness matrices (..., 3, 3)."""
+    """Moduli E t along the warp (...) of stiffness matrices (..., 3, 3)."""
     return np.asarray(1.0 / np.linalg.inv(stiffness)[..., 0, 0])
 
 
 def width_in_tension(modulus: float, force: float, curvature: float) -> float:
-    """`largest_width` of a fabric with a modulus E t along the warp."""
+    """`largest_width` of a fabric with the modulus E t along the warp."""
     n, K = checks.positive("largest_width: force", force), abs(curvature)
     return float(np.sqrt(12.0 * n / (modulus * K))) if K > 0.0 else float("inf")
 
@@ -205,7 +205,7 @@ def width_in_tension(modulus: float, force: float, curvature: float) -> float:
 def shrinks_of(
     call: str, given: Shrink | Mapping[str, Shrink] | None, known: Iterable[str]
 ) -> dict[str, Shrink]:
-    """Compensations by names of pieces and parts; "" is that of all."""
+    """Compensations by names of pieces and parts; "" stands for all."""
     if given is None:
         return {}
     found = dict(given) if isinstance(given, Mapping) else {"": given}

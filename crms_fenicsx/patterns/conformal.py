@@ -1,4 +1,4 @@
-"""Conformal maps of pieces to the plane, from which flattening starts."""
+"""Conformal maps of pieces to the plane: the initial shapes for flattening."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 
 
 def conformal(points: Array, triangles: Integers) -> Array:
-    """Flat places (n, 2) of a disc's vertices (n, 3), its angles kept in the sense of least squares
-    and its area (B. Levy et al., Least squares conformal maps, ACM Trans. Graph. 21, 2002)."""
+    """Flat coordinates (n, 2) of a disc's vertices (n, 3) by the least-squares conformal map,
+    scaled to the disc's area (B. Levy et al., ACM Trans. Graph. 21, 2002)."""
     x = points[triangles]
     p, q = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
     length, double_area = norm(p), norm(cross(p, q))
@@ -37,12 +37,12 @@ def conformal(points: Array, triangles: Integers) -> Array:
 
 
 def double_areas_in_plane(flat: Array, triangles: Integers) -> Array:
-    """Twice the areas (m,) of triangles in the plane, positive if counter-clockwise."""
+    """Twice the signed areas (m,) of plane triangles, positive if counter-clockwise."""
     sides = cell_sides_in_plane(flat, triangles)
     return np.asarray(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
 
 
 def cell_sides_in_plane(flat: Array, triangles: Integers) -> Array:
-    """Two sides of triangles in the plane as columns, (m, 2, 2)."""
+    """Two side vectors of each plane triangle as columns, (m, 2, 2)."""
     x = flat[triangles]
     return np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)

@@ -1,4 +1,4 @@
-"""Cells divided along seams: a surface on which all seams are mesh edges."""
+"""Cells divided along seams, so that all seams are mesh edges."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.points import Edge, Support, SurfacePoint, VertexPoint, edge_of
 
 SAME = 1e-6
-"""Part of an edge within which two seams cross it at one point."""
+"""Crossings of an edge by two seams closer than this fraction of the edge are one point."""
 
 
 @dataclass(frozen=True)
 class CutSurface:
-    """A surface with seams along mesh edges."""
+    """A surface whose seams are mesh edges."""
 
-    surface: CheckedSurface  # with the groups of the one that was cut
-    lines: dict[str, Integers]  # vertices (k,) of each seam in order, by its name
+    surface: CheckedSurface  # with all groups of the original surface
+    lines: dict[str, Integers]  # vertices (k,) along each seam, by seam name
 
     @cached_property
     def seam_of(self) -> dict[Edge, str]:
-        """The seam along an edge."""
+        """The seam's name by edge."""
         found: dict[Edge, str] = {}
         for name, line in self.lines.items():
             for a, b in pairwise(integers(line)):
@@ -46,7 +46,7 @@ class CutSurface:
 
 
 def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
-    """Divide the cells that seams cross. Vertices keep their numbers, those of seams follow."""
+    """Divide the cells that seams cross; existing vertices keep their numbers."""
     _check_ends(surface, seams)
     points, lines = snapped(surface, seams)
     nodes = _CutNodes(surface, points)
@@ -60,7 +60,7 @@ def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
             if len(support) == 3:
                 chords.setdefault(support, []).append((u, v, seam.name))
                 whole.append(v)
-            else:  # along an edge, over the nodes that other seams have on it
+            else:  # along an edge, through other seams' nodes on it
                 whole += nodes.between((support[0], support[1]), u, v)
         ordered[seam.name] = np.array(whole, dtype=np.int64)
     cells, parents = _divided(surface, nodes, chords)
@@ -84,7 +84,7 @@ def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
 
 
 def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:
-    """Refuse seams that end inside the surface."""
+    """Raise an error for seams that end inside the surface."""
     for seam in seams:
         others = {p for other in seams if other is not seam for p in other.points}
         for end, place in ((seam.points[0], seam.path[0]), (seam.points[-1], seam.path[-1])):
@@ -97,7 +97,7 @@ def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:
 
 
 class _CutNodes:
-    """The vertices of the cut surface: those of the mesh, and those where seams cross edges."""
+    """Vertices of the cut surface: mesh vertices, and crossings of seams with edges."""
 
     def __init__(self, surface: PatternSurface, points: Array) -> None:
         self.surface = surface
@@ -105,7 +105,7 @@ class _CutNodes:
         self.on: dict[Edge, list[tuple[float, int]]] = {}
 
     def course(self, line: tuple[SurfacePoint, ...]) -> list[int]:
-        """The nodes of a seam."""
+        """The nodes along a seam."""
         return [self._node(p) for p in line]
 
     def _node(self, p: SurfacePoint) -> int:
@@ -123,18 +123,18 @@ class _CutNodes:
         return node
 
     def along(self, a: int, b: int) -> list[int]:
-        """The nodes inside an edge from a to b."""
+        """The nodes inside an edge, from a to b."""
         found = [node for _, node in self.on.get(edge_of(a, b), [])]
         return found if a < b else found[::-1]
 
     def between(self, edge: Edge, u: int, v: int) -> list[int]:
-        """The nodes of an edge after u up to v."""
+        """The nodes of an edge behind u, up to v."""
         whole = [edge[0], *self.along(*edge), edge[1]]
         i, j = whole.index(u), whole.index(v)
         return whole[i + 1 : j + 1] if i < j else whole[j:i][::-1]
 
     def divided(self, keys: Integers) -> Integers:
-        """The parts of edges (k,), by their `edge_keys`."""
+        """Segments (n,) of divided edges (k,), all as `edge_keys`."""
         pairs = []
         for a, b in edges_of(keys):
             pairs += list(pairwise([a, *self.along(a, b), b]))
@@ -144,7 +144,7 @@ class _CutNodes:
 def _divided(
     surface: PatternSurface, nodes: _CutNodes, chords: dict[Support, list[tuple[int, int, str]]]
 ) -> tuple[Integers, Integers]:
-    """The cells (m, 3) that chords leave, and the cells (m,) that they are parts of."""
+    """The triangles (m, 3) after division by chords, and their parent cells (m,)."""
     touched = {v for edge in nodes.on for v in edge} | {v for cell in chords for v in cell}
     cells: list[tuple[int, ...]] = []
     parents: list[int] = []
@@ -164,7 +164,7 @@ def _divided(
 def _split(
     rim: list[int], chords: list[tuple[int, int, str]], places: Array
 ) -> list[tuple[int, ...]]:
-    """The triangles of a cell with nodes around its rim, divided by chords."""
+    """The triangles of a cell, with nodes around its boundary, divided by chords."""
     polygons = [rim]
     for u, v, name in chords:
         own = next((p for p in polygons if u in p and v in p), None)
@@ -183,7 +183,7 @@ def _split(
 
 
 def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
-    """The triangles of a flat convex polygon, cut by the diagonals that leave the best ones."""
+    """Triangulation of a flat convex polygon whose worst triangle is best."""
     n = len(polygon)
     if n == 3:
         return [tuple(polygon)]
@@ -215,7 +215,7 @@ def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
 
 
 def _least_sine(corners: Array) -> float:
-    """Twice the area of a triangle over the product of its two longest sides, squared."""
+    """Squared sine of a triangle's smallest angle, from its area and two longest sides."""
     p, q, r = corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]
     area = np.cross(p, q)
     sides = sorted((p @ p, q @ q, r @ r))

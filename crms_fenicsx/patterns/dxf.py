@@ -16,11 +16,11 @@ from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
 
 LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
-"""Layers and their colours."""
+"""DXF layers and their colour numbers."""
 UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
-"""Units by the codes of the format."""
+"""DXF codes of the units of length."""
 TEXT = 0.04
-"""Height of a piece's name, relative to the roll; others have half of it."""
+"""Height of piece names relative to the roll's width; other texts are smaller."""
 
 
 @collective
@@ -69,7 +69,7 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
 
 
 def _document(nesting: Nesting, unit: str) -> Any:
-    """The drawing as a document of ezdxf."""
+    """The drawing, an ezdxf document."""
     try:
         import ezdxf
     except ImportError:
@@ -89,7 +89,7 @@ def _document(nesting: Nesting, unit: str) -> Any:
 
 
 def _draw(space: Any, one: Drawing, height: float) -> None:
-    """Put a piece into a drawing."""
+    """Add a piece to the drawing."""
     _polyline(space, one.cut_line, "CUT", closed=True)
     _polyline(space, one.seam_line, "SEAM", closed=True)
     for line in one.overlaps:

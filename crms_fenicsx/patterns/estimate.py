@@ -1,4 +1,4 @@
-"""How far pieces are from lying flat, estimated before they are laid flat."""
+"""Estimates of the distortion of pieces, before flattening."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 
 STATIONS = 64
-"""Sections at which the width of a piece is measured."""
+"""Number of sections at which a piece's width is measured."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def estimates(
 
 
 def _widths(outline: Array) -> Array:
-    """Widths (STATIONS,) of a closed outline (n, 2) at places along x."""
+    """Widths (STATIONS,) of a closed outline (n, 2) at equidistant sections across x."""
     low, high = outline[:, 0].min(), outline[:, 0].max()
     stations = low + (high - low) * (np.arange(STATIONS) + 0.5) / STATIONS
     least, most = np.full(STATIONS, np.inf), np.full(STATIONS, -np.inf)

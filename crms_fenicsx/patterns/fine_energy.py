@@ -1,9 +1,9 @@
-"""Energies of flat pieces on finer cells than theirs, extrapolated to infinitely fine ones.
+"""Energies of flat pieces on refined cells, extrapolated to infinitely fine ones.
 
-The cells of a piece are divided into four, where they lie, until they can show how its strains
-vary across it; the surface stays that of its facets. With 8, 16 and 32 columns across a sphere's
-gore, whatever its width, the energy is 52, 16 and 4.7 % too large, and extrapolated from these by
-the rate that they show .2 % too small; the facets of 4 columns are off by 6 %.
+The cells of a piece are divided into four, in their planes, until they resolve how its strains vary
+across it; the surface stays faceted. With 8, 16 and 32 columns across a sphere's gore of any width
+the energy is 52, 16 and 4.7 % too large, extrapolated at the observed rate .2 % too small. The
+facets of 4 columns are off by 6 %.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from crms_fenicsx.patterns.pieces import Piece
 from crms_fenicsx.runtime.arrays import Array, Integers
 
 ENOUGH = 32
-"""Columns of cells from which two energies are extrapolated to 1 %."""
+"""Columns of cells at which two energies are extrapolated with an error of 1 %."""
 MOST = 64
-"""Columns of cells whose own energy is known to 1 %."""
+"""Columns of cells at which the energy itself has an error of 1 %."""
 
 ProblemOf = Callable[[Piece, Array], FlatProblem]
-"""The problem of laying a piece flat, near flat places (n, 2) of its vertices."""
+"""The flattening problem of a piece near flat coordinates (n, 2) of its vertices."""
 
 
 def columns_of(piece: Piece, flat: Array) -> float:
-    """Columns of wide cells across a piece with flat places (n, 2)."""
+    """Number of columns of (wide) cells across a piece with flat coordinates (n, 2)."""
     return float(np.ptp(flat[:, 1]) / np.quantile(np.ptp(flat[piece.triangles, 1], axis=1), 0.9))
 
 
 def divided(piece: Piece) -> tuple[Piece, Integers]:
-    """A piece with each cell divided into four, and the vertices (k, 2) between which the new ones
-    are, after the old ones."""
+    """A piece with cells divided into four, and the ends (k, 2) of the edges halved by new
+    vertices, which follow the old ones."""
     t, n = piece.triangles, len(piece.points)
     keys = np.unique([np.minimum(p, q) * n + np.maximum(p, q) for p, q in zip(
         t.T, np.roll(t, -1, axis=1).T, strict=True)])  # fmt: skip
@@ -59,8 +59,7 @@ def divided(piece: Piece) -> tuple[Piece, Integers]:
 
 
 def fine_energies(piece: Piece, flat: Array, problem_of: ProblemOf) -> list[float]:
-    """Least energies of a piece with free seams, on its cells and on finer and finer ones, from its
-    flat shape."""
+    """Least energies of a piece with free seams, on its cells and successive refinements."""
     found: list[float] = []
     while True:
         problem = problem_of(piece, flat)
@@ -75,8 +74,8 @@ def fine_energies(piece: Piece, flat: Array, problem_of: ProblemOf) -> list[floa
 
 
 def limit_of(energies: list[float]) -> float:
-    """What energies on finer and finer cells tend to: with the rate of the last three of them,
-    between first and second order, and of two with second order."""
+    """Limit of energies on successive refinements: with the rate of the last three, bounded by
+    first and second order; with second order from two."""
     if len(energies) < 2:
         return energies[-1]
     last = energies[-2] - energies[-1]

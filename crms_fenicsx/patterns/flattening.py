@@ -1,10 +1,10 @@
-"""Least strain energy: the flat shapes from which pieces take the form with the wanted strain.
+"""Flattening: the flat shapes from which pieces take the form with the least strain energy.
 
-The energy of a piece is that of what its strain, from the flat shape to the form, has beside the
-wanted one: sum of A/2 (E - Ew):D:(E - Ew), A the areas of the form. It is a sum of squares in the
-flat places, so that Gauss-Newton steps need first derivatives only. Both sides of a seam are kept
-equally long by multipliers. Their system is made of each piece's own: the pieces are factorised
-side by side, on any number of processes.
+The energy of a piece is sum A/2 (E - Ew):D:(E - Ew), with the strain E from the flat shape to the
+form, the wanted strain Ew and the areas A of the form's cells. As it is a sum of squares,
+Gauss-Newton steps need first derivatives only. Lagrange multipliers keep both sides of a seam
+equally long; their system is the Schur complement of the pieces, which are factorised
+independently, on any number of processes.
 """
 
 from __future__ import annotations
@@ -22,61 +22,61 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import ConvergenceError, raised_together
 
 CLOSE = 1e-12
-"""Last step of the flat places, relative to the piece's size."""
+"""Largest component of the last step of the flat coordinates, relative to the piece's size."""
 MOST_STEPS = 100
-"""Gauss-Newton steps; where cells of 16 columns are wide in curvature it takes 5 to 10."""
+"""Maximum number of Gauss-Newton steps; pieces 16 columns wide need 5 to 10."""
 ROUNDING = 1e-13
-"""Strain that is none."""
+"""Strain of the order of rounding errors."""
 LEAST_STEP = 1e-6
-"""Part of a step below which there is no way on."""
+"""Smallest step fraction of the line search."""
 
 
 @dataclass(frozen=True)
 class FlatProblem:
-    """The strain energy of a piece as a function of its flat shape."""
+    """Strain energy of a piece as a function of its flat shape."""
 
     name: str  # of the piece
-    points: Array  # (n, 3) places in the form (length)
+    points: Array  # (n, 3) coordinates in the form (length)
     triangles: Integers  # (m, 3)
-    stiffness: Array  # (m, 3, 3) in the flat axes, Voigt order (force per length)
+    stiffness: Array  # (m, 3, 3) in the flat axes, Voigt notation (force per length)
     wanted: Array  # (m, 3) wanted strains (E11, E22, 2 E12) from the flat shape to the form
-    fixed: Integers = field(repr=False)  # the flat places' components that stay, by 2 vertex + axis
+    fixed: Integers = field(repr=False)  # fixed components, numbered 2 vertex + axis
 
     @cached_property
     def metric(self) -> Array:
-        """Scalar products of two sides of each cell in the form, (m, 2, 2)."""
+        """Metric of each cell in the form: scalar products of two sides, (m, 2, 2)."""
         x = self.points[self.triangles]
         sides = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)
         return np.swapaxes(sides, 1, 2) @ sides
 
     @cached_property
     def areas(self) -> Array:
-        """Areas of the cells in the form, (m,)."""
+        """Cell areas (m,) in the form."""
         return np.asarray(np.sqrt(np.linalg.det(self.metric)) / 2)
 
     @cached_property
     def roots(self) -> Array:
-        """Matrices (m, 3, 3) whose squares weight the strains."""
+        """Roots (m, 3, 3) of the cells' stiffness times area, which weight the strains."""
         root = np.swapaxes(np.linalg.cholesky(self.stiffness), 1, 2)
         return np.asarray(np.sqrt(self.areas)[:, None, None] * root)
 
     @cached_property
     def rounding(self) -> float:
-        """Energy that rounding leaves."""
+        """Energy of rounding errors."""
         return ROUNDING**2 * float((self.roots**2).sum())
 
     @cached_property
     def free(self) -> Integers:
-        """The components that are free."""
+        """The free components."""
         return np.setdiff1d(np.arange(2 * len(self.points)), self.fixed)
 
     @cached_property
     def size(self) -> float:
-        """A length of the piece."""
+        """Size of the piece (length)."""
         return float(np.ptp(self.points, axis=0).max())
 
     def strains(self, flat: Array) -> Array:
-        """Green-Lagrange strains (m, 3) from flat places (n, 2) to the form, (E11, E22, 2 E12)."""
+        """Green-Lagrange strains (m, 3), (E11, E22, 2 E12), from flat coordinates (n, 2)."""
         return self._strains(flat)[0]
 
     def _strains(self, flat: Array) -> tuple[Array, Array, Array]:
@@ -86,17 +86,17 @@ class FlatProblem:
         return E, C, T
 
     def energy(self, flat: Array) -> float:
-        """Energy (force x length); infinite where a cell is turned over."""
+        """Energy (force x length); infinite if a cell is inverted."""
         if double_areas_in_plane(flat, self.triangles).min() <= 0.0:
             return np.inf
         r = np.einsum("nij,nj->ni", self.roots, self.strains(flat) - self.wanted)
         return float((r**2).sum()) / 2
 
     def linearised(self, flat: Array) -> tuple[csr_matrix, Array]:
-        """Gauss-Newton matrix and gradient with respect to the free components."""
+        """Gauss-Newton matrix and gradient of the free components."""
         E, C, T = self._strains(flat)
         m, n = len(self.triangles), len(self.points)
-        D = -np.einsum("nic,nkj->nkcij", C, T)  # of C/2 along side k, component c; to be symmetric
+        D = -np.einsum("nic,nkj->nkcij", C, T)  # d(C/2) by side k, component c; unsymmetric
         sides = np.stack([D[..., 0, 0], D[..., 1, 1], D[..., 0, 1] + D[..., 1, 0]], axis=1)
         corners = np.concatenate([-sides.sum(axis=2, keepdims=True), sides], axis=2)
         J = np.einsum("nij,njk->nik", self.roots, corners.reshape(m, 3, 6))
@@ -108,13 +108,13 @@ class FlatProblem:
         return (whole.T @ whole).tocsc(), np.asarray(whole.T @ r)
 
     def moved(self, flat: Array, step: Array) -> Array:
-        """Flat places moved by a step of the free components."""
+        """Flat coordinates after a step of the free components."""
         out = flat.ravel().copy()
         out[self.free] += step
         return out.reshape(-1, 2)
 
     def solve(self, flat: Array) -> Array:
-        """The flat shape of least energy, from a start; seams are free."""
+        """Flat shape of least energy with free seams, from an initial shape."""
         energy = self.energy(flat)
         for _ in range(MOST_STEPS):
             H, g = self.linearised(flat)
@@ -138,11 +138,11 @@ class FlatProblem:
 
 @dataclass(frozen=True)
 class Sides:
-    """The sides of seams that belong to a piece."""
+    """Seam segments along a piece."""
 
-    rows: Integers  # (k,) numbers of the joints
-    ends: Integers  # (k, 2) vertices
-    signs: Array  # (k,) 1 on the first side of a joint, -1 on the second
+    rows: Integers  # (k,) joint numbers
+    ends: Integers  # (k, 2) end vertices
+    signs: Array  # (k,) 1 on the joint's first side, -1 on its second
 
     def lengths(self, flat: Array) -> tuple[Array, Array]:
         """Lengths (k,) and unit vectors (k, 2)."""
@@ -158,8 +158,8 @@ def flat_shapes(
     joints: int,
     comm: MPI.Intracomm,
 ) -> list[Array]:
-    """Flat shapes (n, 2) of all pieces, of which each rank has its own as problems by their
-    numbers; with joints both their sides are equally long. Collective."""
+    """Flat shapes (n, 2) of all pieces, with equal seam lengths if `joints` > 0. Each rank gives
+    the problems of its own pieces, by piece number. Collective."""
     flat: dict[int, Array] = {}
     with raised_together(comm):
         for k, problem in problems.items():
@@ -174,7 +174,7 @@ def _with_equal_seams(
     problems: dict[int, FlatProblem], flat: dict[int, Array], sides: dict[int, Sides],
     joints: int, comm: MPI.Intracomm,
 ) -> dict[int, Array]:  # fmt: skip
-    """Flat shapes of least energy among those whose seams have two equal sides. Collective."""
+    """Flat shapes of least energy with equally long seam sides. Collective."""
     for _ in range(MOST_STEPS):
         solved, shares = {}, {}
         with raised_together(comm):
@@ -212,7 +212,7 @@ def _with_equal_seams(
 
 
 def _gradient(own: Sides, units: Array, n: int) -> csr_matrix:
-    """Derivatives (k, 2 n) of signed lengths with respect to flat places (n, 2)."""
+    """Derivatives (k, 2 n) of the signed segment lengths by the flat coordinates (n, 2)."""
     k = np.arange(len(own.rows))
     values = own.signs[:, None] * np.concatenate([-units, units], axis=1)
     columns = (2 * own.ends[:, :, None] + np.arange(2)).reshape(-1, 4)
@@ -220,9 +220,9 @@ def _gradient(own: Sides, units: Array, n: int) -> csr_matrix:
 
 
 def _multipliers(shares: list[dict[int, tuple[Integers, Array, Array]]], joints: int) -> Array:
-    """Multipliers (joints,) of the equal lengths, from what all pieces have of their system."""
+    """Multipliers (joints,) of the seam constraints, from all pieces' contributions."""
     every = {k: share for part in shares for k, share in part.items()}
-    ordered = [every[k] for k in sorted(every)]  # so that sums round alike on any number of ranks
+    ordered = [every[k] for k in sorted(every)]  # equal rounding for any number of ranks
     right = np.zeros(joints)
     for rows, _, gap in ordered:
         np.add.at(right, rows, gap)

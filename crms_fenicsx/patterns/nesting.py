@@ -1,4 +1,4 @@
-"""Pieces laid on the roll, side by side in strips across it."""
+"""Nesting: pieces laid on the roll, in rows across it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
             "narrower strips, or take a wider roll."
         )
     placed: dict[str, Drawing] = {}
-    rows: list[list[float]] = []  # where each begins, and what of the width is taken
+    rows: list[list[float]] = []  # start, and width used
     length = 0.0
     for one in sorted(pieces, key=lambda one: -one.extent[0]):
         along, across = map(float, one.extent)
@@ -86,6 +86,6 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
 
 
 def _area(one: Drawing) -> float:
-    """Area within the cut line (length squared)."""
+    """Area enclosed by the cut line (length squared)."""
     x, y = one.cut_line.T
     return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2

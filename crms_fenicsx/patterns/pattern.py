@@ -1,4 +1,4 @@
-"""The cutting pattern: flat pieces of a roof."""
+"""The cutting pattern: the flat pieces of a roof."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 
 TURNS = 2
-"""How often a flat piece is turned back to its warp."""
+"""Realignments of a flat piece with its warp."""
 TOLD = 1e-3
-"""Strain of a flat piece, as estimated, from which on few columns of cells are told."""
+"""Estimated strain of a piece above which too few columns of cells are warned of."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class FlatPiece:
 
     @property
     def area(self) -> float:
-        """Area as it is cut (length squared)."""
+        """Area of the flat piece (length squared)."""
         return float(double_areas_in_plane(self.shape, self.piece.triangles).sum()) / 2
 
     @property
@@ -103,13 +103,13 @@ class FlatPiece:
         return width_in_tension(modulus, force, self.piece.curvature)
 
     def edge_length(self, edge: PieceEdge) -> float:
-        """Length of one of its edges (length)."""
+        """Length of one of its edges when flat (length)."""
         return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
 
 
 @dataclass(frozen=True)
 class CutOptions:
-    """How a pattern is made; see `flatten`."""
+    """Options of a pattern; see `flatten`."""
 
     warp: Warp | None = None
     shrink: Shrink | Mapping[str, Shrink] | None = None
@@ -117,7 +117,7 @@ class CutOptions:
     equal: bool = True
     limit: float | None = None
     factors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Further stretches along warp and weft by pieces, as `adjust` finds them."""
+    """Additional stretches along warp and weft by pieces, as found by `adjust`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,7 +142,7 @@ class Pattern:
     made: CutOptions
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         worst = max(self.flat, key=lambda one: one.distortion)
         return (
             f"Pattern({len(self.flat)} pieces, area {self.area:.6g}, strained up to "
@@ -164,7 +164,7 @@ class Pattern:
         return checks.named("piece", {one.name: one for one in self.flat}, name)
 
     def seam_lengths(self) -> dict[str, Array]:
-        """Lengths (k, 2) of the segments of each seam on both its sides (length)."""
+        """Lengths (k, 2) of each seam's segments, on both sides (length)."""
         joints = self.pieces.joints
         lengths = np.zeros(joints.pieces.shape)
         for k, one in enumerate(self.flat):
@@ -280,7 +280,7 @@ def flatten(
 
 
 def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
-    """A pattern with checked options. Collective."""
+    """The pattern of checked options. Collective."""
     comm = pieces.comm
     stiffness, warps = of_cells(pieces, material, made)
     problem_of = partial(_problem, pieces, stiffness, made)
@@ -293,7 +293,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
             start = aligned(piece, conformal(piece.points, piece.triangles), own)
             problems[k] = problem = problem_of(piece, start)
             start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
-            for _ in range(TURNS):  # the conformal map turns its ends
+            for _ in range(TURNS):  # the conformal map rotates its ends
                 start = aligned(piece, problem.solve(start), own)
             starts[k], sides[k] = start, _sides(pieces, k)
     joints = len(pieces.joints.seams) if made.equal else 0
@@ -314,7 +314,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
 
 
 def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Array, Array | None]:
-    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; no warp where it goes along seams."""
+    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; None as the warp if along seams."""
     surface = pieces.surface
     m, centres = len(surface.cells), surface.points[surface.cells].mean(axis=1)
     given: list[tuple[Integers, object]] = [(np.arange(m), material)]
@@ -345,14 +345,14 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
 
 
 def norm_rows(vectors: Array) -> Array:
-    """Lengths of vectors in the plane, (n,)."""
+    """Lengths (n,) of plane vectors."""
     return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
 
 
 def _problem(
     pieces: Pieces, stiffness: Array, made: CutOptions, piece: Piece, flat: Array
 ) -> FlatProblem:
-    """The problem of laying a piece flat, near flat places (n, 2)."""
+    """The flattening problem of a piece near flat coordinates (n, 2)."""
     first, last = int(flat[:, 0].argmin()), int(flat[:, 0].argmax())
     return FlatProblem(
         piece.name, piece.points, piece.triangles, stiffness[piece.cells],
@@ -361,7 +361,7 @@ def _problem(
 
 
 def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Array:
-    """Wanted strains (m, 3) of the cells of a piece, from its flat shape to the form."""
+    """Wanted strains (m, 3) of a piece's cells, from its flat shape to the form."""
     centres = start[piece.triangles].mean(axis=1)
     along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])
     parts = np.zeros((len(along), 2))
@@ -382,7 +382,7 @@ def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Arr
 def _edge_strains(
     piece: Piece, run: Integers, start: Array, wanted: Array, edge: EdgeShrink
 ) -> Array:
-    """What an edge changes of the wanted strains (m, 3) near it."""
+    """Change of the wanted strains (m, 3) by the de-compensation of an edge."""
     a, b, places = piece.points[run[:-1]], piece.points[run[1:]], piece.points
     segments = np.stack([a, b, b], axis=1)
     gaps = np.stack([closest(np.broadcast_to(s, (len(places), 3, 3)), places)[2]
@@ -399,18 +399,18 @@ def _edge_strains(
 
 
 def _mean(piece: Piece, values: Array) -> Array:
-    """Mean over a piece of numbers of its cells (m, k)."""
+    """Area-weighted mean of a piece's cell values (m, k)."""
     return np.asarray(piece.areas @ values / piece.area)
 
 
 def _sides(pieces: Pieces, k: int) -> Sides:
-    """The sides of seams that a piece has."""
+    """The seam segments of a piece."""
     row, side = np.nonzero(pieces.joints.pieces == k)
     return Sides(row, pieces.joints.ends[row, side], np.where(side == 0, 1.0, -1.0))
 
 
 def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
-    """Refuse pieces that are strained too much."""
+    """Raise an error for pieces distorted beyond the limit."""
     bad = [one for one in flat if limit is not None and one.distortion > limit]
     if bad and limit is not None:
         told = "; ".join(
@@ -424,7 +424,7 @@ def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
 
 
 def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
-    """Warn on rank 0 of too few columns of cells in curved pieces."""
+    """Warn on rank 0 of too few columns of cells across curved pieces."""
     if comm.rank > 0:
         return
     few = {}

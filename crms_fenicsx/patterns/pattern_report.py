@@ -1,4 +1,4 @@
-"""What a report says of a cutting pattern: tables, sheets, and what the cut does to the roof."""
+"""Report sections on a cutting pattern: tables, nested pieces, and the sewn roof."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def report_sections(
 
 
 def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figures:
-    """A picture that the first rank draws, the same on all."""
+    """A figure drawn on the first rank and shared with all."""
     buffer = io.BytesIO()
     if comm.rank == 0:
         draw().savefig(buffer, format="png", dpi=110, bbox_inches="tight")
@@ -99,7 +99,7 @@ def _plain(unit: str) -> str:
 
 
 def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
-    """Sizes, compensation and distortion of all pieces."""
+    """Table of sizes, compensation and distortion of all pieces."""
     m = units["length"]
     rows = [
         (one.name, one.area, one.length, one.width, float(drawing.extent[1]),
@@ -115,7 +115,7 @@ def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
 
 
 def seam_table(pattern: Pattern, units: Units) -> Table:
-    """Lengths of both sides of all seams."""
+    """Table of the lengths of both sides of each seam."""
     m, rows = units["length"], list[tuple[str | float, ...]]()
     for seam, lengths in pattern.seam_lengths().items():
         one, other = lengths.sum(axis=0).tolist()
@@ -126,8 +126,7 @@ def seam_table(pattern: Pattern, units: Units) -> Table:
 
 
 def comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
-    """Section forces wanted and got, deviation and wrinkles of all pieces, and the width up to
-    which they have no compression along the warp."""
+    """Table of section forces, deviation, wrinkles and width without compression."""
     s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
     for k, one in enumerate((*comparison.pieces, comparison.whole)):
         forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]

@@ -1,4 +1,4 @@
-"""The whole surface that is cut, on every rank: seams are few, and all ranks lay the same ones."""
+"""The surface to be cut, whole on every rank, so that all ranks lay the same seams."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from crms_fenicsx.surface.intrinsic import Ring, ring_of
 from crms_fenicsx.surface.points import Edge, EdgePoint, SurfacePoint, VertexPoint, edge_of
 
 ON_VERTEX = 1e-3
-"""Part of an edge within which a line that passes a vertex goes through it."""
+"""Fraction of an edge within which a line passes through its vertex."""
 
 
 def integers(values: Integers) -> list[int]:
-    """The numbers of a vector (n,), for loops."""
+    """Elements of a vector (n,) as a list, for loops."""
     return cast(list[int], values.tolist())
 
 
 def edges_of(keys: Integers) -> list[Edge]:
-    """The edges with `edge_keys` (k,)."""
+    """Edges from their `edge_keys` (k,)."""
     return [(key >> 32, key & 0xFFFFFFFF) for key in integers(keys)]
 
 
 @dataclass(frozen=True)
 class PatternSurface:
-    """A surface with its groups: what geodesics, sections and distances ask of it."""
+    """A surface with its groups, for geodesics, sections and distances."""
 
     checked: CheckedSurface
 
     @classmethod
     def of(cls, call: str, mesh: MembraneMesh, **arguments: object) -> PatternSurface:
-        """The surface of a mesh, on all ranks, whose arguments must be the same. Collective."""
+        """The whole surface of a mesh; the arguments must agree on all ranks. Collective."""
         if not isinstance(mesh, MembraneMesh):
             raise InputError(
                 f"{call}: mesh is of type {type(mesh).__name__}; give a MembraneMesh, such as "
@@ -55,7 +55,7 @@ class PatternSurface:
 
     @property
     def points(self) -> Array:
-        """Places of the vertices (n, 3) (length)."""
+        """Coordinates (n, 3) of the vertices (length)."""
         return self.checked.points
 
     @property
@@ -70,7 +70,7 @@ class PatternSurface:
 
     @cached_property
     def target(self) -> TargetSurface:
-        """The surface as routes are traced on it."""
+        """The surface for tracing routes."""
         return TargetSurface.checked(np.arange(len(self.points)), self.points, self.cells)
 
     @cached_property
@@ -95,24 +95,24 @@ class PatternSurface:
         return self._opposite.get(edge, ())
 
     def ring(self, vertex: int) -> Ring:
-        """The neighbours of a vertex in order, as `IntrinsicSurface`."""
+        """The neighbours around a vertex in order, as `IntrinsicSurface`."""
         rows = sorted(self.target.around[vertex])
         cells = lists(self.cells[rows])
         return ring_of(vertex, [tuple(v for v in cell if v != vertex) for cell in cells])  # type: ignore[misc]
 
     def places(self, points: tuple[SurfacePoint, ...]) -> Array:
-        """Where points of the surface are, (k, 3)."""
+        """Coordinates (k, 3) of surface points."""
         rows = [np.array(p.weights) @ self.points[list(p.support)] for p in points]
         return np.array(rows).reshape(-1, 3)
 
     def on_rim(self, point: SurfacePoint) -> bool:
-        """Whether a point lies on the boundary, or on an edge where three or more cells meet."""
+        """Whether a point lies on the boundary or on a branching edge (three or more cells)."""
         if isinstance(point, VertexPoint):
             return point.vertex in self.rim_vertices
         return isinstance(point, EdgePoint) and len(self.opposite_vertices(point.edge)) != 2
 
     def line_of_group(self, call: str, group: str) -> tuple[SurfacePoint, ...]:
-        """The vertices of an edge group from end to end, or around and back to the first."""
+        """The vertices of an edge group from end to end, or around to the first again."""
         known = self.checked.edges
         if not isinstance(group, str) or group not in known:
             names = ", ".join(map(repr, sorted(known)))
@@ -127,10 +127,10 @@ class PatternSurface:
         return tuple(map(VertexPoint, walk))
 
     def distances(self, line: tuple[SurfacePoint, ...]) -> Array:
-        """Distances (n,) of the vertices over the surface from a line (length).
+        """Geodesic distances (n,) of the vertices from a line (length).
 
-        Exact beside the line, and on from there by fast marching (R. Kimmel and J. A. Sethian,
-        Computing geodesic paths on manifolds, 1998), which is exact where the fronts are straight.
+        Exact in the cells along the line, continued by fast marching (R. Kimmel and J. A. Sethian,
+        Computing geodesic paths on manifolds, 1998), which is exact for straight fronts.
         """
         places, n = self.places(line), len(self.points)
         known = np.full(n, np.inf)
@@ -146,9 +146,9 @@ class PatternSurface:
         return known
 
     def crossings(self, values: Array) -> list[tuple[SurfacePoint, ...]]:
-        """The lines on which numbers of the vertices (n,), linear between them, are zero.
+        """The zero lines of vertex values (n,), linear in between.
 
-        From end to end; a closed line ends where it begins.
+        From end to end; a closed line ends at its first point.
         """
         arcs: dict[SurfacePoint, list[SurfacePoint]] = {}
         pairs = self.table.vertices
@@ -172,7 +172,7 @@ class PatternSurface:
 
 
 def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
-    """The lines that a graph of points consists of, in the order of their first points."""
+    """The lines of a graph of points, in the order of their first points."""
     found: list[tuple[SurfacePoint, ...]] = []
     ends = [p for p, others in arcs.items() if len(others) != 2]
     seen: set[frozenset[SurfacePoint]] = set()
@@ -192,8 +192,8 @@ def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePo
 
 @numba.njit(cache=True)
 def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
-    """Continue distances d (n,), known where finite, over the cells (m, 3). `cells_at` has the
-    cells at each vertex, from `starts` on."""
+    """March distances d (n,), finite where known; `cells_at[starts[v] : starts[v + 1]]` are v's
+    cells."""
     n = len(d)
     done = np.zeros(n, dtype=np.bool_)
     heap = [(0.0, 0)]
@@ -226,8 +226,8 @@ def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def front(p, q, da, db):  # type: ignore[no-untyped-def]
-    """Distance that a straight front brings to a corner, with sides p, q to those with da, db; inf
-    where it does not come through the cell."""
+    """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p
+    and q are the sides to the corners at distances da and db."""
     pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
     det = pp * qq - pq * pq
     s = (pp - 2 * pq + qq) / det

@@ -1,4 +1,4 @@
-"""The pieces that seams cut a surface into, and which edges of them are sewn together."""
+"""Pieces into which seams divide a surface, and their joints."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from crms_fenicsx.runtime.errors import InputError, PathError, as_text, collecti
 from crms_fenicsx.surface.points import Edge, edge_of
 
 COLUMNS = 16
-"""Columns of cells across a piece with which it is laid flat well: its own energy is 13 to 16 % too
-large then, and the error falls with the square of their number."""
+"""Columns of cells recommended across a piece: the energy error, 13 to 16 %, falls
+quadratically."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Piece:
 
     @property
     def curvature(self) -> float:
-        """Its mean Gaussian curvature (1 / length squared): angles missing at inner vertices."""
+        """Mean Gaussian curvature (1 / length squared): angle defects over area."""
         x, t = self.points[self.triangles], self.triangles
         a, b = np.roll(x, -1, axis=1) - x, np.roll(x, -2, axis=1) - x
         angles = np.arctan2(norm(cross(a, b)), np.einsum("nki,nki->nk", a, b))
@@ -102,11 +102,11 @@ class Piece:
 
 @dataclass(frozen=True)
 class Joints:
-    """The segments at which pieces are sewn together: two sides each."""
+    """Seam segments, each joining two pieces."""
 
-    seams: tuple[str, ...]  # of each segment
+    seams: tuple[str, ...]  # seam name of each segment
     pieces: Integers  # (k, 2) pieces on both sides
-    ends: Integers  # (k, 2, 2) their vertices at both ends, which lie together
+    ends: Integers  # (k, 2, 2) end vertices on both sides, in matching order
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,7 +138,7 @@ class Pieces:
     lines: Mapping[str, Integers]
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         seams, pieces = counted(len(self.seams), "seam"), counted(len(self.pieces), "piece")
         return f"Pieces({pieces}, {seams}, area {self.area:.6g})"
 
@@ -218,7 +218,7 @@ def _checked(seams: Sequence[Seam]) -> list[Seam]:
 
 
 def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
-    """The pieces of a surface, and where they are sewn together."""
+    """The pieces of a cut surface and their joints."""
     points, cells, seam_of = cut.surface.points, cut.surface.cells, cut.seam_of
     table = EdgeTable.of(cells)
     edges = [(a, b) for a, b in lists(table.vertices)]
@@ -231,13 +231,13 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     joined = (table.counts == 2) & ~sewn
     s, t = table.linked_sides(joined)
     labels = connected_labels(len(cells), s // 3, t // 3)
-    # corners that are one vertex of a piece: those at both ends of sides that are not cut
+    # corners at one vertex of a piece: both ends of sides that are not cut
     following = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     corner = connected_labels(
         cells.size, np.concatenate([s, following[s]]), np.concatenate([following[t], t])
     )
     rim_sides = np.setdiff1d(np.arange(cells.size), np.concatenate([s, t]))
-    number = np.empty(cells.size, dtype=np.int64)  # of a corner's vertex in its piece
+    number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
     names = _names(cut)
@@ -269,7 +269,7 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
 
 
 def _in_order(cut: CutSurface, labels: Integers) -> Integers:
-    """The labels of pieces, in order across the surface in the sense of the seams."""
+    """Piece labels in order across the surface, in the seams' sense."""
     points, cells = cut.surface.points, cut.surface.cells
     area = norm(double_areas(points[cells]))
     centres = (
@@ -287,7 +287,7 @@ def _in_order(cut: CutSurface, labels: Integers) -> Integers:
 
 
 def _names(cut: CutSurface) -> dict[Edge, str]:
-    """What each edge at the rim of a piece is called: seams before groups, the boundary last."""
+    """Names of the edges at the rims of pieces: seams before groups, the boundary last."""
     found: dict[Edge, str] = dict.fromkeys(edges_of(cut.surface.edges[BOUNDARY]), BOUNDARY)
     for name, keys in cut.surface.edges.items():
         if name != BOUNDARY:
@@ -296,7 +296,7 @@ def _names(cut: CutSurface) -> dict[Edge, str]:
 
 
 def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
-    """The sides of a piece around it, from the first of them."""
+    """The sides around a piece, starting at its lowest vertex."""
     if not rim:
         return []
     start = min(rim)
@@ -307,7 +307,7 @@ def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
 
 
 def _stretches(starts: Integers, kinds: list[tuple[str, bool]]) -> tuple[PieceEdge, ...]:
-    """The edges of a piece: runs of sides, by the vertices where these start, of one kind."""
+    """The edges of a piece: runs of equal kind, from the start vertices of its sides."""
     n = len(starts)
     breaks = [k for k in range(n) if kinds[k] != kinds[k - 1]] or [0]
     ring = np.concatenate([starts, starts, starts[:1]])
@@ -319,7 +319,7 @@ def _joints(
     table: EdgeTable, sewn: Array, cells: Integers, labels: Integers, number: Integers,
     following: Integers, place: dict[int, int], seam_of: dict[Edge, str],
 ) -> Joints:  # fmt: skip
-    """The segments of seams with two sides."""
+    """The seam segments between two sides."""
     s, t = table.linked_sides(sewn & (table.counts == 2))
     names, pieces, ends = [], [], []
     for one, other in zip(integers(s), integers(t), strict=True):

@@ -1,4 +1,4 @@
-"""Seams: lines over the surface along which it is cut."""
+"""Seams: lines along which the surface is cut."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 from crms_fenicsx.surface.trace import checked_route, trace
 
 SNAP = 1e-3
-"""Part of the mesh size within which the points of a seam are moved to vertices and edges."""
+"""Distance, relative to the mesh size, within which a seam's points snap to vertices and edges."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +54,18 @@ class Seam:
 
 
 Line = Seam | str
-"""A seam, or the name of a group of edges."""
+"""A seam, or the name of an edge group."""
 
 
 def seam_of(surface: PatternSurface, name: str, points: Sequence[SurfacePoint]) -> Seam:
-    """A seam through points of a surface."""
+    """A seam through surface points."""
     if not isinstance(name, str) or not name.strip():
         raise PathError(f"a seam with the name {name!r}; give one that is not empty.")
     return Seam(name, tuple(points), surface.places(tuple(points)))
 
 
 def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePoint, ...]:
-    """The points of a seam or of a group of edges."""
+    """The points of a seam or an edge group."""
     return line.points if isinstance(line, Seam) else surface.line_of_group(call, line)
 
 
@@ -110,7 +110,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
 
 
 def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ...]:
-    """The plane section between two places, which must lie on the surface."""
+    """The plane section between two points, which must lie on the surface."""
     ids = surface.target.ids
     path = trace(ids, surface.points, surface.cells, route, snap=SNAP)
     for anchor in (path.start_anchor, path.end_anchor):
@@ -175,7 +175,7 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
     mesh
         The surface, such as `FoundForm.mesh`.
     origin
-        Point of the plane (3,) (length), next to which the seam is if there are several lines.
+        Point of the plane (3,) (length); of several lines, the nearest to it becomes the seam.
     normal
         Normal of the plane (3,).
     name
@@ -208,7 +208,7 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
 def nearest(
     surface: PatternSurface, lines: Sequence[tuple[SurfacePoint, ...]], point: Array
 ) -> tuple[SurfacePoint, ...]:
-    """The line that comes nearest to a point."""
+    """The line nearest to a point."""
     gaps = [np.linalg.norm(surface.places(line) - point, axis=1).min() for line in lines]
     return lines[int(np.argmin(gaps))]
 
@@ -260,8 +260,8 @@ def parallel(
     distance
         Distance (length).
     toward
-        Point (3,) (length) on the seam's side of the line, next to which it is if there are
-        several.
+        Point (3,) (length) on the seam's side of `line`; of several lines at the distance, the
+        nearest to it becomes the seam.
     name
         Name of the seam.
 

@@ -1,4 +1,4 @@
-"""The roof sewn of the pieces of a cutting pattern, and how it differs from the wanted form."""
+"""The roof sewn from the pieces of a cutting pattern, compared with the wanted form."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 
 SLOPE = 1e-12
-"""Strain whose forces are no prestress."""
+"""Prestress of a `UflMembrane`, relative to its reference modulus, that counts as none."""
 
 
 @collective
 def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
     """Make a scene of the pieces of a pattern, sewn along the seams. Collective.
 
-    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains of the
-    cut and without supports, loads and cables. Its mesh is that of the cut form: groups as before,
-    seams as groups of edges, pieces as parts.
+    Cells are stress-free in the flat pieces. The scene starts in the form, with the strains due to
+    the cut, without supports, loads and cables. Its mesh has the form's groups, the seams as groups
+    of edges and the pieces as parts.
 
     Parameters
     ----------
     pattern
         The pattern.
     material
-        The fabric, or one for each part; by default the pattern's. The pieces set the warp and the
-        cut the prestress, so that the fabric's own are ignored.
+        The fabric, or one for each part; by default the pattern's. Its warp and prestress are
+        ignored, as the pieces set the warp and the cut the prestress.
     **options
         Options of `Scene`.
 
@@ -79,15 +79,15 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
 
 
 def relaxed(material: MembraneMaterial) -> MembraneMaterial:
-    """A material without prestress."""
+    """The material without its prestress."""
     if isinstance(material, IsotropicMembrane | OrthotropicMembrane):
         return replace(material, prestress=0.0)
     return material
 
 
 def frames_of(pattern: Pattern) -> Array:
-    """What unit vectors along warp and weft of the flat pieces are in this rank's cells, (n, 2, 3):
-    the columns of the gradient from the flat shape to the form."""
+    """Images (n, 2, 3) of the flat pieces' unit vectors along warp and weft in this rank's cells:
+    columns of the deformation gradient from flat shape to form."""
     surface, mesh = pattern.pieces.surface, pattern.pieces.mesh.mesh
     frames = np.zeros((len(surface.cells), 2, 3))
     for one in pattern.flat:
@@ -153,7 +153,7 @@ class Comparison:
     cells: Array = field(repr=False)
 
     def __str__(self) -> str:
-        """A table."""
+        """Table of all pieces."""
         head = f"{'':12} {'warp mean':>10} {'sd':>8} {'least':>8} {'weft mean':>10} {'sd':>8} "
         head += f"{'least':>8} {'off form':>9} {'wrinkled':>9}"
         rows = [head]
@@ -206,8 +206,8 @@ def compare(
 
 
 def _cells(solver: Solver) -> Array:
-    """Of all cells of the cut surface (m, 8) on all ranks: area, section forces, deviation, whether
-    it is wrinkled, stretches from the form, and the form's area. Collective."""
+    """Values (m, 8) of all cells of the cut surface, on all ranks: area, section forces along warp
+    and weft, deviation, 1 if wrinkled, stretches from the form, and the form's area. Collective."""
     results, scene = solver.results(), solver.scene
     membrane = scene.membrane
     assert membrane.frames is not None
@@ -236,7 +236,7 @@ def _cells(solver: Solver) -> Array:
 
 
 def _got(name: str, values: Array) -> SewnPiece:
-    """What a piece has got, of the numbers of its cells."""
+    """Results of a piece, from its cell values (m, 8)."""
     share, forces, form = values[:, 0] / values[:, 0].sum(), values[:, 1:3], values[:, 7]
     mean = share @ forces
     return SewnPiece(

@@ -1,4 +1,4 @@
-"""What is drawn of a piece: its lines, allowances, marks and names."""
+"""Drawings of pieces: seam and cut lines, match marks and names."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.runtime.errors import InputError
 
 SHARP = 3.0
-"""A corner whose allowances meet farther out than this times the larger one is cut off."""
+"""Mitre limit relative to the larger allowance; sharper corners of the cut line are bevelled."""
 ARROW = 0.3
-"""Length of the warp arrow, relative to the piece's."""
+"""Length of the warp arrow relative to the piece."""
 
 
 @dataclass(frozen=True)
@@ -74,26 +74,26 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Mark:
-    """A match mark across a seam: from the seam line to the edge of the fabric."""
+    """A match mark across a seam, from the seam line to the cut line."""
 
-    number: int  # along the seam, from 1
+    number: int  # counted along the seam from 1
     line: Array  # (2, 2)
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """The lines of a piece (length), x along the warp."""
+    """The lines of a flat piece (length), x along the warp."""
 
     name: str
-    seam_line: Array  # (n, 2) closed: where pieces are sewn, their stress-free shape
-    cut_line: Array  # (k, 2) closed: with allowances
-    overlaps: tuple[Array, ...]  # where the allowance of the other piece ends
+    seam_line: Array  # (n, 2) closed: the stress-free shape
+    cut_line: Array  # (k, 2) closed, with allowances
+    overlaps: tuple[Array, ...]  # ends of the adjacent pieces' allowances
     marks: tuple[Mark, ...]
     warp: Array  # (2, 2) from tail to tip
-    names: tuple[tuple[str, Array, float], ...]  # of edges: place (2,) and angle (degrees)
+    names: tuple[tuple[str, Array, float], ...]  # of edges: position (2,) and angle (degrees)
 
     def moved(self, by: Array) -> Drawing:
-        """The same at another place."""
+        """The drawing moved by a vector (2,)."""
         return Drawing(
             self.name, self.seam_line + by, self.cut_line + by,
             tuple(line + by for line in self.overlaps),
@@ -103,12 +103,12 @@ class Drawing:
 
     @property
     def extent(self) -> Array:
-        """Length and width that it needs of the roll (2,)."""
+        """Length and width (2,) required of the roll."""
         return np.asarray(np.ptp(self.cut_line, axis=0))
 
 
 def drawings(pattern: Pattern, sheet: Sheet) -> list[Drawing]:
-    """The drawings of all pieces, each with its lower left corner at the origin."""
+    """Drawings of all pieces, each with its lower left corner at the origin."""
     known = {edge.name for one in pattern.flat for edge in one.piece.edges}
     for name in sheet.edges:
         checks.named("edge of a piece", dict.fromkeys(known), name)
@@ -121,7 +121,7 @@ def drawings(pattern: Pattern, sheet: Sheet) -> list[Drawing]:
 
 
 def _stations(pattern: Pattern) -> dict[tuple[int, int], tuple[float, float]]:
-    """Lengths along its seam of the two ends of each segment, by its vertices in both senses."""
+    """Arc lengths along the seam at both ends of each segment, by its vertices in either order."""
     points, found = pattern.pieces.surface.points, dict[tuple[int, int], tuple[float, float]]()
     for line in pattern.pieces.lines.values():
         along = floats(arc_lengths(points[line]))
@@ -141,7 +141,7 @@ def _drawing(
     for edge in edges:
         run, width = shape[edge.vertices], sheet.of(edge)
         normals = _normals(run)
-        quarter = len(normals) // (4 if edge.sewn else 2)  # not where the piece's own name is
+        quarter = len(normals) // (4 if edge.sewn else 2)  # beside the piece's own name
         side = run[quarter + 1] - run[quarter]
         middle = (run[quarter] + run[quarter + 1]) / 2
         angle = float(np.degrees(np.arctan2(side[1], side[0])))
@@ -171,15 +171,14 @@ def _drawing(
 
 
 def _normals(run: Array) -> Array:
-    """Unit normals (n - 1, 2) to the right of a polyline (n, 2): outside of a piece around which it
-    goes counter-clockwise."""
+    """Unit normals (n - 1, 2) to the right of a polyline (n, 2), outward around a piece."""
     side = np.diff(run, axis=0)
     side /= np.hypot(side[:, 0], side[:, 1])[:, None]
     return np.stack([side[:, 1], -side[:, 0]], axis=1)
 
 
 def offset(line: Array, distances: Array, closed: bool) -> Array:
-    """A polyline (n, 2) moved to its right, each segment by its own distance."""
+    """A polyline (n, 2) offset to its right, each segment by its own distance."""
     ring = np.concatenate([line, line[:1]]) if closed else line
     normals = _normals(ring)
     found: list[Array] = [] if closed else [line[0] + distances[0] * normals[0]]

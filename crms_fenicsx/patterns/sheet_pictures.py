@@ -1,4 +1,4 @@
-"""Cutting patterns as pictures for people: pieces on the roll, and each on a page of its own."""
+"""Pictures of cutting patterns: the nested pieces, and one page per piece."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
 WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
-"""Size of a sheet, and of a row of the roll on one, in inches."""
+"""Width and largest height of a figure, and height of a row of the roll (inches)."""
 
 
 @collective
@@ -88,7 +88,7 @@ def _write_pages(path: Path, pages: Sequence[Figure]) -> None:
 
 
 def _axes(figure: Figure, length: float, width: float) -> Any:
-    """Axes for a drawing of a size, in its own scale."""
+    """Axes of equal scale for a drawing of a size."""
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_xlim(-0.02 * length, 1.02 * length)
@@ -103,7 +103,7 @@ def _name_axis(axis: Any, name: str, unit: str) -> None:
 
 
 def roll_figure(nesting: Nesting, unit: str) -> Figure:
-    """Figure of the roll with all pieces, row by row from the top."""
+    """Figure of the nested pieces, row by row from the top."""
     starts = np.array([*nesting.rows, nesting.length])
     x, y = float(np.diff(starts).max()), nesting.roll
     step, last = 1.1 * y, len(nesting.rows) - 1
@@ -131,7 +131,7 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
 
 
 def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str) -> Figure:
-    """Figure of what the pieces have got in the sewn roof, on their flat shapes."""
+    """Figure of the sewn roof's results on the flat pieces."""
     from matplotlib.collections import PolyCollection
 
     names = [f"{side}: section force{stress}" for side in ("Warp", "Weft")]
@@ -186,7 +186,7 @@ def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
 
 
 def _draw(axes: Any, one: Drawing, names: bool) -> None:
-    """Put a piece into axes."""
+    """Draw a piece into axes."""
     for line, kind in ((one.cut_line, "cut"), (one.seam_line, "seam")):
         axes.fill(*line.T, facecolor="#f3f6f9" if kind == "cut" else "none",
                   edgecolor=COLOURS[kind], linewidth=0.8)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Vertices near seams are moved to them, so that seams do not cut slivers off."""
+"""Vertices near seams moved onto them, so that seams cut off no slivers."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Edge, EdgePoint, SurfacePoint, VertexPoint
 
 NEAR = 0.2
-"""Part of an edge within which a vertex is moved to the place where a seam crosses the edge. Random
-cells with least angles of 26 degrees have 11 then, and 1.4 without moving."""
+"""Fraction of an edge within which a vertex is moved to a seam's crossing of the edge. The smallest
+angle of random cells falls from 26 to 11 degrees, and to 1.4 without moving."""
 STRAIGHT = np.cos(np.radians(15.0))
-"""A vertex of a rim or of an edge group is moved along it where it turns by no more than this."""
+"""Cosine of the largest turn of a rim or edge group at a vertex that may be moved along it."""
 LEAST_AREA = 0.3
-"""Part of a cell's area that it must keep."""
+"""Fraction of a cell's area that must remain."""
 
 
 def snapped(
     surface: PatternSurface, seams: list[Seam]
 ) -> tuple[Array, list[tuple[SurfacePoint, ...]]]:
-    """Places of the vertices (n, 3) with those near seams moved, and the points of the seams."""
+    """Coordinates (n, 3) of the vertices after moving those near seams, and the seams' points."""
     points, lines = surface.points.copy(), [list(seam.points) for seam in seams]
     fixed = {p.vertex for line in lines for p in line if isinstance(p, VertexPoint)}
     fixed |= {int(v) for ids in surface.checked.point_groups.values() for v in ids}
@@ -49,7 +49,7 @@ def snapped(
 
 
 def _lead_through(line: list[SurfacePoint], v: int, p: EdgePoint) -> None:
-    """Let a line that has a point go through a vertex instead, where it crosses edges at it."""
+    """Replace a line's crossings of a vertex's edges, including point p, by the vertex."""
     if p not in line:
         return
     first = last = line.index(p)
@@ -65,7 +65,7 @@ def _at(p: SurfacePoint, v: int) -> bool:
 
 
 def _keeps_cells(surface: PatternSurface, points: Array, v: int, place: Array) -> bool:
-    """Whether the cells around a vertex stay sound when it is moved."""
+    """Whether the cells around a vertex stay valid when it is moved."""
     cells = surface.cells[sorted(surface.target.around[v])]
     before = double_areas(points[cells])
     corners = points[cells]
@@ -77,7 +77,7 @@ def _keeps_cells(surface: PatternSurface, points: Array, v: int, place: Array) -
 
 
 class _HeldLines:
-    """Rims and edge groups, from which vertices must not be moved away."""
+    """Rims and edge groups, along which their vertices must stay."""
 
     def __init__(self, surface: PatternSurface) -> None:
         self.surface, table = surface, surface.table

@@ -1,5 +1,4 @@
-"""Straight on over the surface, from cell to cell, each unfolded into the plane of the last one; or
-on along a direction that each cell has."""
+"""Straightest lines over the surface, by unfolding cells, or lines along a direction field."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.points import Edge, EdgePoint, Support, SurfacePoint, edge_of
 
 ASIDE = 1e-6
-"""Part of an edge by which a walk that comes to a vertex passes it instead."""
+"""Fraction of an edge by which a line that hits a vertex passes beside it."""
 
 
 def straight_walk(
@@ -22,8 +21,8 @@ def straight_walk(
     direction: Array,
     direction_at: Callable[[Array], Array] | None = None,
 ) -> tuple[SurfacePoint, ...]:
-    """The edges crossed from a point to the rim; none where the direction leaves the surface. With
-    a function of places (3,) the line takes its direction (3,) in each cell."""
+    """Edge crossings from a point to the rim, none if the direction leaves the surface. A function
+    `direction_at` of points (3,), if given, sets the direction in each cell."""
     at = surface.places((start,))[0]
     first = _first_cell(surface, start, direction)
     if first is None:
@@ -60,11 +59,11 @@ def _normal(surface: PatternSurface, cell: Support) -> Array:
 def _first_cell(
     surface: PatternSurface, start: SurfacePoint, direction: Array
 ) -> tuple[Support, Array] | None:
-    """The cell at a point into which a direction leads, and the direction in it."""
+    """The cell at a point into which a direction leads, and the direction within it."""
     for row in sorted(surface.target.cells_at(start)):
         cell = tuple(surface.cells[row].tolist())
         normal, along = _normal(surface, cell), _within(surface, cell, direction)
-        # inside of the sides that the point lies on
+        # on the inner side of the cell's sides at the point
         sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
         inward = [
             np.cross(normal, surface.points[b] - surface.points[a]) @ along
@@ -77,7 +76,7 @@ def _first_cell(
 
 
 def _within(surface: PatternSurface, cell: Support, direction: Array) -> Array:
-    """Unit vector of a direction's part in a cell."""
+    """Unit projection of a direction into a cell's plane."""
     normal = _normal(surface, cell)
     along = direction - (direction @ normal) * normal
     size = np.linalg.norm(along)
@@ -92,13 +91,13 @@ def _within(surface: PatternSurface, cell: Support, direction: Array) -> Array:
 def _exit(
     surface: PatternSurface, cell: Support, at: Array, along: Array, entered: Support
 ) -> tuple[Edge, float]:
-    """Where a straight line from a place in a cell leaves it."""
+    """The edge, and fraction along it, at which a straight line leaves a cell."""
     best: tuple[float, Edge, float] | None = None
     normal = _normal(surface, cell)
     for k in range(3):
         a, b = edge_of(cell[k], cell[(k + 1) % 3])
         if {*entered} & {a, b} == {*entered} != set():
-            continue  # the side, or those at the vertex, where the line comes from
+            continue  # the side or vertex at which the line entered
         side = surface.points[b] - surface.points[a]
         across = np.cross(normal, side)
         speed = along @ across
@@ -116,7 +115,7 @@ def _exit(
 def _unfolded(
     surface: PatternSurface, cell: Support, edge: Edge, beyond: int, along: Array
 ) -> Array:
-    """A direction in a cell, turned about an edge into the next one."""
+    """A direction in a cell, rotated about an edge into the next cell's plane."""
     a, b = surface.points[list(edge)]
     axis = (b - a) / np.linalg.norm(b - a)
     (behind,) = set(cell) - set(edge)

@@ -1,4 +1,4 @@
-"""Automatic layout: strips between two lines, each at most as wide as the fabric allows."""
+"""Automatic strip layout between two lines, each strip at most as wide as the fabric allows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.points import SurfacePoint
 
 MOST_STRIPS = 1000
-"""More strips between two lines than these are none that anybody would sew."""
+"""Maximum number of strips between two lines."""
 
 Points = tuple[SurfacePoint, ...]
 
@@ -118,7 +118,7 @@ def strips(
 
 
 def usable_width(call: str, width: float, allowance: float) -> float:
-    """The width of a roll without the allowances of both sides (length)."""
+    """Width of the roll less the allowances of both sides (length)."""
     roll = checks.positive(f"{call}: width", width)
     taken = checks.finite(f"{call}: allowance", allowance)
     if not 0.0 <= 2.0 * taken < roll:
@@ -132,8 +132,8 @@ def usable_width(call: str, width: float, allowance: float) -> float:
 def _line(
     surface: PatternSurface, values: Array, whole: Array, kind: str, warp: Direction | None
 ) -> Points:
-    """The line on which values are zero, where the two lines are nearest to each other, or that
-    along the warp through its middle."""
+    """The zero line of `values`, where `first` and `last` are closest, straightened as `kind`
+    requires or replaced by the line along the warp through its middle."""
     lines = surface.crossings(values)
     if not lines:
         raise PathError("strips: no line between first and last divides the surface there.")
@@ -150,7 +150,7 @@ def _line(
 
 
 def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Points:
-    """The line along the warp through the middle of another one, from rim to rim."""
+    """The line along the warp through the middle of another line, from rim to rim."""
     lengths = arc_lengths(surface.places(line))
     middle = line[int(np.abs(lengths - lengths[-1] / 2).argmin())]
 
@@ -167,13 +167,13 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
 
 
 def _crosses(surface: PatternSurface, line: Points, share: Array) -> bool:
-    """Whether a line goes from where shares of the way are 0 to where they are 1."""
+    """Whether a line leads from distance share 0 to 1, from `first` to `last`."""
     start, end = (np.dot(p.weights, share[list(p.support)]) for p in (line[0], line[-1]))
     return bool(abs(start - end) > 1.0 - 1e-9)
 
 
 def _largest_width(surface: PatternSurface, lines: list[Points]) -> float:
-    """Largest distance of a line's points from the line before."""
+    """Largest distance of a line's points from the previous line."""
     return max(
         float(np.dot(p.weights, away[list(p.support)]))
         for before, line in pairwise(lines)

@@ -1,4 +1,4 @@
-"""The scene: a membrane, where it is held, its cables, bars and loads, and its current state."""
+"""The scene: a membrane with its supports, cables, bars and loads, in its current state."""
 
 from crms_fenicsx.scene.scene import Scene
 

@@ -1,4 +1,4 @@
-"""The air under the membrane of a scene: a given pressure, or an amount that is sealed."""
+"""The air under the membrane of a scene: of given pressure, or sealed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Air(Stateful[AirState]):
 
     @property
     def sealed(self) -> SealedAir | None:
-        """The air, if it is sealed, with its current temperature and atmosphere; else None."""
+        """The sealed air, with its current temperature and atmosphere; None if not sealed."""
         return self.state.sealed
 
     @property

@@ -1,4 +1,4 @@
-"""The masts, struts and guys that hold the membrane of a scene, and their joints."""
+"""Masts, struts and guys that support the membrane of a scene, and their joints."""
 
 from __future__ import annotations
 
@@ -212,12 +212,12 @@ class Frame:
 
     @property
     def vertices(self) -> tuple[MeshVertex, ...]:
-        """The vertices at which bars end, each once."""
+        """Vertices that are ends of bars, each once."""
         ends = (end for bar in self.bars for end in (bar.start, bar.end))
         return tuple(dict.fromkeys(end for end in ends if isinstance(end, MeshVertex)))
 
     def home(self, vertex: MeshVertex) -> tuple[int, int]:
-        """The rank that owns a vertex, and its degree of freedom there. Collective at first."""
+        """The owning rank and local degree of freedom of a vertex. Collective at the first call."""
         if vertex.number not in self._homes:
             membrane = self.membrane
             own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
@@ -235,7 +235,7 @@ class Frame:
         return self._homes[vertex.number]
 
     def vertex_in_group(self, group: str) -> MeshVertex:
-        """The only vertex of a group. Collective."""
+        """The vertex of a group that must have exactly one. Collective."""
         membrane = self.membrane
         dofs = membrane.vertices(group)
         own = dofs[dofs < membrane.V.dofmap.index_map.size_local]
@@ -248,13 +248,13 @@ class Frame:
         return self._vertex(int(numbers[0]), own)
 
     def _vertex(self, number: int, dofs: Array) -> MeshVertex:
-        """A vertex whose degree of freedom is known on the rank that owns it."""
+        """A vertex from its local degree of freedom, given on the owning rank only."""
         place = self.membrane.stress_free[int(dofs[0])] if len(dofs) else None
         x, y, z = next(p for p in self.membrane.comm.allgather(place) if p is not None)
         return MeshVertex(number, (float(x), float(y), float(z)))
 
     def place_of(self, end: BarEnd) -> Array:
-        """Where an end of bars is now, (3,). Collective."""
+        """Current position (3,) of a bar end. Collective."""
         if isinstance(end, Joint):
             return end.position
         rank, dof = self.home(end)
@@ -263,7 +263,7 @@ class Frame:
         return np.array(comm.bcast(place, root=rank))
 
     def _add_joint(self, position: Array, name: str | None, held: str) -> Joint:
-        """Add a joint at a place that has been checked."""
+        """Add a joint at a checked position."""
         if not isinstance(held, str) or set(held) - set(COMPONENTS):
             raise InputError(
                 f'add_joint: held = {held!r} must be made of the letters x, y and z, or "".'
@@ -275,7 +275,7 @@ class Frame:
         return joint
 
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
-        """A joint, a vertex, or the place of an anchor, (3,). Collective."""
+        """Checked end of a bar: a joint, a vertex, or an anchor's position (3,). Collective."""
         if isinstance(given, Joint):
             if not self.owns(given):
                 raise InputError(
@@ -291,7 +291,7 @@ class Frame:
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
     def remove(self, bar: PlacedBar, needed: Set[str | None]) -> None:
-        """Take a bar away, and its anchors unless others end there or they are needed by name."""
+        """Remove a bar, and its anchors unless other bars end there or `needed` names them."""
         self._bars = tuple(other for other in self.bars if other is not bar)
         used = {end for other in self.bars for end in (other.start, other.end)}
         own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
@@ -304,7 +304,7 @@ class Frame:
     def path_of(
         self, path: Sequence[Sequence[float] | Joint] | Array
     ) -> tuple[Any, tuple[str | None, str | None]]:
-        """A cable's path with the places of joints, and their names at its first and last point."""
+        """A cable's path with joints replaced by positions, and its end joints' names."""
         names: list[str | None] = [None, None]
         if not isinstance(path, list | tuple) or not any(isinstance(p, Joint) for p in path):
             return path, (None, None)
@@ -320,7 +320,7 @@ class Frame:
         return points, (names[0], names[1])
 
     def check_held(self, cable_ends: Iterable[str | None]) -> None:
-        """Refuse joints that nothing holds."""
+        """Raise an error for joints without support."""
         of_cables = set(cable_ends)
         reached: set[object] = {j for j in self.joints if j.held.all() or j.name in of_cables}
         reached |= set(self.vertices)
@@ -341,7 +341,7 @@ class Frame:
 
 
 def _checked_name(call: str, kind: str, name: str | None, others: Iterable[str]) -> str:
-    """A name that is not taken, by default "bar 1", "bar 2" ..."""
+    """An unused name, by default "bar 1", "bar 2" ..."""
     taken = set(others)
     if name is None:
         return next(found for n in count(1) if (found := f"{kind} {n}") not in taken)

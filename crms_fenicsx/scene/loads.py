@@ -1,4 +1,4 @@
-"""The loads of a scene: on its membrane, on joints, and water that stands on it."""
+"""The loads of a scene: on its membrane and joints, and ponded water."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from crms_fenicsx.runtime.handle import ReadOnly, Stateful
 from crms_fenicsx.scene.frame import Frame, Place
 
 AIR = ("pressure", "temperature", "atmosphere")
-"""What combinations know what is of the air by, as `Solver.advance` does; no names of loads."""
+"""Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
 
 
 @dataclass(frozen=True)
 class LoadsState:
     """State of the loads of a scene."""
 
-    loads: tuple[MembraneLoad, ...] = ()  # on the membrane and on joints, with their factors
-    ponds: tuple[Pond, ...] = ()  # the water on it, with its levels, volumes and factors
+    loads: tuple[MembraneLoad, ...] = ()  # on membrane and joints, with their factors
+    ponds: tuple[Pond, ...] = ()  # with their levels, volumes and factors
 
 
 class Loads(Stateful[LoadsState]):
     """Loads on the membrane and on joints, and ponds; iterate over it for the loads."""
 
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
-    """The water on the membrane, with its current levels, volumes and factors."""
+    """The ponds, with their current levels, volumes and factors."""
 
     def __init__(self, membrane: Membrane, versions: Versions, frame: Frame) -> None:
         self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
@@ -71,7 +71,7 @@ class Loads(Stateful[LoadsState]):
 
     @property
     def factors(self) -> dict[str, float]:
-        """Current factors of the loads and ponds, by their names."""
+        """Current factors of loads and ponds, by name."""
         ponds = {pond.name: pond.factor for pond in self.ponds}
         return {load.name: load.factor for load in self} | ponds
 
@@ -339,7 +339,7 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=load.factor != 0.0)
 
     def _check_new(self, call: str, name: str, **given: object) -> None:
-        """Check the name of a new load, and that all ranks give the same. Collective."""
+        """Check a new load's name, and that arguments agree on all ranks. Collective."""
         checks.same(self.comm, call, name=name, **given)
         self.membrane.check_finite(call)
         checks.text(f"{call}: name", name)

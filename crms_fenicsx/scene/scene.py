@@ -1,4 +1,4 @@
-"""The scene: a membrane, where it is held, its cables and loads, and its current state."""
+"""The scene: a membrane with its supports, cables and loads, in its current state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from crms_fenicsx.scene.loads import Loads
 from crms_fenicsx.scene.state import SceneState
 
 ANOTHER = "make another Scene(...)"
-"""What to do instead of assigning what a scene is made of."""
+"""Remedy named when a property fixed at construction is assigned."""
 
 Law = Literal["total", "step"]
 
@@ -49,7 +49,7 @@ Result = TypeVar("Result")
 def of_part(
     name: str, method: Callable[Concatenate[Part, Arguments], Result]
 ) -> Callable[Concatenate[Any, Arguments], Result]:
-    """A method of a scene that is one of its part of a name."""
+    """A scene's method that forwards to a method of one of its parts."""
 
     @functools.wraps(method)
     def call(scene: Any, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
@@ -60,7 +60,7 @@ def of_part(
 
 
 PARTS = ("membrane", "loads", "air", "frame", "net")
-"""The parts of a scene that own its state, by their names in `Scene` and in `SceneState`."""
+"""Parts that own a scene's state, by their names in `Scene` and `SceneState`."""
 
 
 class Scene:
@@ -90,8 +90,8 @@ class Scene:
     literal_penalty
         The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
     frames : (n, 2, 3)
-        For cells with stress-free shapes of their own: images in the mesh of unit vectors along
-        their warp and weft, for this rank's cells. `patterns.sew` makes them.
+        For this rank's cells with individual stress-free shapes, from `patterns.sew`: images in the
+        mesh of their unit vectors along warp and weft.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class Scene:
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
     V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
-    """Space of the displacements."""
+    """Function space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
     """Displacement of the vertices from the stress-free shape (length)."""
     held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
@@ -129,24 +129,24 @@ class Scene:
     cables: ReadOnly[tuple[LaidCable, ...]] = ReadOnly(
         "net.cables", "call scene.lay_cable(...) or scene.remove(...)"
     )
-    """The laid cables, in their order."""
+    """The laid cables, in order."""
     clamps: ReadOnly[tuple[Clamp, ...]] = ReadOnly("net.clamps", "call scene.clamp(...)")
-    """The clamps that hold cables to each other."""
+    """The clamps between cables."""
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("frame.joints", "call scene.add_joint(...)")
-    """The joints of bars, those of anchors included, in the order in which they were added."""
+    """The joints of bars, including anchors, in the order of addition."""
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
-    """The bars, in the order in which they were added."""
+    """The bars, in the order of addition."""
     warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
-    """What load steps have warned of in the current state; snap-throughs stay until it is left for
-    one before."""
+    """Warnings of load steps on the current state; snap-throughs stay until an earlier state is
+    restored."""
     energies: ReadOnly[Mapping[str, float]] = ReadOnly("_energies", "call solver.advance(...)")
     """Energy of each kind of term in the current state (force x length)."""
     step_history: ReadOnly[StepHistory | None] = ReadOnly(
         "_step_history", "call solver.advance(...)"
     )
-    """What the step-wise laws know of the load steps before; None before the first."""
+    """Data of previous load steps for the step-wise laws; None before the first step."""
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
-    """The terms of the energy that have been added."""
+    """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
     pressure_law: ReadOnly[Law] = ReadOnly("_pressure_law", "give it to Scene(..., pressure=...)")
@@ -156,13 +156,12 @@ class Scene:
     )
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
-    """Current factors of the loads and ponds, by their names."""
+    """Current factors of loads and ponds, by name."""
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
-    """The water on the membrane, with its current levels, volumes and factors."""
+    """The ponds, with their current levels, volumes and factors."""
     volume: ReadOnly[float] = ReadOnly("air.volume", "call solver.advance(...)")
-    """Volume gained under the cells under pressure since the stress-free shape (length cubed): that
-    between the two shapes while the rim of these cells is held, or slides in planes that are held
-    in their normal direction."""
+    """Volume gained under the cells under pressure since the stress-free shape (length cubed), see
+    `Air.volume`."""
 
     put_load = of_part("loads", Loads.put_load)
     put_wind = of_part("loads", Loads.put_wind)
@@ -210,7 +209,7 @@ class Scene:
         if strain == "step":
             self.membrane.refuse_step_strain()
         self.versions = Versions()
-        """Internal: numbers of the model and the state, and which of them is an equilibrium."""
+        """Internal: version numbers of model and state, and the state in equilibrium."""
         self.net = CableNet(self.membrane)
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.membrane, self.versions, self.frame)
@@ -258,15 +257,15 @@ class Scene:
 
     @property
     def dissipated(self) -> float:
-        """Energy that friction has dissipated in all load steps (force x length)."""
+        """Energy dissipated by friction in all load steps (force x length)."""
         return self.net.dissipated
 
     def positions(self) -> Array:
-        """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
+        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts."""
         return self.membrane.positions()
 
     def vertices(self, where: str | Marker) -> Indices:
-        """Local degrees of freedom of the vertices of a named group or marked by a function.
+        """Local degrees of freedom of vertices in a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.
         """
@@ -372,61 +371,61 @@ class Scene:
         """Lay a cable on the membrane's current shape.
 
         The cable lies on the membrane's outer side and spans hollows in a straight line; at a seam
-        of three or more parts it stays on those that bound the outer side. It is just taut, unless
+        of three or more parts it stays on those that bound the outer side. It is just taut unless
         `L0` or `tension` is given. An end on a held edge is held there; moved along the boundary it
-        goes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an end
-        is tied to its place. In load steps the cable slides, also sideways, as far as friction
-        permits, lifts off and touches down.
+        passes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an
+        end is tied to its place. In load steps the cable slides as far as friction permits, also
+        sideways, lifts off and touches down.
 
         Parameters
         ----------
         cable
-            Its data.
+            Data of the cable.
         path
-            Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in space
-            that lies off the membrane is an anchor, from which the cable runs straight to the
-            membrane: beyond the boundary to where it first meets it, over the membrane to the place
+            Points of its path, in plan (k, 2) or in space (k, 3) (length). A first or last point in
+            space off the membrane is an anchor, from which the cable runs straight to the membrane:
+            from beyond the boundary to the first contact, from above the membrane to the place
             below. A `Joint` as first or last point (the others in space) holds the end.
         L0
             Unstressed length (length).
         tension
-            Tension at laying (force), from which the unstressed length follows.
+            Tension at laying (force), which determines the unstressed length.
         shortest
-            Whether to lay the cable along the shortest path on the membrane near `path`, where a
-            cable without friction lies.
+            Whether to lay the cable along the shortest path on the membrane near `path`, the
+            position of a frictionless cable.
         hold
-            What holds the cable on the membrane:
+            Connection of the cable to the membrane:
 
-            * "outside": nothing; it slides and lifts off.
+            * "outside": none; it slides and lifts off.
             * "sleeve": it slides, also sideways, but cannot lift off.
-            * "pocket": it slides along itself only; its line on the fabric is that on which it was
-              sewn. So does a cable along free edges, whatever is given.
-            * "bonded": it does not slide at all, as belts sewn on and bolt ropes; between two sides
-              of cells each part has a tension of its own, `LaidCable.tensions`.
+            * "pocket": it slides along itself only, on its line sewn to the fabric. A cable along
+              free edges does so in any case.
+            * "bonded": it does not slide at all, like sewn-on belts and bolt ropes; each segment
+              between two sides of cells has its own tension, `LaidCable.tensions`.
 
-            Friction in directions in which the cable cannot slide has no part.
+            Friction is ignored in directions in which the cable cannot slide.
         layer
-            Of two crossing cables the one with the higher layer lies on top, of equal ones the
+            Of two crossing cables the one with the higher layer lies on top; for equal layers, the
             later one.
         name
-            Name in results; "cable 1", "cable 2" ... by default.
+            Name in results; by default "cable 1", "cable 2" ...
         measured_on
-            Without `L0`: whether to measure the length on the smooth "surface" through the
-            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` and bonded
-            cables use the facets.
+            Without `L0`: whether the length is measured on the smooth "surface" through the
+            vertices, or on the inscribed "facets", where it is too short; ``Cable(law="step")`` and
+            bonded cables use the facets.
 
         Returns
         -------
         LaidCable
-            The cable, as a handle for load steps and results.
+            The cable, a handle for load steps and results.
 
         Raises
         ------
         PathError
-            The path leaves the membrane, could only go around its back, begins inside of it, goes
-            to a part behind a seam, or returns through the cells that it left by.
+            The path leaves the membrane, could only pass behind it, starts inside it, leads to a
+            part behind a seam, or returns through the cells where it left.
         InputError
-            L0 or tension that is not positive, or both, or a name that is taken.
+            An L0 or tension that is not positive, both of them, or a name in use.
         """
         from crms_fenicsx.paths.laying import lay
 
@@ -510,7 +509,7 @@ class Scene:
 
         A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
         and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
-        unless friction along it varies that. The unstressed lengths between clamps are those at
+        which varies only with friction along it. The unstressed lengths between clamps are those at
         clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
         an equilibrium.
 
@@ -738,18 +737,18 @@ class Scene:
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:
-        """Internal: refuse a state that is not the one that the last load step found. Collective.
+        """Internal: raise an error unless the last load step found the current state. Collective.
 
         Raises
         ------
         InputError
-            On all ranks: it is not, or there has been no load step.
+            On all ranks: the state has changed since, or there was no load step.
         """
         if not self.in_equilibrium():
             raise InputError(f"{call}: {self.versions.trouble}; call solver.advance() before.")
 
     def __repr__(self) -> str:
-        """In a line; not collective."""
+        """One line; not collective."""
         mesh, cables = self.membrane.mesh.mesh, self.net.cables
         loads = {"pressure": self.pressure, **self.loads.factors}
         words = [

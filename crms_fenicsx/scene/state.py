@@ -1,9 +1,8 @@
-"""The state of a scene as one value: what snapshots, halved increments and checkpoints keep.
+"""State of a scene as one value, for snapshots, halved increments and checkpoints.
 
-To add a feature that load steps can change, add a field to the state of the part that owns it
-(`MembraneState`, `LoadsState`, `AirState`, `FrameState`, `CableNetState`). Snapshots, branches,
-combinations, halving and checkpoints then keep it; arrays on the mesh name in their type hint what
-their rows belong to.
+Add whatever load steps can change to the state of the part that owns it (`MembraneState`,
+`LoadsState`, `AirState`, `FrameState`, `CableNetState`): snapshots, branches, combinations, halving
+and checkpoints then keep it. Type hints of mesh arrays name the entities of their rows.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 class SceneState:
     """State of a scene: everything that load steps, supports, loads and cables can change.
 
-    In memory it is that of this process's part of the mesh; `Solver.save` writes it to files.
+    In memory it holds this process's part of the mesh; `Solver.save` writes it to files.
 
     Attributes
     ----------
@@ -53,8 +52,8 @@ class SceneState:
     step_history: StepHistory | None
     terms: Annotated[tuple[EnergyTerm, ...], UNSAVED]
     version: Annotated[Version, UNSAVED]
-    scene: Annotated[object, UNSAVED]  # the `Scene` that it is a state of
-    tried: Annotated[TriedPaths | None, UNSAVED] = None  # what a solver has tried; of snapshots
+    scene: Annotated[object, UNSAVED]  # the `Scene` of this state
+    tried: Annotated[TriedPaths | None, UNSAVED] = None  # paths tried by a solver; in snapshots
 
     @property
     def u(self) -> Array:
@@ -65,7 +64,7 @@ class SceneState:
         return {cable.name: state.tension for cable, state in self.net.cables.items()}
 
     def __repr__(self) -> str:
-        """In a line."""
+        """One line."""
         words = [f"energy {sum(self.energies.values()):.6g}"]
         if self.net.cables:
             tensions = span(list(self.tensions.values()))

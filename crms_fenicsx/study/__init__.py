@@ -1,7 +1,7 @@
-"""Studies of a roof by a function that builds it: error bars, adapted meshes, load combinations.
+"""Studies of a roof built by a function: error bars, adapted meshes, load combinations.
 
-One idiom serves all of them: ``build(mesh)`` makes scene and solver on a mesh, brings the loads on
-and returns the solver.
+All of them call ``build(mesh)``, which makes scene and solver on a mesh, applies the loads and
+returns the solver.
 """
 
 from crms_fenicsx.study.adaptivity import adapt, marked_cells

@@ -1,4 +1,4 @@
-"""Meshes that are finer where the estimated error is."""
+"""Adaptive mesh refinement by the estimated error."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from crms_fenicsx.solver import Solver
 from crms_fenicsx.study.build import Build, built, comm_of
 
 SAME = 1e-4
-"""Relative difference of shares that count as equal, as of cells that mirror each other: the
-solver's tolerance and the order of sums on several ranks make such differences."""
+"""Relative difference below which shares are equal, such as those of mirrored cells: solver
+tolerance and summation order on several ranks cause such differences."""
 
 
 def adapt(
@@ -125,7 +125,7 @@ def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
 
 
 def _fewest(comm: MPI.Intracomm, shares: Array, share: float) -> Indices:
-    """Local numbers of the fewest cells (n,) that have a share of the sum of shares (m,)."""
+    """Local indices of the fewest cells (n,) with a share of the sum of `shares` (m,)."""
     gathered = comm.gather(shares)
     least = 0.0
     if gathered is not None:

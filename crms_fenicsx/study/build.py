@@ -1,4 +1,4 @@
-"""The function by which studies build a roof on a mesh."""
+"""The user's function that builds a roof on a mesh."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.solver import Solver
 
 Build = Callable[[MembraneMesh], Solver]
-"""Makes scene and solver on a mesh, brings the loads on, and returns the solver."""
+"""Function that makes scene and solver on a mesh, applies the loads and returns the solver."""
 
 
 def comm_of(study: str, mesh: MembraneMesh) -> MPI.Intracomm:
-    """The ranks of a mesh."""
+    """Communicator of a checked mesh."""
     checks.of_type(f"{study}: mesh", mesh, MembraneMesh)
     return mesh.comm
 
 
 def built(study: str, build: Build, mesh: MembraneMesh) -> Solver:
-    """The solver that a function builds on a mesh, in equilibrium. Collective."""
+    """The solver built on a mesh, in equilibrium. Collective."""
     with raised_together(mesh.comm):
         if not callable(build):
             raise InputError(

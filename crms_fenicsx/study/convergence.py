@@ -1,4 +1,4 @@
-"""Error bars: the same roof on finer and finer meshes, and where its results go."""
+"""Error bars by mesh refinement: results on successively finer meshes, and their limits."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Convergence:
 
 
 def _digits(limit: float, bar: float) -> int:
-    """Digits that show a value to a tenth of its bar."""
+    """Number of digits that shows a value to a tenth of its error bar."""
     if bar <= 0.0 or limit == 0.0:
         return 8
     return min(max(math.ceil(math.log10(abs(limit) / bar)) + 2, 4), 10)

@@ -1,4 +1,4 @@
-"""Combinations of loads that groups of processes share, each with a scene of its own."""
+"""Load combinations shared out to groups of processes, each with its own scene."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def combine_in_groups(
 def _joined(
     comm: MPI.Intracomm, own: MPI.Intracomm, cases: list[Case], names: list[str]
 ) -> dict[str, Case]:
-    """The cases of all groups in an order; pictures are on the first process only. Collective."""
+    """All groups' cases in the order of `names`, pictures on the first process. Collective."""
     sent = cases if own.rank == 0 else []
     plain = comm.allgather([replace(case, pictures=(), view="") for case in sent])
     found = {case.name: case for part in plain for case in part}

@@ -1,16 +1,15 @@
-"""Numbers of an equilibrium that are compared between meshes.
+"""Quantities of an equilibrium compared between meshes, and their error bars.
 
-Errors of this package's elements fall with the square of the cells' size where the mesh resolves
-what there is. Each halving then takes three quarters of the error away, and what is left is a
-third of the last difference d (L. F. Richardson, 1911). The order p that the last two differences
-show says whether it is so. The bar is P. J. Roache's (Perspective: a method for uniform reporting
-of grid refinement studies, 1994) with the factors of safety of L. Eca and M. Hoekstra (A procedure
-for the estimation of the numerical uncertainty of CFD calculations based on grid refinement
-studies, 2014): the error by the order found, times 1.25 where that is the order expected, and
-times 3 elsewhere. Two differences may agree by chance, or be small by chance where values go to
-and fro. So what shows no order, or changed its direction between any levels, gets the error that
-the greatest of all differences tells, each brought to the finest level by order 2, times 3.
-`docs/benchmarks/cable_accuracy.md` says how often bars hold known limits.
+Errors fall with the square of the cell size where the mesh resolves the solution. Halving the cells
+then leaves a third of the last difference d (L. F. Richardson, 1911). The order of the last two
+differences shows whether this holds. The error bar is P. J. Roache's (Perspective: a method for
+uniform reporting of grid refinement studies, 1994) with the factors of safety of L. Eca and M.
+Hoekstra (A procedure for the estimation of the numerical uncertainty of CFD calculations based on
+grid refinement studies, 2014): the error at the observed order, times 1.25 if that is near the
+expected order, else times 3. As differences may be consistent, or small, by chance, values without
+an order, or that changed direction, get three times the largest error of all differences, each
+reduced to the finest level with order 2. `docs/benchmarks/cable_accuracy.md` tells how often bars
+contain known limits.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ from crms_fenicsx.surface.closest_point import ON_SURFACE
 
 ORDER = 2.0
 REGULAR = (1.2, 3.0)
-"""Orders found between which the levels are taken to converge with order 2."""
+"""Observed orders at which the levels are taken to converge with order 2."""
 NEAR, SAFE, SAFER = 0.3, 1.25, 3.0
-"""How far the order found is from 2 at most for the first of the two factors of safety."""
+"""Distance from order 2 up to which the first of the two safety factors applies."""
 FAR = 0.3
-"""Differences, relative to the largest value, above which the first level shows no order."""
+"""Relative difference above which the first level is too coarse."""
 SAME = 1e-7
-"""Differences, relative to the largest value, that the solver's tolerance makes."""
+"""Differences, relative to the largest value, due to the solver's tolerance."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class Quantity:
 
 
 def extrapolated(values: Sequence[float], size: float = 0.0) -> Quantity:
-    """Extrapolate values on two levels or more, of which each has half the cells' size."""
+    """Extrapolate values on two or more levels, each with half the previous cell size."""
 
     def found(limit: float, bar: float, order: float, regular: bool, remark: str) -> Quantity:
         whole = max(size, abs(limit))
@@ -118,15 +117,15 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Quantity:
 
 
 ALL = "membrane"
-"""What names the whole membrane among its parts."""
+"""Name of the whole membrane as a part."""
 
 Value = tuple[float, float]
-"""A number, and the size of those of its kind."""
+"""A value and its reference size."""
 
 
 @dataclass(frozen=True)
 class Quantities:
-    """What is compared besides the energy and the tensions; see `convergence`."""
+    """Quantities compared besides energy and tensions; see `convergence`."""
 
     points: Mapping[str, Array] = field(default_factory=dict)
     reactions: Sequence[str] = ()
@@ -142,7 +141,7 @@ class Quantities:
         stresses: Sequence[str],
         others: Mapping[str, Callable[[Solver], float]] | None,
     ) -> Quantities:
-        """Check what a user gives. Collective."""
+        """Checked arguments of `convergence`. Collective."""
         for name, given in (("points", points), ("quantities", others)):
             example = f'{name}={{"middle": ...}}'
             checks.collection(
@@ -169,7 +168,7 @@ class Quantities:
         return cls(places, tuple(reactions), tuple(stresses), dict(others or {}))
 
     def of(self, solver: Solver) -> dict[str, Value]:
-        """Their values in the state of a solver, by their names. Collective."""
+        """Values of a solver's state by name. Collective."""
         scene = solver.scene
         size = sum(map(abs, scene.energies.values()))
         found: dict[str, Value] = {"energy": (scene.energy, size)}
@@ -213,7 +212,7 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
 
 
 def displacements(scene: Scene, points: Array) -> Array:
-    """Displacements (length) of the stress-free places nearest to points (k, 3). Collective."""
+    """Displacements (length) at the stress-free places nearest to points (k, 3). Collective."""
     found = _nearest(scene, points)
     return found.positions - found.stress_free
 
@@ -223,7 +222,7 @@ def _nearest(scene: Scene, points: Array) -> Places:
 
 
 def _refuse_off(scene: Scene, points: Mapping[str, Array]) -> None:
-    """Raise where a point is off the stress-free surface. Collective."""
+    """Raise `InputError` for points off the stress-free surface. Collective."""
     if not points:
         return
     found = _nearest(scene, np.array(list(points.values())))

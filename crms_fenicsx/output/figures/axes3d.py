@@ -1,4 +1,4 @@
-"""Axes in which a shape is drawn: its scale, a measured box behind it, legend, colour bars."""
+"""Axes of a 3D picture: scale, measured box behind the shape, legend and colour bars."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 INK = "#2b2f36"
 RIM = "#1d1f24"
-"""Of cables."""
+"""Colour of cables."""
 STRIPES = (0.0, (0.9, 0.9))
-"""Of cables where they are off the membrane: dashes, between which the rim is seen."""
+"""Dashes of cables off the membrane; the rim shows between them."""
 _GRID = "#d3d7dc"
 _WALL = "#f4f5f7"
 DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours that everybody can tell apart."""
+"""Colours safe for colour-blind readers."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
 
 
 def check_colours(*names: str) -> None:
-    """Raise `InputError` where matplotlib has no colour map of one of the names."""
+    """Raise `InputError` for names that are no colour maps of matplotlib."""
     from matplotlib import colormaps
 
     for name in names:
@@ -44,12 +44,12 @@ def check_colours(*names: str) -> None:
 
 
 def with_unit(label: str, unit: str) -> str:
-    """Return a label with its unit in brackets, if there is one."""
+    """Label with its unit, if any, in brackets."""
     return f"{label} [{unit}]" if unit else label
 
 
 def annotate(axes: Axes, text: str, at: Array, offset: tuple[float, float], size: float) -> None:
-    """Write a text with a white rim at an offset in points."""
+    """Write a text with a white outline at an offset in points."""
     from matplotlib.patheffects import withStroke
 
     written = axes.annotate(
@@ -59,7 +59,7 @@ def annotate(axes: Axes, text: str, at: Array, offset: tuple[float, float], size
 
 
 def style_axes(axes: Axes, size: float) -> None:
-    """Draw ticks of a size in points, and a faint grid behind what is plotted."""
+    """Draw tick labels of a size in points, and a faint grid behind the plot."""
     axes.tick_params(labelsize=size, colors=INK, width=0.7, length=3)
     axes.grid(color="#e3e6ea", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -72,7 +72,7 @@ def check_view(view: tuple[float, float]) -> None:
 
 
 class Axes3D:
-    """A figure whose axes show the camera's picture; `point`: length of 1/72 inch of it."""
+    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class Axes3D:
         self._bars = bars
         self.axes: Axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self.axes.set_axis_off()
-        # centred in the room that margins and bars leave
+        # centred between margins and colour bars
         middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
         origin = middle - scale * np.array(
             [left + 0.5 * room[0], bottom + 0.5 * (height - bottom - top)]
@@ -113,17 +113,17 @@ class Axes3D:
             )  # fmt: skip
 
     def frame(self) -> Bbox:
-        """Return the rectangle around the box, in the axes' data coordinates."""
+        """Rectangle around the box in data coordinates of the axes."""
         from matplotlib.transforms import Bbox
 
         seen = self._flat(_corners(self.low, self.high))
         return Bbox([seen.min(axis=0), seen.max(axis=0)])
 
     def finished(self, path: Path | None, dpi: int) -> Figure | None:
-        """As `picture.finished` of what was drawn, without the white around it."""
+        """As `picture.finished`, cropped to the drawing."""
         from matplotlib.transforms import Bbox
 
-        # the axes fill the figure, so that "tight" would find nothing to cut off
+        # the axes fill the figure, so "tight" would crop nothing
         renderer = self.figure.canvas.get_renderer()  # type: ignore[attr-defined]
         texts = [*self.axes.texts, *self.figure.texts]
         drawn = [text.get_window_extent(renderer) for text in texts]
@@ -178,13 +178,13 @@ class Axes3D:
         return self.camera.project(points)[..., :2]
 
     def _ruler(self, axis: int, far: Array, near: Array) -> Array:
-        """Return the ends (2, 3) of the box's edge that carries an axis's tick labels."""
+        """End points (2, 3) of the box edge that carries an axis's tick labels."""
         ends = np.empty((2, 3))
         if axis < 2:  # on the floor (or ceiling), at the near side
             ends[:] = near
             ends[:, 2] = far[2]
             across = 1 - axis
-            if abs(self.camera.axes[2, across]) < 0.02:  # no side is near: left or bottom
+            if abs(self.camera.axes[2, across]) < 0.02:  # neither side is nearer: left or bottom
                 ends[:, across] = min(
                     (self.low[across], self.high[across]),
                     key=lambda value: float(value * self.camera.axes[:2, across].sum()),
@@ -231,7 +231,7 @@ class Axes3D:
         self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
 
     def add_legend(self, entries: Sequence[tuple[Any, str, str]]) -> None:
-        """Say what colours are, by entries (colour, text, kind), in the upper right corner."""
+        """Add a legend of entries (colour, text, kind) in the upper right corner."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -258,7 +258,7 @@ class Axes3D:
             )  # fmt: skip
 
     def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:
-        """Draw a colour bar at the right, as number `place` from the shape outwards."""
+        """Draw a colour bar on the right, at position `place`, counted outwards."""
         width, height = self._size
         tall = min(0.62 * height, 3.2)
         left = width - 0.35 - 0.95 * (self._bars - place) + 0.08
@@ -273,7 +273,7 @@ class Axes3D:
 
 
 def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the box around points, (low, high): with some air but below, and no side zero."""
+    """Bounding box (low, high) of points with margins, except below, and no zero side."""
     points = np.concatenate([np.reshape(shape, (-1, 3)) for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max()) or 1.0
@@ -287,7 +287,7 @@ def _corners(low: Array, high: Array) -> Array:
 
 
 def _decimals(ticks: Array) -> int:
-    """Return how many decimals tell the ticks apart."""
+    """Number of decimals that distinguishes the ticks."""
     if len(ticks) < 2:
         return 0 if len(ticks) == 0 or float(ticks[0]).is_integer() else 3
     step = float(np.diff(ticks).min())

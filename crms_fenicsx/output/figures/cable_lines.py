@@ -1,4 +1,4 @@
-"""Paint cables over a surface, in colours by value."""
+"""Painting of cables over a surface, coloured by value."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 NO_VALUE = (0.784, 0.784, 0.784)
 _SAME = 1e-3
-"""Relative: a colour bar over less would show differences that its ticks cannot tell."""
+"""Relative range of equal values, which the ticks of a colour bar could not distinguish."""
 
 
 def common_value(values: Array) -> float | None:
-    """Return the value that all share to three digits; None where they differ or none is finite."""
+    """The common value, to three digits; None if values differ or none is finite."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
         return None
@@ -33,14 +33,14 @@ def common_value(values: Array) -> float | None:
 
 
 def in_words(label: str, value: float) -> str:
-    """Return a label with its value; a unit in brackets at the label's end follows the value."""
+    """Label with its value; a unit in brackets at the label's end is moved behind the value."""
     found = re.fullmatch(r"(.*?)\s*\[(.*)\]", label)
     name, unit = found.groups() if found else (label, "")
     return " ".join(part for part in (name, f"{value:.4g}", unit) if part)
 
 
 def limits_of(values: Array) -> tuple[float, float]:
-    """Return the ends of the values' colours: their own, or from 0 if that is not far away."""
+    """Ends of the colour scale: those of the values, or 0 if near enough."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if 0.0 < low < 0.5 * high:
@@ -56,7 +56,7 @@ def limits_of(values: Array) -> tuple[float, float]:
 def colouring(
     values: Array | None, label: str, limits: tuple[float, float] | None, colours: str
 ) -> tuple[ScalarMappable | None, str]:
-    """Map from values to colours, NaN in grey, or else what a legend says of a common value."""
+    """Colour scale of values, NaN in grey, or the legend text of a common value."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
@@ -66,7 +66,7 @@ def colouring(
     same = common_value(values) if limits is None else None
     if same is not None:
         return None, in_words(label, same)
-    # a little white leaves room for the shade, which dark colours would swallow
+    # lightened, as shading would swallow dark colours
     shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
     colormap = ListedColormap(shades)
     colormap.set_bad(NO_VALUE)
@@ -75,19 +75,19 @@ def colouring(
 
 
 CABLE = "#c8322b"
-_SHORTEST = 3  # pieces of a line: less is a speck in a crease
+_SHORTEST = 3  # pieces of a line; shorter runs are specks in a crease
 
 
 @dataclass(frozen=True)
 class LineStyle:
-    """How lines are painted."""
+    """Colours and visibility of lines."""
 
-    # of each line that has a colour by value: one, one per point or one per segment
+    # values of each line for its colours: one, one per point or one per segment
     values: list[Array]
-    # map from values to colours; None: all in the colour of a plain cable
+    # colour scale; None: plain cable colour
     paint: ScalarMappable | None
-    note: str  # what a legend says of a value that all lines have, or ""
-    off: list[Booleans]  # segments of each line that are off the surface
+    note: str  # legend text of a value common to all lines, or ""
+    off: list[Booleans]  # whether each line's segments are off the surface
 
 
 def line_style(
@@ -98,7 +98,7 @@ def line_style(
     colours: str,
     loose: str | None,
 ) -> LineStyle:
-    """Choose how lines are painted; arguments as for `draw_shape`."""
+    """Style of lines; arguments as for `draw_shape`."""
     if name is not None and not lines:
         raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
     for line in lines:
@@ -119,7 +119,7 @@ def line_style(
 
 
 def _off_segments(line: Line, name: str | None) -> Booleans:
-    """Say which segments of a line are off the surface, (k - 1,)."""
+    """Whether each segment of a line is off the surface, (k - 1,)."""
     count = len(np.asarray(line.points))
     given = np.zeros(()) if name is None else np.asarray(line.data[name])
     if given.shape == (count,):
@@ -136,7 +136,7 @@ def paint_lines(
     clip: tuple[Array, Array] | None,
     show_names: bool,
 ) -> None:
-    """Paint what triangles (m, 3, 3) leave to be seen of lines."""
+    """Paint the parts of lines not hidden by triangles (m, 3, 3)."""
     from matplotlib.collections import LineCollection
 
     runs: list[Array] = []
@@ -149,7 +149,7 @@ def paint_lines(
         if style.paint is not None:
             values = _interpolated(style.values[number], segment, middle, segment[-1] + 2)
         off = style.off[number][segment]
-        # a run: pieces that are seen, one after the other, in one colour and style
+        # a run: successive visible pieces of one colour and style
         for start, end in _runs(np.column_stack([seen, values, off])):
             if seen[start]:
                 runs.append(nodes[start : end + 1])
@@ -185,7 +185,7 @@ def _seen(
     tolerance: float,
     clip: tuple[Array, Array] | None,
 ) -> Booleans:
-    """Say which pieces of a line are seen, by their middles; no specks of what is hidden."""
+    """Whether pieces of a line are visible at their midpoints, without short runs."""
     seen = visible(middles, triangles, tolerance)
     if clip is not None:
         places = axes3d.camera.place(middles)
@@ -197,20 +197,20 @@ def _seen(
 
 
 def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
-    """Return first row and end of each run of equal rows."""
+    """Start row and end of each run of equal rows."""
     starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
     return list(zip(starts, [*starts[1:], len(kinds)], strict=True))
 
 
 def _interpolated(given: Array, segment: Integers, middle: Array, count: int) -> Array:
-    """Return the values at pieces' middles of a line of `count` points."""
+    """Values at the midpoints of pieces of a line with `count` points."""
     if given.shape == (count,):
         return given[segment] + middle * (given[segment + 1] - given[segment])
     return np.broadcast_to(given, count - 1)[segment]
 
 
 def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Nodes (s + 1, 3) of pieces of at most `step`, their segments and middles' places (s,)."""
+    """Nodes (s + 1, 3) of pieces up to `step`, their segments, and midpoints along these (s,)."""
     lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
     counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
     segment, k = offsets_within(counts)

@@ -1,4 +1,4 @@
-"""From space to the paper: projection, light, and what hides what."""
+"""Camera: projection, lighting and visibility."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 @dataclass(frozen=True)
 class Camera:
-    """A viewer who looks at a point."""
+    """A viewer looking at a point."""
 
-    # azimuth, elevation: where the viewer stands, in degrees: azimuth counterclockwise from the x
-    # axis, elevation above the horizontal plane. (-90, 90) is the plan with x to the right.
+    # viewer's position in degrees: azimuth counter-clockwise from the x axis, elevation above the
+    # horizontal plane; (-90, 90) is the plan with x to the right
     azimuth: float
     elevation: float
-    centre: ArrayLike  # (3,) array of length the point in the picture's middle
-    distance: float = np.inf  # from the viewer to the centre; infinite for a parallel projection
+    centre: ArrayLike  # (3,) point in the picture's centre (length)
+    distance: float = np.inf  # from viewer to centre; infinite: parallel projection
 
     @property
     def axes(self) -> Array:
-        """Rows: unit vectors to the right, upwards and towards the viewer, (3, 3)."""
+        """Unit vectors to the right, upwards and towards the viewer, as rows (3, 3)."""
         a, e = np.radians([self.azimuth, self.elevation])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         return np.array([right, np.cross(towards, right), towards])
 
     def project(self, points: ArrayLike) -> Array:
-        """Right, up and nearness of (..., 3) points; straight lines stay straight, planes plane."""
+        """Projections (..., 3), right, up and towards the viewer; straight lines stay straight."""
         seen = (np.asarray(points, dtype=np.float64) - np.asarray(self.centre)) @ self.axes.T
         return seen / (1.0 - seen[..., 2:] / self.distance)
 
     def place(self, seen: Array) -> Array:
-        """Return the (..., 3) points whose projections are given: the inverse of `project`."""
+        """Points (..., 3) of given projections: the inverse of `project`."""
         return seen / (1.0 + seen[..., 2:] / self.distance) @ self.axes + np.asarray(self.centre)
 
 
 def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
-    """Diffuse and specular light, 0 to 1, on both sides of triangles (m, 3, 3)."""
+    """Diffuse and specular light, 0 to 1, on triangles (m, 3, 3) lit from both sides."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, sizes, out=np.zeros_like(normals), where=sizes > 0) @ camera.axes.T
@@ -53,7 +53,7 @@ def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
 
 
 def visible(samples: Array, corners: Array, tolerance: float) -> Booleans:
-    """Say which points (s, 3) no triangle, of corners (m, 3, 3), hides, (s,)."""
+    """Whether points (s, 3) are hidden by no triangle of (m, 3, 3), (s,)."""
     seen = np.ones(len(samples), dtype=bool)
     if len(corners) == 0 or len(samples) == 0:
         return seen
@@ -76,7 +76,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
-    """Return pairs (sample, triangle) that share a bin of a grid over the picture."""
+    """Pairs (sample, triangle) that share a bin of a grid over the picture."""
     bins = int(np.clip(np.sqrt(len(corners)), 1, 256))
     low = corners[..., :2].min(axis=(0, 1))
     cell = np.maximum(np.ptp(corners[..., :2], axis=(0, 1)), 1e-300) / bins
@@ -100,6 +100,6 @@ def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
 
 
 def offsets_within(counts: Integers) -> tuple[Integers, Integers]:
-    """Return each index i `counts[i]` times, and the number 0, 1, ... of each time."""
+    """Each index i `counts[i]` times, and a counter 0, 1, ... of the repetitions."""
     index = np.repeat(np.arange(len(counts)), counts)
     return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)

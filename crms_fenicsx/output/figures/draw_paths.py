@@ -1,4 +1,4 @@
-"""Pictures of the ways that points have gone, step by step."""
+"""Pictures of the paths of points, step by step."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ from crms_fenicsx.views.view_data import Line, Surface
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_CLOSEUP = 2.3  # inches: a close-up with its labels
-_LABELS = 0.75  # inches of these
+_CLOSEUP = 2.3  # inches, with labels
+_LABELS = 0.75  # inches
 _CABLE = "#8a8f98"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathOptions:
-    """How `draw_path` draws.
+    """Options of `draw_path`.
 
     Parameters
     ----------
     points, triangles : (n, 3) array of length, (m, 3) array of int, optional
-        Triangles below the paths.
+        Triangles drawn below the paths.
     lines : sequence of Line
-        Cables: drawn plainly in grey, or each name in a colour of its own and in the legend.
+        Cables: grey if unnamed, otherwise one colour and legend entry per name.
     view : (azimuth, elevation)
-        In degrees; by default the plan.
+        Viewer's position in degrees; by default the plan.
     closeups : dict of numbers of paths by title, optional
-        Panels beside the picture that show some paths, and the cables there, closely in plan, all
-        at one scale. Where paths coincide, the later ones have smaller markers.
+        Panels beside the picture with close-ups in plan of these paths and nearby cables, all at
+        one scale. Where paths coincide, later ones have smaller markers.
     unit, title : str
-        The unit of length; heading.
+        Unit of length; heading.
     width, dpi : float, int
         Width in inches; pixels per inch.
     """
@@ -67,30 +67,29 @@ class PathOptions:
 
 
 def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any) -> Figure | None:
-    """Draw the ways that points have gone, with a marker and a number for each step, and cables.
+    """Draw paths of points, with a numbered marker for each step, and cables.
 
-    Made for models of a few triangles: nothing hides anything. Not collective.
+    Meant for models of a few triangles: hidden parts are drawn, too. Not collective.
 
     Parameters
     ----------
     filename : str, Path or None
-        Picture to write; its suffix says the format. None returns it.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     paths : sequence of Line
-        The positions of a point, step 0 first; the lines' names go into a legend. It may be empty
-        if there are ``lines``.
+        Positions of one point each, step 0 first; the names go into the legend. May be empty if
+        there are ``lines``.
     **options
-        As `PathOptions`: ``points``, ``triangles``, ``lines``, ``closeups`` ...
+        Options of `PathOptions`: ``points``, ``triangles``, ``lines``, ``closeups`` ...
 
     Returns
     -------
     matplotlib.figure.Figure
-        Without a file, which a notebook shows; else None.
+        The figure for notebooks, without a file; else None.
 
     Raises
     ------
     InputError
-        With neither paths nor cables, for arrays that do not fit together, or a file that cannot
-        be written.
+        Neither paths nor cables, inconsistent arrays, or a file that cannot be written.
     """
     how = PathOptions(**options)
     lines, closeups = how.lines, how.closeups or {}
@@ -157,7 +156,7 @@ def _add_closeups(
     cables: tuple[Sequence[Array], Sequence[str]],
     unit: str,
 ) -> None:
-    """Draw a panel in plan for each close-up, one below the other, all at one scale."""
+    """Draw a close-up in plan for each group of paths, one below the other, all at one scale."""
     groups = [[ways[number][:, :2] for number in numbers] for numbers in closeups.values()]
     lows = np.array([np.min([way.min(axis=0) for way in group], axis=0) for group in groups])
     highs = np.array([np.max([way.max(axis=0) for way in group], axis=0) for group in groups])
@@ -189,10 +188,10 @@ def _add_closeups(
 def _draw_below(
     axes: Any, triangles: Array, cables: Sequence[Array], colours: Sequence[str], point: float
 ) -> None:
-    """Draw triangles and cables on them; `point` is the length that a typographic point shows."""
+    """Draw triangles and the cables on them; `point` is the length shown by a typographic point."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    # the edges of a fine mesh would be all that one sees
+    # the edges of a fine mesh would dominate the picture
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
     fine = len(sides) > 0 and float(np.median(sides)) < 30.0 * point
     axes.add_collection(
@@ -219,7 +218,7 @@ def _draw_way(axes: Any, at: Array, number: int, size: float, steps: Sequence[in
 
 
 def _spaced_steps(at: Array, apart: float) -> list[int]:
-    """Return the steps whose numbers have room, the first and the last before the others."""
+    """Steps whose numbers have room, the first and last step before the others."""
     steps: list[int] = []
     for step in [0, len(at) - 1, *range(len(at) - 2, 0, -1)]:
         if all(np.linalg.norm(at[step] - at[other]) >= apart for other in steps):

@@ -1,4 +1,4 @@
-"""Draw a scene, and paths over its mesh, by one call on all ranks."""
+"""Draw a scene, or paths over its mesh, by one call on all ranks."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_CELLS = 500_000
-"""Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
-20 s and 0.7 GB for a million; and in a picture of a million points nobody would see so many."""
+"""Largest number of cells drawn: the first process needs 20 s and 0.7 GB for a million, more than a
+picture can show."""
 
 MOST_STROKES = 12
-"""So many principal directions are shown along the size of a surface."""
+"""Number of principal directions drawn along the size of a surface."""
 
 SIGNED = "RdYlBu_r"
-"""Colours of tensions and compressions."""
+"""Colour map of tension and compression."""
 
 
 QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
 QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
-"""Quantities of cells by the colours that show them."""
+"""Cell quantities by their names as colours."""
 COLOURS = ("height", "displacement", *QUANTITY_OF)
-"""What `draw` can colour the membrane by."""
+"""Colours of the membrane that `draw` accepts."""
 
 
 LOAD = "load "
-"""What the colours of loads begin with, before the load's name."""
+"""Prefix of the colours of loads, before the load's name."""
 
 
 def label_of(colour: str) -> tuple[str, str]:
@@ -70,7 +70,7 @@ def label_of(colour: str) -> tuple[str, str]:
 
 
 class HasSystem(Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     comm: MPI.Intracomm
 
@@ -92,38 +92,37 @@ def draw(
     directions: bool = False,
     **options: Any,
 ) -> Figure | None:
-    """Draw a solver's scene in its current state, with the tensions of cables and bars. Collective.
+    """Draw the current state of a solver's scene, with forces of cables and bars. Collective.
 
-    Cables are striped where they are off the membrane; the compression of bars is negative, and
-    blue.
+    Cables are striped where off the membrane; compression of bars is negative and blue.
 
     Parameters
     ----------
     solver
-        A `Solver`; its scene is drawn.
+        `Solver` of the scene.
     filename
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     colour
-        What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
-        and smaller principal true section force), "warp", "weft" and "shear" (true section
-        forces), "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the
-        strengths of `Scene.set_strengths`), "load snow" (force per area of the load of that name at
-        the factor 1, of wind its pressure coefficients c_p); None: plain fabric.
+        Colour of the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger and
+        smaller principal true section force), "warp", "weft" and "shear" (true section forces),
+        "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the strengths
+        of `Scene.set_strengths`), "load snow" (force per area of the load "snow" at factor 1;
+        pressure coefficients c_p for wind); None: plain fabric.
     unit, force
-        Names of the units of length and force, for labels.
+        Units of length and force, for labels.
     ghost
-        Whether to show the stress-free shape, faintly.
+        Whether to show the stress-free shape faintly.
     tensions
-        Whether to colour the cables by their tensions, which takes a colour bar of its own.
+        Whether to colour cables and bars by their forces, with a separate colour bar.
     directions
-        Whether to show directions of the larger principal section force by strokes.
+        Whether to show the directions of the larger principal section force as strokes.
     **options
-        As `ShapeOptions`: ``view``, ``box``, ``title``, ``limits`` ...
+        Options of `ShapeOptions`: ``view``, ``box``, ``title``, ``limits`` ...
 
     Returns
     -------
     matplotlib.figure.Figure
-        On the first rank, without a file; a notebook shows it. Else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------
@@ -133,7 +132,7 @@ def draw(
     Warns
     -----
     PictureWarning
-        The mesh has more than `MOST_CELLS` cells; nothing is drawn.
+        Nothing is drawn, as the mesh has more than `MOST_CELLS` cells.
     """
     if not hasattr(type(solver), "system"):
         raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
@@ -194,8 +193,7 @@ def draw(
 
 
 def _principal_strokes(system: System) -> Array:
-    """Strokes along the larger principal force of cells spread over all ranks' surface.
-    Collective."""
+    """Strokes (k, 2, 3) along the larger principal forces, spread over the surface. Collective."""
     results, scene = membrane_results(system), system.scene
     n = len(results.state)
     centres = scene.positions()[scene.V.dofmap.list[:n]].mean(axis=1)
@@ -211,7 +209,7 @@ def _principal_strokes(system: System) -> Array:
 
 
 def spread(places: Array, step: float) -> Integers:
-    """Numbers of places (n, 3), one in each cube of a size, that in its middle."""
+    """Indices of places (n, 3), one per cube of size `step`: the closest to its centre."""
     cubes = np.floor(places / step)
     off = np.linalg.norm(places / step - cubes - 0.5, axis=1)
     order = np.lexsort((*places.T, off))
@@ -220,7 +218,7 @@ def spread(places: Array, step: float) -> Integers:
 
 
 def _signed_colours(scene: Scene) -> dict[str, Any]:
-    """Colours of tensions from blue compression to red tension, where there is compression."""
+    """Colour scale of forces from blue compression to red tension, if there is compression."""
     forces = [bar.force for bar in scene.bars]
     if min(forces, default=0.0) >= 0.0:
         return {}
@@ -236,25 +234,25 @@ def draw_paths(
     paths: Sequence[Line] = (),
     **options: Any,
 ) -> Figure | None:
-    """Draw paths of cables and ways of points over the stress-free mesh, in plan. Collective.
+    """Draw cables and paths of points over the stress-free mesh, in plan. Collective.
 
     Parameters
     ----------
     scene
-        Its mesh is drawn.
+        Scene of the mesh.
     filename
-        Picture to write; its suffix says the format. None returns it.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     lines
-        Paths of cables, such as ``Line(cable.line, name="now")``; those of the first rank count.
+        Cables, such as ``Line(cable.line, name="now")``, from the first rank.
     paths
-        Ways of points, step by step; those of the first rank count.
+        Paths of points, step by step, from the first rank.
     **options
-        As `PathOptions`: ``unit``, ``closeups``, ``title`` ...
+        Options of `PathOptions`: ``unit``, ``closeups``, ``title`` ...
 
     Returns
     -------
     matplotlib.figure.Figure
-        On the first rank, without a file; a notebook shows it. Else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------
@@ -264,7 +262,7 @@ def draw_paths(
     Warns
     -----
     PictureWarning
-        The mesh has more than `MOST_CELLS` cells, and is left out.
+        The mesh is omitted, as it has more than `MOST_CELLS` cells.
     """
     checks.of_type("draw_paths: scene", scene, Scene)
     checks.same(scene.comm, "draw_paths", filename=filename, **options)
@@ -283,7 +281,7 @@ def draw_paths(
 
 
 def _too_large(scene: Scene, happens: str) -> bool:
-    """Whether a scene's mesh is too large for a picture; warns then."""
+    """Whether a scene's mesh is too large for a picture; warns if so."""
     cells = scene.mesh.mesh.topology.index_map(2).size_global
     if cells > MOST_CELLS and scene.comm.rank == 0:
         warnings.warn(

@@ -1,4 +1,4 @@
-"""Draw a surface with its cables, painted from back to front."""
+"""Draw a surface with its cables, from back to front."""
 
 from __future__ import annotations
 
@@ -34,56 +34,56 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
-_ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
+_ON_SURFACE = 0.006  # relative to the size: depth of a cable below unfolded triangles
 _GHOST = (0.20, 0.33, 0.60)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeOptions:
-    """How `draw_shape` draws.
+    """Options of `draw_shape`.
 
     Parameters
     ----------
     values : (n,) or (m,) array, optional
-        Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
+        Values per vertex or triangle, shown as colours; NaN is grey. By default plain fabric.
     label : str
-        Of the values' colour bar, with its unit in brackets. Equal values get no bar: the surface
-        is painted plainly, and a legend tells the value.
+        Label of the values' colour bar, with the unit in brackets. Equal values get a legend
+        instead of a bar, on plain fabric.
     limits : (low, high), optional
-        Ends of the colours, with which there is always a bar; by default those of the values, or 0
-        if that is near.
+        Ends of the colour scale, which then always gets a bar; by default those of the values, or 0
+        if near.
     colours : str
         Name of a matplotlib colour map.
     line_values : str, optional
-        Name of the lines' data that colour them ("tension"), with a colour bar of its own.
+        Name of the lines' data that colour them ("tension"), with a separate colour bar.
     line_label, line_limits, line_colours
-        As those of the surface; lines with the same value are painted in one colour.
+        As for the surface; lines of equal values get one colour.
     loose : str, optional
-        Name of the lines' data that say where they are off the surface (not zero), and striped. Of
-        data per point, segments are off if one of their ends is.
+        Name of the lines' data that are non-zero where a line is off the surface, hence striped.
+        With data per point, a segment is off if one of its ends is.
     show_names : bool
-        Write each line's name beside it.
+        Whether to write each line's name beside it.
     title, unit : str
-        Heading, and the unit of length, for the box.
+        Heading; unit of length, for the box.
     view : (azimuth, elevation)
-        Where the viewer stands, in degrees; (-90, 90) is the plan with x to the right.
+        Viewer's position in degrees; (-90, 90) is the plan with x to the right.
     perspective : bool
         Mild perspective; otherwise parallel projection.
     ghost : (points, triangles), optional
         A second shape, such as the reference, drawn faintly.
     strokes : (k, 2, 3) array of length, optional
-        Ends of short lines on the surface, such as principal directions.
+        End points of short lines on the surface, such as principal directions.
     edges : bool
-        Draw the edges of the triangles where these are large enough.
+        Whether to draw edges of triangles that are large enough.
     hidden : (h, 2) array of int, optional
-        Pairs of vertices between which no edge is drawn, as where polygons are cut into triangles.
+        Vertex pairs of edges not to be drawn, such as diagonals of polygons.
     box : bool or (low, high)
-        Draw the box with its ticks; or the box's lowest and highest corner, for pictures to
-        compare. Lines end where they leave such a box.
+        Whether to draw the box with its ticks; or the box's lowest and highest corner, for
+        comparable pictures. Lines are clipped at such a box.
     width : float
-        The picture's, in inches; its height follows from the shape's.
+        Width of the picture in inches; its height follows from the shape.
     dpi : int
-        Pixels per inch, of a file.
+        Pixels per inch of a file.
     """
 
     values: ArrayLike | None = None
@@ -115,30 +115,29 @@ def draw_shape(
 ) -> Figure | None:  # fmt: skip
     """Draw a surface and the cables on it, in a box from which its size can be read.
 
-    Cables are seen where no part of the surface is in front of them. Not collective: call it on
-    one rank, with all of the surface.
+    Cables are hidden where the surface is in front of them. Not collective: call it on one rank,
+    with the whole surface.
 
     Parameters
     ----------
     filename : str, Path or None
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     points, triangles : (n, 3) array of length, (m, 3) array of int
         The surface.
     lines : sequence of Line
         Cables.
     **options
-        As `ShapeOptions`: ``values``, ``label``, ``view``, ``title`` ...
+        Options of `ShapeOptions`: ``values``, ``label``, ``view``, ``title`` ...
 
     Returns
     -------
     matplotlib.figure.Figure
-        Without a file, which a notebook shows; else None.
+        The figure for notebooks, without a file; else None.
 
     Raises
     ------
     InputError
-        For arrays that do not fit together, lines without `line_values`, or a file that cannot
-        be written.
+        Inconsistent arrays, lines without the data `line_values`, or a file that cannot be written.
     """
     how = ShapeOptions(**options)
     surface = Surface(points, triangles).checked()
@@ -161,9 +160,7 @@ def draw_shape(
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]
     low, high = corners or bounds(shapes if ghostly is None else [*shapes, ghostly])
     size = float(np.linalg.norm(high - low))
-    near = (
-        how.perspective and abs(how.view[1]) < 85.0
-    )  # a plan is parallel, or it cannot be measured
+    near = how.perspective and abs(how.view[1]) < 85.0  # parallel, so that plans can be measured
     camera = Camera(*how.view, 0.5 * (low + high), 3.5 * size if near else np.inf)
 
     paint, note = colouring(values, how.label, how.limits, how.colours)
@@ -199,7 +196,7 @@ def draw_shape(
 
 
 def _corners(surface: Surface) -> Array:
-    """Return the corners of a surface's triangles, (m, 3, 3)."""
+    """Corners of a surface's triangles, (m, 3, 3)."""
     return np.asarray(surface.points)[np.asarray(surface.triangles)]
 
 
@@ -229,7 +226,7 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
 
 
 def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
-    """Say which sides of the triangles (corner k to k + 1) are among pairs of vertices, (m, 3)."""
+    """Whether the triangles' sides (corner k to k + 1) are among pairs of vertices, (m, 3)."""
     if len(triangles) == 0 or len(pairs) == 0:
         return np.zeros((len(triangles), 3), dtype=bool)
     n = int(triangles.max()) + 1 + int(pairs.max())
@@ -239,7 +236,7 @@ def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
 
 
 def _per_triangle(values: ArrayLike | None, surface: Surface) -> Array | None:
-    """Return values per triangle; those per vertex become the mean of the triangle's corners."""
+    """Values per triangle; vertex values are averaged over a triangle's corners."""
     if values is None:
         return None
     array = np.asarray(values, dtype=np.float64)
@@ -262,7 +259,7 @@ def _paint_triangles(
     faint: Array | None,
     shown: Booleans,
 ) -> None:
-    """Paint the surface and the `faint` triangles; `shown` (m, 3): which sides get an edge."""
+    """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge."""
     from matplotlib.collections import PolyCollection
 
     diffuse, specular = brightness(axes3d.camera, spatial)
@@ -270,13 +267,13 @@ def _paint_triangles(
     faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
     strength = _edge_strength(axes3d, flat)
     dark = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
-    # without edges of their own, the faces' rims close the seams that antialiasing leaves
+    # faces without edges get rims of their colour, to close the gaps left by antialiasing
     rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
     rims = np.where(rimmed[:, None], dark, faces)
     thick = 0.25 + 0.2 * strength * rimmed
     polygons = list(flat[..., :2])
     depth: Array = np.mean(flat[..., 2], axis=1)
-    # where a side has none, the others come as strokes of their own, right after the face
+    # where only some sides have edges, these are separate strokes right after the face
     some, side = np.nonzero(shown & ~rimmed[:, None] & (strength > 0))
     polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
     faces, rims = np.concatenate([faces, dark[some]]), np.concatenate([rims, dark[some]])
@@ -302,7 +299,7 @@ def _paint_triangles(
 def _paint_outline(
     axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
 ) -> None:
-    """Paint what is seen of a surface's border; `flat` are the triangles that may hide it."""
+    """Paint the visible part of a surface's outline; triangles `flat` may hide it."""
     outline = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
     _paint_seen(axes3d, outline, flat, tolerance, colour)
 
@@ -310,7 +307,7 @@ def _paint_outline(
 def _paint_seen(
     axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
 ) -> None:
-    """Paint short lines (k, 2, 3) where no triangle hides them."""
+    """Paint strokes (k, 2, 3) where no triangle hides them."""
     from matplotlib.collections import LineCollection
 
     if len(strokes):
@@ -328,7 +325,7 @@ def _paint_seen(
 
 
 def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
-    """Return how strongly to draw edges, 0 to 1: those of a fine mesh would be all one sees."""
+    """Strength of edges, 0 to 1, low for a fine mesh, which edges would hide."""
     if len(flat) == 0:
         return 0.0
     sides = flat[..., :2] - np.roll(flat[..., :2], 1, axis=1)
@@ -337,7 +334,7 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
 
 
 def outline_of(points: Array, triangles: Integers) -> Array:
-    """Ends (b, 2, 3) of edges of one triangle only; vertices at one place count as one."""
+    """End points (b, 2, 3) of edges with one triangle; coincident vertices count as one."""
     if len(triangles) == 0:
         return np.empty((0, 2, 3))
     step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0

@@ -1,4 +1,4 @@
-"""Figures of matplotlib, alone or side by side, written to files or shown in a notebook."""
+"""Figures of matplotlib: created, joined, written to files or shown in notebooks."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Bbox
 
 SHOWN_DPI = 100
-"""Pixels per inch in a notebook."""
+"""Pixels per inch in notebooks."""
 MARGIN = 0.1
-"""White around a picture, in inches."""
+"""White margin around a picture (inches)."""
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return a white figure of a size in inches, without pyplot and its global state."""
+    """A white figure of a size in inches, without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -34,7 +34,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def checked_picture(filename: str | Path | None) -> Path | None:
-    """Path of a picture that can be written; None for none."""
+    """Checked path of a picture; None for None."""
     if filename is None:
         return None
     path = checks.file("the picture's filename", filename)
@@ -50,7 +50,7 @@ def checked_picture(filename: str | Path | None) -> Path | None:
 def finished(
     figure: Figure, path: Path | None, dpi: int, region: Bbox | str = "tight"
 ) -> Figure | None:
-    """Write a figure or a region of it (inches); without a path return it for a notebook."""
+    """Write a figure, or a region of it (inches); without a path return it for a notebook."""
     if path is not None:
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
@@ -68,21 +68,21 @@ def finished(
 def join_pictures(
     filename: str | Path, pictures: Sequence[str | Path], *, upright: bool = False
 ) -> None:
-    """Put pictures side by side into one. Not collective.
+    """Join pictures side by side. Not collective.
 
     Parameters
     ----------
     filename : str or Path
         PNG file to write.
     pictures : sequence of str or Path
-        PNG files, from left to right; smaller ones get a white margin at the right and below.
+        PNG files, from left to right; smaller ones are padded with white at the right and below.
     upright : bool
-        One below the other instead.
+        Whether to put them one below the other instead.
 
     Raises
     ------
     InputError
-        Without pictures, for one that cannot be read, or a file that cannot be written.
+        No pictures, one that cannot be read, or a file that cannot be written.
     """
     from matplotlib.image import imread, imsave
 
@@ -93,7 +93,7 @@ def join_pictures(
         raise InputError(f"{', '.join(wrong)}: only .png files can be joined")
     try:
         images = [imread(picture)[..., :3] for picture in pictures]
-    except (OSError, SyntaxError) as error:  # the latter is what a damaged file gives
+    except (OSError, SyntaxError) as error:  # SyntaxError: a damaged file
         raise InputError(f"a picture to join cannot be read: {error}") from None
     path = checked_picture(filename)
     assert path is not None

@@ -1,4 +1,4 @@
-"""Plans of a structure: its model with all names, and the forces on its foundations."""
+"""Plans of a structure: the named model, and the forces on its foundations."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ HELD = "#1d1f24"
 ROOM = 0.16
 """Longest arrow and highest ordinate of a diagram, relative to the plan's size."""
 LETTER = 3.9
-"""Mean width of a letter of a name, in points."""
+"""Mean width of a letter (points)."""
 MOST_NAMES, MOST_VALUES = 80, 30
-"""So many lines have their names in a plan, and so many points the vertical forces on them."""
+"""Largest numbers of names of lines, and of values of vertical forces, written in a plan."""
 
 
 @dataclass(frozen=True)
 class ForcePlan:
-    """Forces on foundations in plan, and the largest ones of all plans that are to compare."""
+    """Forces on foundations in plan, with the maxima that set the scale of all plans."""
 
     rim: Array  # (k, 2, 3) held edges (length)
     per_length: Array  # (k, 2, 3) forces on them (force per length)
     points: Mapping[str, tuple[Array, Array]]  # place and force (force) of each foundation
-    outline: Array  # (k, 2, 3) edges of the membrane and bars, for orientation
-    most: float  # of the horizontal forces on points
+    outline: Array  # (k, 2, 3) edges of membrane and bars, for orientation
+    most: float  # largest horizontal force on a point (force)
     most_per_length: float
 
 
 def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float = 6.0) -> bytes:
-    """Draw arrows for horizontal forces and, beside the rim, a diagram of forces per length."""
+    """Draw arrows of horizontal forces and a diagram of the forces per length beside the rim."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
@@ -99,14 +99,14 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
 
 @dataclass(frozen=True)
 class ModelPlan:
-    """What a plan of the model shows."""
+    """Contents of a plan of the model."""
 
     corners: Array  # (m, 3, 3) triangles (length)
     rim: Array  # (k, 2, 3) held edges
-    points: Sequence[tuple[str, Array]]  # held points and joints; those without a name get none
+    points: Sequence[tuple[str, Array]]  # held points and joints by name; "" is not written
     cables: Sequence[Line]
-    bars: Sequence[Line]  # those without a name get none
-    warp: tuple[Array, Array]  # places and directions
+    bars: Sequence[Line]  # bars with the name "" get no label
+    warp: tuple[Array, Array]  # positions and directions
 
 
 def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> bytes:
@@ -155,11 +155,11 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
 
 
 Place = tuple[Array, Array]
-"""Where a name may be written, (2,) (length), and on which side of that, (2,)."""
+"""Candidate position of a name, (2,) (length), and the side on which it is written, (2,)."""
 
 
 def _line_names(plan: ModelPlan, centre: Array, near: float) -> list[tuple[str, list[Place]]]:
-    """Names of cables and bars, together where they lie in one line, and places for them."""
+    """Names of cables and bars, joined where they coincide, and candidate positions."""
     found: list[tuple[str, Array, list[Place]]] = []
     ends = [np.asarray(line.points)[k, :2] for line in plan.cables for k in (0, -1)]
     for line in (*plan.cables, *plan.bars):
@@ -190,20 +190,20 @@ def _line_names(plan: ModelPlan, centre: Array, near: float) -> list[tuple[str, 
 
 
 def _ways(out: Array) -> list[Array]:
-    """Sides of a point: that which leads away from the centre first."""
+    """Diagonal directions, the most outward one first."""
     sides = [np.array(way) for way in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))]
     return sorted(sides, key=lambda way: -float(way @ out))
 
 
 def _sides(out: Array) -> list[Array]:
-    """Ways along the axes that lead outwards, the farther one first."""
+    """Outward directions along the axes, the longer component first."""
     sides = np.diag(np.sign(out))
     return [sides[k] for k in np.argsort(-np.abs(out))]
 
 
 def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: Array) -> None:
-    """Write each name at the first of its places where it lies within the axes and covers neither
-    another name nor the rim (k, 2, 2), or else at that where it does so the least."""
+    """Write each name at the candidate position that least covers names, rim (k, 2, 2) and
+    frame."""
     axes.apply_aspect()
     taken: Array = np.zeros((0, 4))
     points = 72.0 / axes.figure.dpi
@@ -232,7 +232,7 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: A
 
 
 def _axes(places: Array, unit: str, width: float, air: float) -> tuple[Any, float]:
-    """Axes at one scale around places in plan, and their size."""
+    """Axes of equal scale around places in plan, and their size (length)."""
     low, high = places.min(axis=0), places.max(axis=0)
     size = float((high - low).max()) or 1.0
     low, high = low - (air + 0.05) * size, high + (air + 0.05) * size
@@ -249,7 +249,7 @@ def _axes(places: Array, unit: str, width: float, air: float) -> tuple[Any, floa
 
 
 def _name(axes: Any, text: str, at: Array, away: Array) -> None:
-    """Write a name beside a place, on the side that `away` points to, in points."""
+    """Write a name beside a place, on the side of the offset `away` (points)."""
     annotate(axes, text, at, (float(away[0]), float(away[1]) - 2.5), 7.0)
     axes.texts[-1].set_horizontalalignment(
         "left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center"

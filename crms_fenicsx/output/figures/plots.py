@@ -1,4 +1,4 @@
-"""Plots of a run's history, and of errors over the size of cells."""
+"""Plots of a run's history, and of errors over cell size."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Series = tuple[Sequence[float], float, float, float]
-"""Values of a quantity on the levels, its limit, how far that may be wrong, and its size."""
+"""Values of a quantity by mesh level, its limit, the limit's uncertainty, and a reference size."""
 
 
 def draw_convergence(
@@ -40,7 +40,7 @@ def draw_convergence(
     title: str = "",
     width: float = 8.0,
 ) -> Figure | None:
-    """Plot how far values are from their limits, in parts of their sizes. Collective."""
+    """Plot the relative distances of values from their limits. Collective."""
     with raised_together(comm):
         if comm.rank:
             return None
@@ -54,7 +54,7 @@ def draw_convergence(
             if errors.max() <= 0.0:
                 continue
             there = errors > 0.0
-            low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+            low = np.minimum(bar, 0.9 * errors)[there]  # a bar down to 0 has no end on a log scale
             bars = np.stack([low, np.full_like(low, bar)]) / scale
             axis.errorbar(
                 size[there], errors[there] / scale, bars.tolist(),
@@ -78,21 +78,21 @@ def draw_convergence(
 
 
 _SEEN = 0.01
-"""Share of a panel's largest value from which on a column is seen in it."""
+"""Fraction of a panel's largest value above which a column is visible."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HistoryOptions:
-    """How `draw_history` draws.
+    """Options of `draw_history`.
 
     Parameters
     ----------
     unit, force
-        Names of the units of length and force, for labels.
+        Units of length and force, for labels.
     units
-        Other units by column, or by the beginning of its name ("tension": "kN").
+        Units of other columns, by name or its beginning ("tension": "kN").
     title
-        Of all panels.
+        Heading of all panels.
     width, dpi
         Width in inches; pixels per inch.
     """
@@ -118,28 +118,27 @@ def draw_history(
     Parameters
     ----------
     history
-        Such as ``solver.history``.
+        The history, such as ``solver.history``.
     filename
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+        Picture file (.png, .pdf, .svg ...); None returns the figure.
     x
         Column of the horizontal axis.
     panels
-        Columns that share a panel. By default those of `default_panels`; of a table that has none
-        of these, every column of numbers, where those that differ in a last number only
-        ("slip 1", "slip 2") share one.
+        Columns of each panel. By default those of `default_panels`; if there are none, all numeric
+        columns, with those that differ in a final number ("slip 1", "slip 2") in one panel.
     **options
-        As `HistoryOptions`: ``unit``, ``force``, ``units``, ``title`` ...
+        Options of `HistoryOptions`: ``unit``, ``force``, ``units``, ``title`` ...
 
     Returns
     -------
     matplotlib.figure.Figure
-        On the first rank, without a file; a notebook shows it. Else None.
+        The figure for notebooks, on the first rank and without a file; else None.
 
     Raises
     ------
     InputError
-        On all ranks: an empty history, a column that does not exist or holds text, or a file that
-        cannot be written.
+        On all ranks: an empty history, a missing or non-numeric column, or a file that cannot be
+        written.
     """
     checks.of_type("draw_history: history", history, History)
     checks.same(history.comm, "draw_history", filename=filename, x=x, panels=panels, **options)
@@ -173,7 +172,7 @@ def draw_history(
 
 
 def units_of_results(length: str, force: str) -> dict[str, str]:
-    """Units of the quantities that results hold, as far as those of length and force tell."""
+    """Units of result quantities that follow from the units of length and force."""
     found = dict.fromkeys(("length", "L0"), length)
     found |= dict.fromkeys(("force", "tension", "residual"), force)
     if length:
@@ -188,13 +187,13 @@ def units_of_results(length: str, force: str) -> dict[str, str]:
 
 
 def default_panels(history: History) -> list[list[str]]:
-    """Columns that change: pressure, load, L0, volume, tension, and energies large enough."""
+    """Columns that vary: pressure, load, L0, volume, tension, and energies large enough to show."""
     groups = [
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
     shown = [[c for c in group if np.ptp(_extent([history[c]])) > 0.0] for group in groups]
-    if not any(shown):  # a single step, say
+    if not any(shown):  # such as a single step
         shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
     largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
     seen = [
@@ -221,7 +220,7 @@ def _family(column: str) -> str:
 
 
 def _common(panel: Sequence[str]) -> str:
-    """Return the words that all columns begin with, or else all their families."""
+    """Words common to the beginnings of all columns, or else the columns' families."""
     words = [column.split() for column in panel]
     same = [step[0] for step in zip(*words, strict=False) if len(set(step)) == 1]
     begins = " ".join(same)
@@ -242,7 +241,7 @@ def _plot(
         axis.axhline(0.0, color="#9aa1ab", linewidth=0.8, zorder=1)
     colours = cycle(DISTINCT)
     for column in panel:
-        whole = len(panel) > 1 and column == label  # "energy", of which the others are parts
+        whole = len(panel) > 1 and column == label  # such as "energy", the sum of the others
         axis.plot(
             history[x], history[column], color=INK if whole else next(colours),
             label=column.removeprefix(f"{label} "), linewidth=2.2 if whole else 1.4,
@@ -255,14 +254,14 @@ def _plot(
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     if all(history[column].dtype.kind == "i" for column in panel):
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
-    # the same range in all panels, also where a column starts late
+    # equal ranges in all panels, even where a column starts late
     low, high = _extent([history[x]])
     air = 0.03 * (high - low) or 0.5
     axis.set_xlim(low - air, high + air)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     if len(panel) > 1:
-        axis.legend(  # above, where it covers no curve
+        axis.legend(  # above the panel, where it covers no curve
             fontsize=8, frameon=False, labelcolor=INK, ncols=min(len(panel), 4),
             loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0,
             columnspacing=1.2, handlelength=1.4,

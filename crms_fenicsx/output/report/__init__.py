@@ -1,1 +1,1 @@
-"""The report of a run: one page of HTML, and tables beside it."""
+"""The report of a run: an HTML page, with its tables as CSV files."""

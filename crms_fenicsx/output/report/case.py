@@ -1,4 +1,4 @@
-"""What a report has of each load case: its extremes, its verdict, its pictures."""
+"""A load case in the report: its extremes, checks and pictures."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
-"""Pixels per inch of pictures: of up to so many of them, and at least."""
+"""Resolution of pictures (pixels per inch): largest, up to MANY pictures, and smallest."""
 FAINT = 0.25
-"""Part of the common scale below which a picture has a scale of its own."""
+"""Fraction of the common colour scale below which a picture gets its own scale."""
 WIDTH = 6.0
-"""Of a picture, in inches."""
+"""Width of a picture (inches)."""
 
 
 Corner = tuple[float, ...]
@@ -37,26 +37,26 @@ Corner = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Case:
-    """A load case as a report shows it; plain data that can be sent to other processes."""
+    """A load case as shown in a report; plain data, to be sent between processes."""
 
     name: str  # of the combination
-    summary: Summary  # its extremes
-    # what checks of this very state say; None if it was not verified in this run
+    summary: Summary  # extremes
+    # checks of this state; None if not verified in this run
     verification: Verification | None
-    foundations: Foundations  # what its supports bear
-    change: ShapeChange  # since its base state
-    # largest values of cells, smoothed with those around, by part and by quantity
+    foundations: Foundations  # forces on foundations
+    change: ShapeChange  # since the base state
+    # largest smoothed cell values, by part and quantity
     recovered: Mapping[str, Mapping[str, float]]
-    # low, high: corners of the box around membrane, cables and bars (length)
+    # corners of the bounding box of membrane, cables and bars (length)
     low: Corner
     high: Corner
-    # on the first rank: pictures, and a page with the structure to be turned
+    # on the first rank: pictures, and the interactive page
     pictures: tuple[Figure, ...] = ()
     view: str = ""
 
 
 def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
-    """Take down the current state of a solver's scene, which had a shape before. Collective."""
+    """Record the current state of a solver's scene, which had the shape `before`. Collective."""
     system = solver.system
     found, scene, comm = summary(system), system.scene, solver.comm
     places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables),
@@ -71,9 +71,10 @@ def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
 
 
 def recovered(results: MembraneResults, found: Summary) -> dict[str, dict[str, float]]:
-    """Largest smoothed values of cells, by part and by quantity. Collective.
+    """Largest smoothed cell values, by part and quantity. Collective.
 
-    That of a cell is the mean over its vertices of the means over the cells around these.
+    A smoothed cell value is the mean of its vertices' values, which are means over the adjacent
+    cells.
     """
     values: dict[str, dict[str, float]] = {part: {} for part in found.parts}
     for name in found.membrane.largest:
@@ -87,7 +88,7 @@ def recovered(results: MembraneResults, found: Summary) -> dict[str, dict[str, f
 
 
 def box(comm: MPI.Intracomm, places: Array) -> tuple[Corner, Corner]:
-    """Lowest and highest corner of the box around all ranks' places (n, 3). Collective."""
+    """Lowest and highest corner of the bounding box of all ranks' places (n, 3). Collective."""
     high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     return tuple(low), tuple(high)
@@ -96,7 +97,7 @@ def box(comm: MPI.Intracomm, places: Array) -> tuple[Corner, Corner]:
 def with_pictures(
     solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
 ) -> Case:
-    """The case of a solver's current state with pictures of it. Collective."""
+    """The case with pictures of the solver's current state. Collective."""
     common = _common(every)
     options = {"box": common[0], "line_limits": common[1], **look}
     if common[1] is not None and common[1][0] < 0.0:
@@ -104,7 +105,7 @@ def with_pictures(
     count = max(len(every) * len(colours), 1)
     dpi = int(np.clip(SHARPEST * math.sqrt(MANY / count), COARSEST, SHARPEST))
     pictures = []
-    for colour in colours:  # one colour bar each, or the shape would be small beside them
+    for colour in colours:  # one colour bar per picture, to leave room for the shape
         fabric = None if colour == TENSION else colour
         forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
         options |= {
@@ -129,7 +130,7 @@ def with_pictures(
 def with_view(
     solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
 ) -> Case:
-    """The case of a solver's current state with a page to turn it in a browser. Collective."""
+    """The case with an interactive page of the solver's current state. Collective."""
     known = (one for one in colours if QUANTITY_OF.get(one) in SUMMED_UP)
     colour = next(known, "stress")
     limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
@@ -138,7 +139,7 @@ def with_view(
 
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:
-    """Draw a scene as bytes of a PNG, on the first rank; none if it is too large. Collective."""
+    """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
     comm, buffer = solver.comm, io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder)) / "picture.png"
@@ -153,7 +154,7 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
 
 
 def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
-    """Box and range of tensions that all cases share; no range where no cable or bar has any."""
+    """Box and force range common to all cases; no range without forces."""
     low = np.min([case.low for case in every], axis=0)
     high = np.max([case.high for case in every], axis=0)
     air = 0.03 * float((high - low).max())
@@ -163,17 +164,17 @@ def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, fl
         forces += [one.largest for one in case.summary.cables.values()]
         forces += [one.force for one in case.summary.bars.values()]
     low, high = min(forces), max(forces)
-    if low < 0.0:  # as colours of compression and tension are
+    if low < 0.0:  # symmetric, as the colours of compression and tension
         low, high = min(low, -high), max(-low, high)
     return box, (low, high) if any(forces) else None
 
 
 TENSION, LINES = "tension", "axial forces of cables and bars"
-"""Name of the picture with plain fabric and the forces of cables and bars, and what it shows."""
+"""Name and caption of the picture of axial forces on plain fabric."""
 
 
 def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
-    """Range of a colour over all cases; None where it is not known."""
+    """Range of a colour over all cases; None if unknown."""
     if colour == "displacement":
         return 0.0, max(case.summary.displacement.value for case in every) or 1.0
     name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]

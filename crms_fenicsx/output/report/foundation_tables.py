@@ -1,4 +1,4 @@
-"""Tables of the forces on foundations, by the points where cables, bars and supports meet."""
+"""Tables of the forces on foundations, grouped by points where cables, bars and supports meet."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.foundations import FoundationPoint
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
-"""Headings of a force's horizontal part and of its angles."""
+"""Headings of a force's horizontal component and angles."""
 NOTHING = 1e-4
-"""Part of a sum's largest component below which another one is no figure."""
+"""Components below this fraction of the largest are shown as zero."""
 BALANCED = 1e-8
-"""Difference of loads and foundations, relative to the largest of them, that is rounding."""
+"""Relative difference of loads and foundation forces attributed to rounding."""
 
 
 @dataclass(frozen=True)
 class FoundationTables:
-    """Forces of all load cases on foundations."""
+    """Foundation forces of all load cases."""
 
     cases: Sequence[Case]
     units: Units
-    # names of cables' ends and joints by the names of the foundations that carry them
+    # names of cable ends and joints, by foundation
     carried: Mapping[str, Sequence[str]]
 
     @property
     def points(self) -> dict[str, dict[str, FoundationPoint]]:
-        """By the names of foundations and of cases; those that no foundation carries get names."""
+        """Foundation points by foundation and case; those outside `carried` are F1, F2 ..."""
         of_case = {case.name: case.foundations.points for case in self.cases}
         every = [point for points in of_case.values() for point in points]
         first = {one.members: one.at for one in reversed(every)}
@@ -55,11 +55,11 @@ class FoundationTables:
         return found
 
     def _carries(self, name: str, point: FoundationPoint) -> bool:
-        """Whether a foundation of a name carries what meets at a point."""
+        """Whether a named foundation carries the members at a point."""
         return bool({*self.carried.get(name, ())} & {*point.members, *point.joints})
 
     def places(self) -> Table:
-        """Where the foundations are and what meets there."""
+        """Positions of the foundations, and the members that meet there."""
         rows: list[Row] = [
             (label, *clean(one.at, max(map(abs, one.at)), 1e-4), ", ".join(one.members))
             for label, found in self.points.items() for one in list(found.values())[:1]
@@ -79,7 +79,7 @@ class FoundationTables:
         return Table("Forces on the foundations", columns, rows, "foundations", headings=2)
 
     def envelope(self) -> Table:
-        """The combinations that govern for each foundation."""
+        """Governing combinations of each foundation."""
         rows: list[Row] = []
         for label, found in self.points.items():
             up, down, flat, most = (
@@ -103,7 +103,7 @@ class FoundationTables:
         return Table("Largest forces on the foundations", columns, rows, "foundation_envelope")
 
     def lines(self) -> Table:
-        """Forces on lines of held edges, without the points."""
+        """Forces on lines of held edges, without those on points."""
         rows: list[Row] = []
         names = [one.name for case in self.cases for one in case.foundations.lines]
         for name in dict.fromkeys(names):
@@ -121,7 +121,7 @@ class FoundationTables:
         )
 
     def balance(self) -> Table:
-        """Sums of the loads and of the forces on all foundations."""
+        """Sums of the loads and of all foundation forces."""
         rows: list[Row] = []
         for case in self.cases:
             of = case.foundations
@@ -137,7 +137,7 @@ class FoundationTables:
 
 
 def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
-    """Points that one foundation carries, as one."""
+    """Points of one foundation, summed up."""
     return FoundationPoint(
         tuple(name for one in points for name in one.members),
         triple(np.mean([one.at for one in points], axis=0)),
@@ -147,13 +147,12 @@ def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
 
 
 def inclined(force: Force) -> tuple[float | None, float | None, float]:
-    """Horizontal part of a force, its direction in plan from the x axis, and its angle with the
-    plan (degrees)."""
+    """Horizontal component, direction in plan from the x axis and inclination (degrees)."""
     x, y, z = clean(force, math.hypot(*force), NOTHING)
     flat = math.hypot(x, y)
     return flat, (_angle((x, y)) if flat else None), math.degrees(math.atan2(z, flat))
 
 
 def _angle(way: Sequence[float]) -> float:
-    """Direction in plan from the x axis, from 0 to 360 degrees."""
+    """Direction in plan from the x axis, 0 to 360 degrees."""
     return math.degrees(math.atan2(way[1], way[0])) % 360.0

@@ -1,4 +1,4 @@
-"""Pages with a structure that can be turned in a browser, made by pyvista."""
+"""Interactive 3D pages, made by pyvista."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ INSTALL = (
     '"pyvista[jupyter]", or this package with its extra [interactive].'
 )
 FABRIC_MAP, LINES_MAP, TICKS = "viridis", "YlOrRd", 5
-"""Colour maps of the fabric and of cables and bars, and numbers below a scale."""
+"""Colour maps of the fabric and of cables and bars, and number of ticks of a scale."""
 PLAIN, EDGES, SUPPORT, SHAPE = "#dfe5ec", "#8a94a0", "#1d1f24", (1100, 760)
-"""Colours of fabric without values, of edges of cells and of supports; size of the window (pixels).
-"""
+"""Colours of plain fabric, cell edges and supports; window size (pixels)."""
 
 
 def check_interactive() -> None:
-    """Raise `ImportError` where such pages cannot be made: it makes a small one."""
+    """Raise `ImportError` if interactive pages cannot be made, by making a small one."""
     try:
         import pyvista
     except ImportError as error:
@@ -44,7 +43,7 @@ def check_interactive() -> None:
 @contextmanager
 def _plotter(pyvista: Any) -> Iterator[Any]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what pyvista will be called next, and of screens
+        warnings.simplefilter("ignore")  # pyvista's deprecations and missing displays
         plotter = pyvista.Plotter(off_screen=True, window_size=list(SHAPE))
         try:
             yield plotter
@@ -63,16 +62,15 @@ def _export(plotter: Any) -> str:
 
 @dataclass(frozen=True)
 class Scale:
-    """A scale of colours, which the page shows beside the view: vtk.js puts all of its own in one
-    place."""
+    """A colour scale, shown beside the view, as vtk.js would put all scales in one place."""
 
-    label: str  # with its unit
+    label: str  # with unit
     map: str  # of matplotlib
     limits: tuple[float, float]
 
     @property
     def colours(self) -> list[str]:
-        """Evenly spaced, as #rrggbb."""
+        """Evenly spaced colours, #rrggbb."""
         from matplotlib import colormaps
         from matplotlib.colors import to_hex
 
@@ -80,12 +78,12 @@ class Scale:
 
     @property
     def ticks(self) -> list[float]:
-        """Numbers below it."""
+        """Values of the ticks."""
         return [float(x) for x in np.linspace(*self.limits, TICKS)]
 
 
 def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
-    """A page of vtk.js with its name and scales of colours."""
+    """A vtk.js page with its title and colour scales."""
     from jinja2 import Environment, FileSystemLoader
 
     folder = FileSystemLoader(Path(__file__).parent / "templates")
@@ -99,10 +97,10 @@ def interactive_view(
     solver: HasSystem, title: str, colour: str,
     limits: Mapping[str, tuple[float, float] | None], units: tuple[str, str],
 ) -> str:  # fmt: skip
-    """The scene's current state as a page, on the first rank. Collective.
+    """Interactive page of the scene's current state, on the first rank. Collective.
 
-    `limits`: of the "membrane" and of the "lines"; `units`: names of those of the colour and of
-    forces."""
+    `limits`: ranges of "membrane" and "lines"; `units`: units of the colour and of forces.
+    """
     results = membrane_results(solver.system)
     blocks, page = to_pyvista(solver.system.scene, fields_of(results), None), ""
     with raised_together(solver.comm):

@@ -1,4 +1,4 @@
-"""Tables of a report that describe the model: mesh, materials, supports, cables, bars, loads."""
+"""Tables of the model: mesh, materials, supports, cables, bars, loads."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class Model:
-    """A scene as tables, the same on all ranks, and pictures of it."""
+    """Tables of a scene, the same on all ranks, and its pictures."""
 
     size: float  # largest extent of the stress-free surface (length)
     ranks: int
-    tables: dict[str, Table]  # by what they list
-    pictures: Sequence[Figure] = ()  # of the model and of its loads, on the first rank
+    tables: dict[str, Table]  # by subject
+    pictures: Sequence[Figure] = ()  # of model and loads, on the first rank
     loads: Sequence[Figure] = ()
     outline: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))  # in the base state
-    pressure: float = 0.0  # (force per area), and
-    factors: Mapping[str, float] = field(default_factory=dict)  # of loads, in the base state
+    pressure: float = 0.0  # of the base state (force per area)
+    factors: Mapping[str, float] = field(default_factory=dict)  # of the loads in the base state
 
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
-    """Describe a scene. Collective."""
+    """Tables of a scene. Collective."""
     areas = scene.membrane.cell_areas
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
@@ -101,11 +101,11 @@ STATE = {
     "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
     "loads": (3, 4, 5),
 }  # fmt: skip
-"""Tables of a model, with those of their columns that are of the state it is described in."""
+"""Tables whose listed columns depend on the state."""
 
 
 def merged(models: Mapping[str, Model]) -> Model:
-    """The descriptions of a scene that combinations were brought on with, as one."""
+    """One model from the models of the combinations."""
     first = next(iter(models.values()))
     tables = dict(first.tables)
     for key, of_state in STATE.items():
@@ -135,7 +135,7 @@ def merged(models: Mapping[str, Model]) -> Model:
 
 
 def in_families(bars: Table) -> Table:
-    """The bars; of a family the first one's data, from its start to the last one's end."""
+    """Table of bars with one row per family: the first bar's data, and the last bar's end."""
     by_name = {str(row[0]): row for row in bars.rows}
     rows = [
         (label, *by_name[own[0]][1:-1], by_name[own[-1]][-1])
@@ -177,11 +177,11 @@ def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
 
 KINDS = dict.fromkeys(("E", "E1", "E2", "G12"), "pressure")
 KINDS |= {"thickness": "length", "prestress": "stress"}
-"""Kinds of the units of a material's data."""
+"""Kinds of units of material data."""
 
 
 def _data(thing: Any, units: Units | None = None) -> str:
-    """The fields of a dataclass as text, with units."""
+    """Fields of a dataclass as text, with units."""
     if not is_dataclass(thing):
         return ""
     return ", ".join(
@@ -260,7 +260,7 @@ def _loads(scene: Scene) -> list[Row]:
 
 
 def _theory(scene: Scene) -> dict[str, str]:
-    """Pressure, laws, sealed air, floor and the user's own terms, as texts by names."""
+    """Texts on pressure, laws, sealed air, floor and user-defined terms."""
     pressed, comm = scene.membrane.pressed, scene.comm
     if comm.allreduce(int(np.count_nonzero(~pressed))):
         free = {k: comm.allreduce(int(np.count_nonzero(~pressed[cells])))
@@ -294,7 +294,7 @@ def _theory(scene: Scene) -> dict[str, str]:
 
 
 def versions(ranks: int) -> list[tuple[str, str]]:
-    """When and with what it was computed."""
+    """Date and software versions of the computation."""
     package = __name__.partition(".")[0]
     used = (
         f"{package} {sys.modules[package].__version__}",

@@ -1,4 +1,4 @@
-"""Tables of clamps and anchors, and of the lengths to which cables are made."""
+"""Tables of clamps, anchors and cables to order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from crms_fenicsx.results.cable_order import Order
 
 
 def clamps(results: ResultTables) -> Table:
-    """Tensions on both sides of all clamps, and what they must hold, in all cases."""
+    """Tensions on both sides of each clamp, and its force, in all cases."""
     rows: list[Row] = [
         (name, case, one.before[0], one.after[0], one.before[1], one.after[1], one.size)
         for name, case, one in results.each("clamps")
@@ -23,7 +23,7 @@ def clamps(results: ResultTables) -> Table:
 
 
 def anchors(results: ResultTables) -> Table:
-    """Forces of the anchors on the cables' ends."""
+    """Anchor forces on the cables' ends."""
     cases = results.cases
     rows: list[Row] = [
         (name, which, case.name, *with_size(force), *inclined(force))
@@ -37,7 +37,7 @@ def anchors(results: ResultTables) -> Table:
 
 
 def order(cables: Order, units: Units) -> Table:
-    """Lengths to which cables are made and marked."""
+    """Manufacturing lengths and marks of cables."""
     m, kN = units["length"], units["force"]
     of = (kN, m, kN, m, "", "", m, m, m)
     first, *others = cables.COLUMNS

@@ -1,4 +1,4 @@
-"""What the page of a report is made of: sections with texts, figures, charts and tables."""
+"""Elements of a report page: sections of texts, figures, charts and tables."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from typing import ClassVar, Protocol
 from crms_fenicsx.output.history import escaped
 
 Cell = str | int | float | None
-"""None is an empty cell: there is no such value."""
+"""None is an empty cell: no value."""
 
 MOST_ROWS = 600
-"""Longer tables are in the CSV files only."""
+"""Number of rows above which a table is in the CSV file only."""
 SHORT = 8
-"""Shorter tables stay on one page of paper."""
+"""Number of rows up to which a table is kept on one printed page."""
 
 EMPTY = "\u2013"
-"""What an empty cell shows: a dash."""
+"""Dash shown in an empty cell."""
 
 MINUS = "\u2212"
-"""The minus sign, as wide as a digit."""
+"""Minus sign, as wide as a digit."""
 
 LARGEST = 4_900_000
-"""Bytes of a page that pictures may fill."""
+"""Largest size of a page with pictures (bytes)."""
 
 
 class PagePart(Protocol):
-    """A part of a section; its kind is the template's macro that writes it."""
+    """Part of a section; `kind` is the template macro that writes it."""
 
     kind: ClassVar[str]
 
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A plain text."""
+    """Plain text."""
 
     text: str
-    look: str = ""  # a class of the style sheet
+    look: str = ""  # style class
     kind: ClassVar[str] = "text"
 
 
@@ -58,7 +58,7 @@ class Notes:
 
 @dataclass(frozen=True)
 class Link:
-    """The name of a file beside the page, and what it shows."""
+    """Link to a file beside the page."""
 
     text: str
     file: str
@@ -67,11 +67,11 @@ class Link:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the page says first of a structure, and why."""
+    """Verdict on a structure, with reasons."""
 
     text: str
     reasons: Sequence[str] = ()
-    look: str = ""  # "doubtful", "failed" or "" of a good one
+    look: str = ""  # "doubtful", "failed", or "" if good
     kind: ClassVar[str] = "verdict"
 
 
@@ -79,34 +79,34 @@ class Verdict:
 class KeyFigures:
     """The most important results."""
 
-    rows: Sequence[tuple[str, str, str]]  # what, its value, and where it comes from
+    rows: Sequence[tuple[str, str, str]]  # title, value and source
     kind: ClassVar[str] = "cards"
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture in the page itself; its caption tells those who do not see it what it shows."""
+    """Picture embedded in the page; the caption is also its alternative text."""
 
     png: bytes
     caption: str
-    look: str = "result"  # a class of the style sheet
+    look: str = "result"  # style class
     kind: ClassVar[str] = "figure"
 
     @property
     def base64(self) -> str:
-        """Its data as text."""
+        """Base64 text of the PNG."""
         return base64.b64encode(self.png).decode("ascii")
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels, out of the file's header."""
+        """Width and height in pixels, from the PNG header."""
         width, height = struct.unpack(">II", self.png[16:24])
         return width, height
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures beside each other, as many as there is room for."""
+    """Figures side by side, as space permits."""
 
     figures: Sequence[Figure]
     kind: ClassVar[str] = "figures"
@@ -114,20 +114,20 @@ class Figures:
 
 @dataclass(frozen=True)
 class BarChart:
-    """A bar for each row, which has its name and where the bar begins and ends."""
+    """Bar chart; rows are (name, start, end)."""
 
     caption: str
     rows: Sequence[tuple[str, float, float]]
     limit: float | None = None
     kind: ClassVar[str] = "chart"
-    WIDE: ClassVar[float] = 760.0  # units of the drawing; beside the longest bar: its values
+    WIDE: ClassVar[float] = 760.0  # drawing units; width right of the longest bar, for its values
     BESIDE: ClassVar[float] = 140.0
-    LETTER: ClassVar[float] = 6.6  # of a name, on the mean
-    MOST: ClassVar[int] = 40  # more bars than these say nothing at a glance
+    LETTER: ClassVar[float] = 6.6  # mean width of a letter
+    MOST: ClassVar[int] = 40  # largest number of bars; more are unreadable
 
     @property
     def is_empty(self) -> bool:
-        """Whether there are too many bars or nothing but zeros."""
+        """Whether there are no bars, too many, or only zeros."""
         return not 0 < len(self.rows) <= self.MOST or self._most <= 0.0
 
     @property
@@ -136,18 +136,18 @@ class BarChart:
 
     @property
     def left(self) -> float:
-        """Where bars begin, right of the longest name, in units of the drawing."""
+        """Start of the bars, right of the longest name (drawing units)."""
         longest = max(len(name) for name, *_ in self.rows)
         return min(max(self.LETTER * longest + 16.0, 120.0), 0.6 * self.WIDE)
 
     @property
     def scale(self) -> float:
-        """Units of the drawing for a value of one."""
+        """Drawing units per unit of value."""
         return (self.WIDE - self.BESIDE - self.left) / self._most
 
     @property
     def drawn(self) -> list[tuple[str, float, float, str, bool]]:
-        """Name, start and width of each bar, the text beside it, and whether it is too long."""
+        """Name, start, width and text of each bar, and whether it exceeds the limit."""
         ranges, found = any(low > 0.0 for _, low, _ in self.rows), []
         for name, low, high in self.rows:
             text = f"{number(low)} to {number(high)}" if ranges else number(high)
@@ -158,35 +158,35 @@ class BarChart:
 
     @property
     def words(self) -> str:
-        """All that it shows."""
+        """Alternative text with all values."""
         every = (f"{name}: {number(low)} to {number(high)}" for name, low, high in self.rows)
         return f"{self.caption}. {'; '.join(every)}"
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a heading for each column."""
+    """Table with a heading for each column."""
 
-    caption: str  # what it is about
+    caption: str  # subject
     columns: Sequence[str]  # headings, with units
-    rows: Sequence[Sequence[Cell]]  # a cell for each column
-    name: str = ""  # of the CSV file, after the report's own; "" writes none
-    headings: int = 1  # how many columns name the row
+    rows: Sequence[Sequence[Cell]]  # one cell per column
+    name: str = ""  # suffix of the CSV file's name; "" writes none
+    headings: int = 1  # number of columns that name the row
     kind: ClassVar[str] = "table"
 
     @property
     def is_long(self) -> bool:
-        """Whether it is in the CSV files only."""
+        """Whether it is in the CSV file only."""
         return bool(self.name) and len(self.rows) > MOST_ROWS
 
     @property
     def is_short(self) -> bool:
-        """Whether it stays on one page of paper."""
+        """Whether it is kept on one printed page."""
         return len(self.rows) <= SHORT
 
     @property
     def shown(self) -> Table:
-        """The table without columns that have no values."""
+        """The table without empty columns."""
         kept = [
             k for k in range(len(self.columns))
             if k < self.headings or any(row[k] not in (None, "") for row in self.rows)
@@ -196,14 +196,14 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Which columns have numbers."""
+        """Whether each column has numbers."""
         each = range(len(self.columns))
         return [any(isinstance(row[k], float | int) for row in self.rows) for k in each]
 
     @property
     def groups(self) -> list[list[Sequence[Cell]]]:
-        """Rows that share their first heading, at most `SHORT` of them, as they stay on one page;
-        all in one if they have one heading only."""
+        """Rows grouped by their first heading, up to `SHORT` per group, kept on one printed page;
+        one group if there is one heading column."""
         if self.headings == 1:
             return [list(self.rows)]
         every = (list(group) for _, group in groupby(self.rows, key=lambda row: row[0]))
@@ -214,7 +214,7 @@ class Table:
         ]  # fmt: skip
 
     def csv(self) -> str:
-        """The table as comma-separated values, numbers with all their digits, texts as such."""
+        """The table as CSV text, numbers with all digits, texts escaped."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(map(escaped, self.columns))
@@ -226,14 +226,14 @@ class Table:
 class PageSection:
     """A section with a heading."""
 
-    title: str  # its heading
-    body: Sequence[PagePart]  # what is below
-    level: int = 2  # 2, or 3 of one inside another
-    number: str = ""  # which `page` gives
+    title: str  # heading
+    body: Sequence[PagePart]  # contents
+    level: int = 2  # 2, or 3 for a subsection
+    number: str = ""  # set by `page`
 
     @property
     def parts(self) -> list[PagePart]:
-        """What is below, without charts and figures of nothing."""
+        """The contents without empty charts and figures."""
         return [
             one.shown if isinstance(one, Table) else one for one in self.body
             if not (isinstance(one, BarChart) and one.is_empty)
@@ -245,7 +245,7 @@ def page(
     title: str, about: Sequence[tuple[str, str]], sections: Sequence[PageSection],
     template: Path | None = None,
 ) -> str:  # fmt: skip
-    """The whole page, by the package's template or another one."""
+    """The HTML page, from the package's template or another one."""
     from jinja2 import ChoiceLoader, Environment, FileSystemLoader, StrictUndefined
 
     folders = [Path(__file__).parent / "templates"]
@@ -265,14 +265,14 @@ def page(
 
 
 def shown(value: Cell) -> str:
-    """A cell as people read it."""
+    """Display text of a cell."""
     if value is None:
         return EMPTY
     return number(value) if isinstance(value, float) else str(value)
 
 
 def number(value: float) -> str:
-    """A number with four significant digits, as 0.01234, 12.34 or 12340; beyond by powers."""
+    """A number with four significant digits: 0.01234, 12.34, 12340; else with an exponent."""
     if not math.isfinite(value):
         return EMPTY if math.isnan(value) else str(value)
     size = abs(float(f"{value:.3e}"))
@@ -286,14 +286,14 @@ def number(value: float) -> str:
 
 
 def per_cent(share: float) -> str:
-    """A share in per cent; what is there at all is no 0 %."""
+    """A fraction in per cent; small non-zero ones are shown as "< 0.1 %"."""
     if 0.0 < share < 5e-4:
         return "< 0.1 %"
     return f"{100 * share:.1f} %"
 
 
 def place(at: Sequence[float], size: float) -> str:
-    """A place to a thousandth of a size."""
+    """Coordinates to a thousandth of `size`."""
     decimals = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 3
     numbers = (f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
     return "; ".join(numbers).replace("-", MINUS)

@@ -1,4 +1,4 @@
-"""Pictures of a report that are not of one load case: model, loads, forces on foundations."""
+"""Report pictures independent of a single load case: model, loads, foundation forces."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.views.view_data import Line, surface_piece, whole_surface
 
 MOST_PLANNED = 40_000
-"""A plan of more cells would be all black."""
+"""Largest number of cells in a plan; more would print black."""
 
 
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
@@ -42,7 +42,7 @@ def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list
 
 
 def _model_plan(solver: HasSystem) -> ModelPlan:
-    """What a plan of the model shows, on all ranks. Collective."""
+    """Contents of the model's plan, on all ranks. Collective."""
     scene, comm = solver.system.scene, solver.comm
     own = scene.mesh.mesh.topology.index_map(2).size_local
     corners = scene.positions()[scene.V.dofmap.list[:own]]
@@ -66,7 +66,7 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
 
 
 def _held_points(scene: Scene) -> dict[str, Array]:
-    """Places of held points of the mesh with names that lie on no held edges. Collective."""
+    """Positions of named held mesh points off the held edges. Collective."""
     found, n = dict[str, Array](), scene.V.dofmap.index_map.size_local
     rim = held_rim(scene).reshape(-1, 3)
     for name in scene.mesh.points:
@@ -82,7 +82,7 @@ def _held_points(scene: Scene) -> dict[str, Array]:
 
 
 def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
-    """A picture of each load at the factor 1, on the first rank. Collective."""
+    """A picture of each load at factor 1, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
     on_joints = {load.name for load in scene.loads if load.joints}
     peaks = {load.name: load.peak for load in scene.loads if load.suction is not None}
@@ -98,7 +98,7 @@ def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
 
 
 def outline_in_plan(scene: Scene) -> Array:
-    """Edges of the membrane and bars where they are now, (k, 2, 3), on all ranks. Collective."""
+    """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
     surface = whole_surface(
         scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {})
     )
@@ -110,7 +110,7 @@ def outline_in_plan(scene: Scene) -> Array:
 
 
 def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> list[Figure]:
-    """Plans of the forces on foundations in up to so many load cases, all at one scale."""
+    """Plans of the foundation forces in up to `most` load cases, all at one scale."""
     points, figures = held.points, list[Figure]()
     flat = [np.hypot(*x.force[:2]) for one in points.values() for x in one.values()]
     sizes = [np.linalg.norm(case.foundations.per_length, axis=2) for case in held.cases]

@@ -1,4 +1,4 @@
-"""Print the page of a report to PDF by a browser without a window."""
+"""Printing of a report to PDF by a headless browser."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ BROWSERS = (
     "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
     "microsoft-edge", "msedge",
 )  # fmt: skip
-"""Programs that print, in the order in which they are looked for."""
+"""Browsers, in the order of search."""
 PATIENCE = 120
-"""Seconds that a browser may take."""
+"""Time limit of the browser (seconds)."""
 
 
 def browser() -> str:
-    """The browser to print with: that of the variable CRMS_BROWSER, or one that is found."""
+    """Path of the browser: from the variable CRMS_BROWSER, or the first one found."""
     own = os.environ.get("CRMS_BROWSER")
     names = [own] if own else BROWSERS
     found = next((path for name in names if (path := shutil.which(name))), "")
@@ -34,7 +34,7 @@ def browser() -> str:
 
 
 def print_page(html: str, path: Path) -> None:
-    """Print a page on A4."""
+    """Print an HTML page to PDF on A4."""
     with tempfile.TemporaryDirectory() as folder:
         page, pdf = Path(folder) / "page.html", Path(folder) / "page.pdf"
         page.write_text(html, encoding="utf-8")

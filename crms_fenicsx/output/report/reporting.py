@@ -1,4 +1,4 @@
-"""Write a report of states or combinations of loads, by one call on all ranks."""
+"""Write a report of states or load combinations, by one call on all ranks."""
 
 from __future__ import annotations
 
@@ -51,49 +51,49 @@ from crms_fenicsx.steps.load_cases import (
 )
 
 NOW = "Current state"
-"""Name of the case of a report without combinations."""
+"""Case name in a report without combinations."""
 
 
 class Reported(HasSystem, HasStates, Protocol):
-    """A `Solver`, which lies above this module."""
+    """Protocol of `Solver`, which is in a higher layer."""
 
     base: SceneState | None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a report is to be: the options of `Solver.report`."""
+    """Contents of a report: the options of `Solver.report`."""
 
     path: Path  # of the page
-    title: str = "Membrane structure"  # title, about: heading, and names and texts below it
+    title: str = "Membrane structure"  # title, about: heading, and entries below it
     about: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
     force: str = ""
-    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by names (force)
-    pictures: Sequence[str] | None = None  # what colours the membrane in them
+    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
+    pictures: Sequence[str] | None = None  # colours of the membrane
     view: tuple[float, float] = (-60.0, 30.0)
-    sections: Sequence[PageSection] = ()  # further ones
+    sections: Sequence[PageSection] = ()  # additional ones
     order: Order | None = None  # lengths of the cables to be made
-    # names of joints, or of cables with "start" or "end", by the names of foundations
+    # joints, or cables with "start" or "end", by foundation
     foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    strain_limit: float = 0.1  # of the membrane's larger principal strain
-    template: str | Path | None = None  # of jinja2, for the page
-    pdf: bool = False  # whether to print the page to a PDF file as well
-    interactive: bool = False  # whether to make a page of each case that can be turned
+    strain_limit: float = 0.1  # limit of the larger principal strain
+    template: str | Path | None = None  # jinja2 template of the page
+    pdf: bool = False  # whether to print the page to PDF, too
+    interactive: bool = False  # whether to write interactive pages
 
     @property
     def units(self) -> Units:
-        """Names of the units."""
+        """Units of length and force."""
         return Units(self.unit, self.force)
 
     @property
     def look(self) -> dict[str, Any]:
-        """Options of `draw` that all pictures have."""
+        """Options of `draw` common to all pictures."""
         return {"unit": self.unit, "force": self.force, "view": self.view}
 
 
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
-    """Check the arguments of a report. Collective on `comm`."""
+    """Checked options of a report. Collective on `comm`."""
     checks.same(comm, "report", filename=filename, **options)
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
@@ -123,7 +123,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     checks.of_type("report: pdf", plan.pdf, bool)
     checks.of_type("report: interactive", plan.interactive, bool)
     path = absolute(checks.file("report: filename", filename), comm)
-    with raised_together(comm):  # last, as it makes the folder
+    with raised_together(comm):  # last, as it creates the folder
         if comm.rank == 0:
             if path.suffix.lower() not in (".html", ".htm"):
                 raise InputError(
@@ -150,7 +150,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
 def _checked_foundations(
     scene: Scene, foundations: Mapping[str, Sequence[str]] | None
 ) -> dict[str, Sequence[str]]:
-    """What foundations carry, by their names."""
+    """Members carried by each foundation."""
     known = {f"{cable.name} {end}" for cable in scene.cables for end in ("start", "end")}
     known |= {joint.name for joint in scene.joints}
     foundations = {} if foundations is None else foundations
@@ -170,7 +170,7 @@ def _checked_foundations(
 
 
 def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
-    """What colours the membrane in pictures."""
+    """Checked colours of the pictures; by default those that apply to the scene."""
     has = bool(scene.membrane.strengths)
     if pictures is None:
         woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
@@ -189,7 +189,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
 
 
 def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
-    """Results of combinations, or of the current state if there are none. Collective."""
+    """Results of the combinations, or of the current state if there are none. Collective."""
     cases = list[Case]()
     if not states:
         with back_to_now(solver):
@@ -212,7 +212,7 @@ def drawn(
     solver: Reported, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
     every: Sequence[Case],
 ) -> list[Case]:  # fmt: skip
-    """The cases with pictures in the scale of `every` case. Collective."""
+    """The cases with pictures in the colour scales of `every` case. Collective."""
     pictured = []
     with back_to_now(solver):
         for case in cases:
@@ -227,7 +227,7 @@ def drawn(
 
 
 def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) -> Model:
-    """The model that combinations were brought on with, or the present one. Collective."""
+    """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
         model = model_of_scene(solver.scene, plan.units)
@@ -255,7 +255,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
 
 
 def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
-    """A model with pictures of the scene's present state. Collective."""
+    """A model with pictures of the scene's current state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
@@ -265,7 +265,7 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
 
 
 def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
-    """Write a report's page and its tables, all at once when they are complete. Collective."""
+    """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
@@ -299,7 +299,7 @@ def write_report(
     solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
-    """Write a report of combinations, or of the current state; see `Plan`. Collective."""
+    """Write a report of combinations or the current state; options as `Plan`. Collective."""
     states = checked_states("report", solver.scene, combinations)
     plan = checked_plan(solver.comm, solver.scene, filename, **options)
     model, cases = model_of(solver, plan, states), results_of(solver, states)

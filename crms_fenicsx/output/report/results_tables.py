@@ -1,4 +1,4 @@
-"""Tables of results: of each case, and envelopes over all."""
+"""Tables of results: by case, and envelopes."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ BOTH = "supports, anchors and held joints"
 TOTAL = "all that meets there"
 Row = tuple[Cell, ...]
 NOISE = 1e-6
-"""Components of a force below this part of the largest one are rounding."""
+"""Force components below this fraction of the largest are rounding errors."""
 FINE = 1e-3
-"""Least values below this part of the largest one are no figures to design by."""
+"""Values below this fraction of the largest are shown as zero, as irrelevant to design."""
 PEAK = 1.25
-"""Ratio of a cell's largest value to the smoothed one from which on it is a peak."""
+"""Ratio of largest to largest smoothed cell value above which it is called a peak."""
 FAMILY = 10
-"""So many bars or more whose names differ in a number at their end share rows of a page."""
+"""Number of bars from which those with numbered names share rows on the page."""
 
 
 @dataclass(frozen=True)
 class ResultTables:
-    """Tables of the results of load cases."""
+    """Result tables of the load cases."""
 
     cases: Sequence[Case]
     units: Units
@@ -40,19 +40,19 @@ class ResultTables:
     strengths: Mapping[str, float]  # of cables, by name (force)
 
     def names(self, kind: str) -> list[str]:
-        """Names of the cables, bars ... of all cases; kind: attribute of a summary."""
+        """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
         every = (name for case in self.cases for name in getattr(case.summary, kind))
         return list(dict.fromkeys(every))
 
     def each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
-        """Name, case and results of all of a kind, where a case has them."""
+        """Name, case and result of each item of a kind."""
         for name in self.names(kind):
             for case in self.cases:
                 if name in getattr(case.summary, kind):
                     yield name, case.name, getattr(case.summary, kind)[name]
 
     def _extremes(self, case: Case) -> Iterator[tuple[str, str, str, Extreme, Extreme]]:
-        """Part, name and label of a quantity, its least and its largest value."""
+        """Part, name and label of each quantity, with its minimum and maximum."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
                 one, scale = QUANTITIES[name], in_per_cent(name)
@@ -63,7 +63,7 @@ class ResultTables:
                 yield part, name, label, low, high
 
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
-        """Pressure and factors of the loads, also in the base state."""
+        """Pressure and load factors of the cases and the base state."""
         every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
         divided = {case.name: case.summary.strength_factor for case in self.cases}
         reduced = any(x != 1.0 for x in divided.values())
@@ -105,7 +105,7 @@ class ResultTables:
         return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
 
     def of_case(self, case: Case) -> Table:
-        """Membrane forces of a case, by parts of the membrane."""
+        """Membrane forces of a case, by parts."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             nodal = in_per_cent(name) * case.recovered[part][name]
@@ -133,7 +133,7 @@ class ResultTables:
         return Table("Membrane", columns, rows, "membrane", headings=3)
 
     def envelope(self) -> Table:
-        """Least and largest values over all cases, with the case that governs."""
+        """Minima and maxima over all cases, with the governing case."""
         rows: list[Row] = []
         for part, name, label, _, _ in self._extremes(self.cases[0]):
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
@@ -167,7 +167,7 @@ class ResultTables:
         return Table("Cables", columns, rows, "cables", headings=2)
 
     def cable_envelope(self) -> Table:
-        """Least and largest tension of each cable over all cases."""
+        """Smallest and largest tension of each cable over all cases."""
         rows: list[Row] = []
         for name in self.names("cables"):
             found = [(case, one) for own, case, one in self.each("cables") if own == name]
@@ -184,7 +184,7 @@ class ResultTables:
         return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
 
     def _bars(self, every: bool) -> Iterator[tuple[str, list[tuple[str, BarResults]]]]:
-        """Each bar, or else each family of bars, with cases and results of its bars."""
+        """Each bar, or family of bars, with (case, result) pairs."""
         names = self.names("bars")
         rows = {name: [name] for name in names} if every else families(names)
         for label, own in rows.items():
@@ -194,7 +194,7 @@ class ResultTables:
             ]  # fmt: skip
 
     def bars(self, *, every: bool = True) -> Table:
-        """Forces and lengths in all cases of all bars, or of the most loaded one of each family."""
+        """Forces and lengths in all cases, of each bar or of the most loaded bar of each family."""
         rows: list[Row] = []
         for label, found in self._bars(every):
             for case in dict.fromkeys(case for case, _ in found):
@@ -208,7 +208,7 @@ class ResultTables:
         return Table("Bars", self.units.headings(columns), rows, "bars", headings=2)
 
     def bar_envelope(self, *, every: bool = True) -> Table:
-        """Least and largest force of each bar, or family of bars, over all cases."""
+        """Smallest and largest force of each bar, or family of bars, over all cases."""
         rows: list[Row] = []
         for label, found in self._bars(every):
             least, low = min(found, key=lambda one: one[1].force)
@@ -224,7 +224,7 @@ class ResultTables:
         return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
 
     def hollows(self) -> Table:
-        """Where rain would stand: the deepest hollow of each case."""
+        """Ponding: the deepest hollow of each case."""
         rows: list[Row] = [
             (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
             for case in self.cases for found in [case.summary.hollows] for one in found[:1]
@@ -235,7 +235,7 @@ class ResultTables:
         return Table("Hollows in which rain would stand", columns, rows, "hollows")
 
     def ponds(self) -> Table:
-        """Levels and volumes of ponds; their weights with the factors."""
+        """Levels, volumes and factored weights of ponds."""
         rows: list[Row] = [
             (name, case, x.factor, x.level, x.volume, x.factor * x.weight * x.volume)
             for name, case, x in self.each("ponds")
@@ -246,11 +246,11 @@ class ResultTables:
         return Table("Ponds", columns, rows, "ponds", headings=2)
 
     def supports(self, *, every: bool = True) -> Table:
-        """Reactions of the supports, and their sum; parts of it with `every`, else of points."""
+        """Support reactions and their sum; `every` also splits those of lines into parts."""
         rows: list[Row] = []
         names = self.names("supports")
         lists = [case.summary.supports for case in self.cases]
-        if len(names) == 2 and all(  # of one group that is the sum as well
+        if len(names) == 2 and all(  # a single group equals the sum
             set(one[names[0]].parts) == set(one[ALL_SUPPORTS].parts) for one in lists
         ):
             names = names[:1]
@@ -259,7 +259,7 @@ class ResultTables:
                 continue
             whole = name == ALL_SUPPORTS
             label = BOTH if whole and one.parts else name
-            # beside what the total is the sum of
+            # relative to the summands of the total
             scale = max(*map(abs, (*one.total, *one.membrane)), one.mean * one.length)
             along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
             rows.append((label, case, TOTAL, *clean(one.total, scale), *along))
@@ -274,7 +274,7 @@ class ResultTables:
         return Table("Reactions: forces of the supports", columns, rows, "supports", headings=3)
 
     def joints(self) -> Table:
-        """Forces of what holds joints, anchors of bars among them."""
+        """Support forces on joints, including anchors of bars."""
         rows: list[Row] = [
             (name, case, *with_size(force)) for name, case, force in self.each("joints")
         ]
@@ -296,7 +296,7 @@ class ResultTables:
         return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
 
     def verdicts(self) -> Table:
-        """The verdicts, and the cases that share each."""
+        """Verdicts, with the cases that share each."""
         shared: dict[tuple[int | None, str], list[str]] = {}
         for case in self.cases:
             found = case.verification
@@ -319,7 +319,7 @@ class ResultTables:
         return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
 
     def nearest_to_limits(self) -> list[PagePart]:
-        """Each check where it is nearest to its limit, and the names of those that are far off."""
+        """Each check at its largest utilisation, and the names of checks far below their limits."""
         known = [(case, check) for case in self.cases if case.verification is not None
                  for check in case.verification.checks]  # fmt: skip
         rows, far = list[Row](), list[str]()
@@ -343,17 +343,17 @@ class ResultTables:
 
 
 def in_per_cent(name: str) -> float:
-    """What tables multiply a quantity of the membrane by: those without units are in per cent."""
+    """Display factor of a membrane quantity: 100 (per cent) without a unit, else 1."""
     return 1.0 if QUANTITIES[name].unit else 100.0
 
 
 def part_name(part: str) -> str:
-    """A part for people."""
+    """Display name of a part."""
     return WHOLE if part == ALL else part
 
 
 def families(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names by what a page calls them: their own, or "belt 1 ... belt 26" of many."""
+    """Names by row label: the name itself, or "belt 1 ... belt 26" for a large family."""
     found: dict[str, list[str]] = {}
     for name in names:
         found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
@@ -365,7 +365,7 @@ def families(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[float]:
-    """A force without components that are rounding beside a scale: below this part of it."""
+    """A force whose components below a fraction of a scale are set to zero."""
     return [x if abs(x) > part * scale else 0.0 for x in force]
 
 
@@ -383,7 +383,7 @@ def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:
 
 
 def _without_one_part(table: Table) -> Table:
-    """A table without its first column where all is of the whole membrane."""
+    """A table without its first column if that only names the whole membrane."""
     if {row[0] for row in table.rows} != {WHOLE}:
         return table
     rows = [row[1:] for row in table.rows]
@@ -391,5 +391,5 @@ def _without_one_part(table: Table) -> Table:
 
 
 def _unchecked(case: Case) -> str:
-    """Why no checks are known of a case."""
+    """Reason for missing checks of a case."""
     return "not verified in this run" if case.summary.in_equilibrium else UNBALANCED

@@ -1,4 +1,4 @@
-"""What a report says, section by section."""
+"""Sections of a report."""
 
 from __future__ import annotations
 
@@ -69,17 +69,17 @@ NOTES = (
     "doubtful tells that the mesh is coarse there, or that forces of one part are too small beside "
     "the others to be known well, not that the state is no equilibrium.",
 )
-"""How to read the results."""
+"""Notes on reading the results."""
 PER_PICTURE = 1000
-"""Bytes of the page that a picture takes beside its own."""
+"""Bytes of the page per picture, besides its data."""
 
 
 LONG = 28
-"""Letters of a case's name from which on tables and pictures have the code of all cases instead."""
+"""Length of a case name from which all cases are called by their codes."""
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases with the codes LC1, LC2 ... for names if one's name is long."""
+    """The cases, renamed to their codes LC1, LC2 ... if a name is long."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
     if max(len(case.name) for case in cases) < LONG:
         return list(cases)
@@ -94,21 +94,21 @@ def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
 
 @dataclass(frozen=True)
 class Report:
-    """All that a report is made of."""
+    """Contents of a report."""
 
-    title: str  # title, about: heading, and names and texts below it
+    title: str  # title, about: heading, and entries below it
     about: Sequence[tuple[str, str]]
-    model: Model  # what was computed, with its picture
-    factors: Table  # of the loads in all cases, with the cases' codes and names
+    model: Model  # with its pictures
+    factors: Table  # load factors, with the cases' codes and names
     results: ResultTables
     held: FoundationTables
     limits: Limits
-    further: Sequence[PageSection] = ()  # about other things than equilibria
-    plans: Sequence[Figure] = ()  # of the forces on foundations
-    left_out: int = 0  # how many pictures there is no room for
+    further: Sequence[PageSection] = ()  # additional sections
+    plans: Sequence[Figure] = ()  # of the foundation forces
+    left_out: int = 0  # number of pictures omitted for lack of room
     order: Order | None = None  # lengths of the cables to be made
-    template: Path | None = None  # of jinja2; None: the package's
-    stem: str = "report"  # of the page's name, and of those of files beside it
+    template: Path | None = None  # jinja2 template; None: the package's
+    stem: str = "report"  # stem of all file names
 
     @property
     def cases(self) -> Sequence[Case]:
@@ -117,7 +117,7 @@ class Report:
 
     @property
     def views(self) -> dict[str, str]:
-        """Pages with the structure to be turned, by the names of their files."""
+        """Interactive pages by file name."""
         named = zip(self._files, self.cases, strict=True)
         return {file: case.view for file, case in named if case.view}
 
@@ -126,7 +126,7 @@ class Report:
         return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
 
     def html(self) -> str:
-        """The page, with as many pictures as there is room for."""
+        """The HTML page, with as many pictures as fit."""
         room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
         cases = []
         for case in self.cases:
@@ -165,7 +165,7 @@ class Report:
         return page(self.title, about, sections, self.template)
 
     def tables(self) -> list[Table]:
-        """The tables that become CSV files."""
+        """The tables for CSV files."""
         of = self.results
         found = [
             self.factors,
@@ -189,7 +189,7 @@ class Report:
         return found + [table for table in more if table.rows]
 
     def _cards(self) -> list[tuple[str, str, str]]:
-        """Key figures: what, its value, and the case or cable that it is of."""
+        """Key figures: title, value, and the governing case or cable."""
         units, summaries = self.results.units, {case.name: case.summary for case in self.cases}
         membranes = {name: one.membrane for name, one in summaries.items()}
         cards = []
@@ -244,7 +244,7 @@ class Report:
         ]  # fmt: skip
 
     def _combinations(self) -> list[PagePart]:
-        """What acts in each load case, and in the base state."""
+        """Pressure and load factors of all cases."""
         text = "Pressure, and what each load at the factor 1 is multiplied by."
         return [Paragraph(text), self.factors]
 
@@ -274,7 +274,7 @@ class Report:
         return found
 
     def _rain(self) -> list[PagePart]:
-        """Where water has no way out."""
+        """Hollows that do not drain."""
         table = self.results.hollows()
         if not table.rows:
             return [Paragraph("In no state is there a hollow from which rain has no way out.")]

@@ -1,4 +1,4 @@
-"""Names of the units of a report."""
+"""Units in a report."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from crms_fenicsx.output.figures.plots import units_of_results
 
 @dataclass(frozen=True)
 class Units:
-    """Names of units, as in headings."""
+    """Units of length and force, as in headings."""
 
-    length: str = ""  # length, force: such as "m" and "kN"; "" where not given
+    length: str = ""  # such as "m" and "kN"; "" if unknown
     force: str = ""
 
     def __getitem__(self, kind: str) -> str:
-        """The unit of a kind in brackets after a blank; "" where not known."""
+        """Unit of a kind of quantity as " [m]"; "" if unknown."""
         unit = units_of_results(self.length, self.force).get(kind)
         return f" [{unit}]" if unit else ""
 
     def plain(self, kind: str) -> str:
-        """The unit of a kind after a blank, without brackets."""
+        """Unit of a kind of quantity as " m", without brackets."""
         return self[kind].replace("[", "").replace("]", "")
 
     def headings(self, text: str) -> list[str]:
-        """Headings from texts between "|" that name kinds of units, as "Length{length}"."""
+        """Headings from a text such as "Length{length}|State", with units."""
         return text.format_map(self).split("|")

@@ -1,4 +1,4 @@
-"""What the first page says of a structure, in plain words."""
+"""The verdict on a structure, on the report's first page."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from crms_fenicsx.output.report.page import Verdict, number, per_cent, place
 from crms_fenicsx.output.report.results_tables import PEAK
 
 COLLAPSED, TURNED = 0.5, 0.01
-"""Share of the base state's volume below which a roof has collapsed; share of the area from which
-on one has turned over."""
+"""Fraction of the base volume below which a roof has collapsed; fraction of its area above which it
+has turned over."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What must not be exceeded."""
+    """Limits of strain and tension."""
 
     strain: float = 0.1  # largest principal strain of the membrane
     cables: Mapping[str, float] = field(default_factory=dict)  # strengths of cables, by name
 
 
 def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
-    """The verdict with all reasons that speak against the structure or its results."""
+    """The verdict, with all objections to the structure or its results."""
     reasons, count = [], f"All {len(cases)} combinations" if len(cases) > 1 else "The state"
     for case in cases:
         reasons += [f"{case.name}: {reason}" for reason in (*_doubts(case), *_excess(case, limits))]
@@ -56,7 +56,7 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
 
 
 def _doubts(case: Case) -> Iterator[str]:
-    """Why a state is no result to build on."""
+    """Reasons why a state is unusable."""
     summary, checked, change = case.summary, case.verification, case.change
     if not summary.in_equilibrium:
         yield "the scene has been changed since its last load step, or there was none."
