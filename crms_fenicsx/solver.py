@@ -315,7 +315,7 @@ class Solver:
     def _record(self, step: Step, done: float, increment: float) -> None:
         """Write history and files, then the checkpoint."""
         if self._journal is not None:
-            self._journal.make_way()
+            self._journal.remove_outdated()
         self._recorder.write(step, self.system, self.case)
         self._keep(done, increment)
 

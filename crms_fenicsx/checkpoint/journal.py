@@ -239,7 +239,7 @@ class Journal:
                     steps, saved.file.parent)  # fmt: skip
         return progress, run
 
-    def make_way(self) -> None:
+    def remove_outdated(self) -> None:
         """Remove the folders of calls that are computed anew. Collective."""
         # One by one from the last: a run killed meanwhile leaves folders it can resume from.
         first, self._outdated = self._outdated, 0
@@ -259,7 +259,7 @@ class Journal:
         self, scene: Scene, run: Run, done: float, increment: float, failure: str | None
     ) -> None:
         """Checkpoint a load step of the call; see `CallProgress`. Collective."""
-        self.make_way()
+        self.remove_outdated()
         progress = CallProgress(done, increment, failure)
         save(self._place, scene, run, self._call | {"progress": encode(progress)})
 

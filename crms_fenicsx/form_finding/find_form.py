@@ -31,10 +31,10 @@ from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 
 logger = logging.getLogger("crms_fenicsx")
 
-TOLD, COARSE = 0.05, 0.1
+REPORTED_DEVIATION, COARSE = 0.05, 0.1
 """Deviation of section forces from the prescribed ones, relative to the largest: reported above
 the first, refused above the second, plus the relative difference of warp and weft forces."""
-DISTURBED = 0.01
+REPORTED_DISTURBANCE = 0.01
 """Relative change of area and forces by the residual section forces above which it is reported."""
 
 
@@ -200,13 +200,13 @@ def _check_deviation(
         )
     if mesh.comm.rank > 0:
         return
-    if disturbance > DISTURBED:
+    if disturbance > REPORTED_DISTURBANCE:
         logger.warning(
             "find_form: residual section forces change the area, cables, pressure or supports' "
             "forces of the form by up to %.1f %%: take a finer mesh, or a start mesh nearer to it",
             100 * disturbance,
         )
-    if deviation > TOLD:
+    if deviation > REPORTED_DEVIATION:
         logger.warning(
             "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
             "the mesh is coarse, or different ones along warp and weft do not balance each other",

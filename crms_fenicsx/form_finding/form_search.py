@@ -94,10 +94,10 @@ class FormSearch:
                 elif found < (FALLING if self._damping else FALLEN) * error:
                     self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
                 else:
-                    updates = self._try_harder(before, wait)
+                    updates = self._stiffen(before, wait)
                     wait = max(wait, updates)
                     found = self._measure()
-                if self.holding and found <= TOLERANCE and self._may_move_on():
+                if self.holding and found <= TOLERANCE and self._can_release():
                     self.holding, self.film.modulus = False, SOFTEST
                     found = self._measure()
                 within = newton and updates == 0 and not self.holding  # the rest is found
@@ -113,7 +113,7 @@ class FormSearch:
                     f"find_form: the cable {group!r} would be slack; give it less length."
                 )
 
-    def _may_move_on(self) -> bool:
+    def _can_release(self) -> bool:
         """Whether releasing the held vertices once more would improve the form. Collective."""
         film = self.film
         share = film.section_forces(True) - film.section_forces(False)
@@ -128,7 +128,7 @@ class FormSearch:
         self.film.reference.x.array[:] = self.film.u.x.array
         return self._measure()
 
-    def _try_harder(self, before: State, wait: int) -> int:
+    def _stiffen(self, before: State, wait: int) -> int:
         """Go back and stiffen the elasticity; once it is stiffest, return a number of updates to
         make."""
         self._go_back(self._held_at if self.holding else before)

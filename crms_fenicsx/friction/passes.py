@@ -169,7 +169,7 @@ sharper than for lateral friction costs one short pass."""
 CLAMPED = 10.0
 """Largest logarithm of the tension ratio at clamps, more than any cable has."""
 
-MOST_TURNS, TURNED = 30, 1e-6
+MAX_ITERATIONS, TURNED = 30, 1e-6
 """Limit of iterations for the friction's direction, and relative change of slips at convergence."""
 
 
@@ -270,7 +270,7 @@ class AxialIteration:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
             return _Law(wrap, full, full, slips, unstressed)
         sideways = slips_sideways(cable, cable.lateral, shape, places.nodes)
-        for _ in range(MOST_TURNS):
+        for _ in range(MAX_ITERATIONS):
             before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
             bound, width, elastic = law_along(sideways, along)
             bound[clamped] = width[clamped] = elastic[clamped] = 1.0

@@ -26,7 +26,7 @@ APART = 0.01
 
 
 @dataclass(frozen=True)
-class _Way:
+class _TracedLine:
     """A line of the net on the cells."""
 
     name: str
@@ -53,7 +53,7 @@ def assembled(
 ) -> Net:
     """The net of families of routes (k, 2) or (k, 3), pulled taut if `taut`. Collective."""
     lines: list[NetLine] = []
-    ways: list[_Way] = []
+    ways: list[_TracedLine] = []
     for letter, routes in zip(ascii_uppercase, families, strict=False):
         for number, route in enumerate(routes, start=1):
             name = f"{letter}{number}"
@@ -64,7 +64,7 @@ def assembled(
             except PathError as error:
                 raise PathError(f"{call}: line {name}: {error}") from None
             points, lengths = _measured(surface, path)
-            ways.append(_Way(name, path, points, lengths))
+            ways.append(_TracedLine(name, path, points, lengths))
             lines.append(
                 NetLine(name, _thinned(points, APART * surface.size), float(lengths.sum()))
             )
@@ -105,7 +105,7 @@ def _thinned(points: Array, apart: float) -> Array:
     return np.array([*kept, points[-1]])
 
 
-def _crossings(surface: WholeSurface, ways: Sequence[_Way]) -> tuple[NetCrossing, ...]:
+def _crossings(surface: WholeSurface, ways: Sequence[_TracedLine]) -> tuple[NetCrossing, ...]:
     """Crossings of lines of different families; those on edges and at vertices count once."""
     cells, strip = surface.strip.vertices[surface.cells], surface.strip
     in_cell: dict[int, list[tuple[int, int]]] = defaultdict(list)

@@ -17,7 +17,7 @@ from crms_fenicsx.patterns.flattening import FlatProblem
 from crms_fenicsx.patterns.pieces import Piece
 from crms_fenicsx.runtime.arrays import Array, Integers
 
-ENOUGH = 32
+COLUMNS_TO_EXTRAPOLATE = 32
 """Columns of cells at which two energies are extrapolated with an error of 1 %."""
 MOST = 64
 """Columns of cells at which the energy itself has an error of 1 %."""
@@ -67,7 +67,7 @@ def fine_energies(piece: Piece, flat: Array, problem_of: ProblemOf) -> list[floa
         found.append(problem.energy(flat))
         if found[0] <= problem.rounding:
             return found
-        if columns_of(piece, flat) >= (ENOUGH if len(found) > 1 else MOST):
+        if columns_of(piece, flat) >= (COLUMNS_TO_EXTRAPOLATE if len(found) > 1 else MOST):
             return found
         piece, ends = divided(piece)
         flat = np.concatenate([flat, flat[ends].mean(axis=1)])

@@ -34,9 +34,9 @@ from crms_fenicsx.runtime.errors import InputError, PatternWarning, collective, 
 Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 
-TURNS = 2
+REALIGNMENTS = 2
 """Realignments of a flat piece with its warp."""
-TOLD = 1e-3
+WARNED_STRAIN = 1e-3
 """Estimated strain of a piece above which too few columns of cells are warned of."""
 
 
@@ -293,7 +293,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
             start = aligned(piece, conformal(piece.points, piece.triangles), own)
             problems[k] = problem = problem_of(piece, start)
             start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
-            for _ in range(TURNS):  # the conformal map rotates its ends
+            for _ in range(REALIGNMENTS):  # the conformal map rotates its ends
                 start = aligned(piece, problem.solve(start), own)
             starts[k], sides[k] = start, _sides(pieces, k)
     joints = len(pieces.joints.seams) if made.equal else 0
@@ -430,7 +430,10 @@ def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
     few = {}
     for one in flat:
         columns = columns_of(one.piece, one.shape)
-        if round(columns) < COLUMNS / 2 and abs(one.piece.curvature) * one.width**2 / 12 > TOLD:
+        if (
+            round(columns) < COLUMNS / 2
+            and abs(one.piece.curvature) * one.width**2 / 12 > WARNED_STRAIN
+        ):
             few[one.name] = columns
     if few:
         name = min(few, key=lambda name: few[name])

@@ -201,8 +201,8 @@ def compare(
         )
     values = _cells(solver)
     wanted = None if forces is None else np.broadcast_to(np.asarray(forces, float), (2,)).copy()
-    pieces = tuple(_got(one.name, values[one.piece.cells]) for one in pattern.flat)
-    return Comparison(wanted, pieces, _got("all", values), values[:, 1:5])
+    pieces = tuple(_piece_results(one.name, values[one.piece.cells]) for one in pattern.flat)
+    return Comparison(wanted, pieces, _piece_results("all", values), values[:, 1:5])
 
 
 def _cells(solver: Solver) -> Array:
@@ -235,7 +235,7 @@ def _cells(solver: Solver) -> Array:
     return values
 
 
-def _got(name: str, values: Array) -> SewnPiece:
+def _piece_results(name: str, values: Array) -> SewnPiece:
     """Results of a piece, from its cell values (m, 8)."""
     share, forces, form = values[:, 0] / values[:, 0].sum(), values[:, 1:3], values[:, 7]
     mean = share @ forces

@@ -28,7 +28,7 @@ def snapped(
     points, lines = surface.points.copy(), [list(seam.points) for seam in seams]
     fixed = {p.vertex for line in lines for p in line if isinstance(p, VertexPoint)}
     fixed |= {int(v) for ids in surface.checked.point_groups.values() for v in ids}
-    bound = _HeldLines(surface)
+    bound = _FeatureLines(surface)
     found: list[tuple[float, int, int, EdgePoint]] = []
     for k, line in enumerate(lines):
         for p in line:
@@ -76,7 +76,7 @@ def _keeps_cells(surface: PatternSurface, points: Array, v: int, place: Array) -
     )
 
 
-class _HeldLines:
+class _FeatureLines:
     """Rims and edge groups, along which their vertices must stay."""
 
     def __init__(self, surface: PatternSurface) -> None:

@@ -78,7 +78,7 @@ class Increment:
     warnings: tuple[StateWarning, ...] = ()
 
 
-MOST_TURNS = 50
+MAX_FOLLOWER_SOLVES = 50
 """Limit of solves per increment under wind, or under the paper's pressure with free edges."""
 
 
@@ -165,9 +165,9 @@ class IncrementSolver:
             self._verifier.begin()
         outcome, verification = self.search.find(h0_prestress), None
         if outcome.converged and has_free_rim(self.scene):
-            outcome = self._turn_pressure(outcome)
+            outcome = self._iterate_pressure(outcome)
         if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
-            outcome = self._turn_wind(outcome)
+            outcome = self._iterate_wind(outcome)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:
             size = f"{hanging.volume:.3g}"
@@ -195,21 +195,21 @@ class IncrementSolver:
             found += instabilities(self.system, outcome.tolerance)
         return tuple(found)
 
-    def _turn_pressure(self, outcome: Outcome) -> Outcome:
+    def _iterate_pressure(self, outcome: Outcome) -> Outcome:
         """Solve again under the paper's pressure until its forces are normal to the final shape."""
-        for _ in range(MOST_TURNS):
+        for _ in range(MAX_FOLLOWER_SOLVES):
             self.system.commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
             if more.iterations == 0 or not more.converged:
                 return outcome
-        reason = f"the pressure at free edges still turns after {MOST_TURNS} solves"
+        reason = f"the pressure at free edges still turns after {MAX_FOLLOWER_SOLVES} solves"
         return replace(outcome, converged=False, reason=reason)
 
-    def _turn_wind(self, outcome: Outcome) -> Outcome:
+    def _iterate_wind(self, outcome: Outcome) -> Outcome:
         """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
-        for _ in range(MOST_TURNS):
+        for _ in range(MAX_FOLLOWER_SOLVES):
             turned = tuple(load.turned(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
@@ -221,7 +221,7 @@ class IncrementSolver:
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
                 return outcome
-        reason = f"the wind still turns with the membrane after {MOST_TURNS} solves"
+        reason = f"the wind still turns with the membrane after {MAX_FOLLOWER_SOLVES} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def snapshot(self) -> SceneState:

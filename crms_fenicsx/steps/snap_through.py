@@ -58,7 +58,7 @@ class SnapThroughSearch:
         """Find a snap-through in the increment that ends in the present state. Collective."""
         end, began = self.increments.snapshot(), low
         part = _Part(replace(before, tried=end.tried), end, low, high)
-        sizes = [self._way(before, end)[0]]
+        sizes = [self._largest_displacement(before, end)[0]]
         try:
             while len(sizes) < LEAST or (len(sizes) < MOST and not self._is_fine(part)):
                 halves = self._nonconvex_halves(part, LEFT * sizes[-1])
@@ -68,7 +68,7 @@ class SnapThroughSearch:
                     return None
                 size, part = max(halves, key=lambda one: one[0])
                 sizes.append(size)
-            calm = not part.solved and self._is_calm(part)
+            calm = not part.solved and self._is_convex(part)
         finally:
             self.increments.go_back_to(end)
         if calm:
@@ -84,7 +84,7 @@ class SnapThroughSearch:
         found: list[tuple[float, _Part]] = []
         start, middle = part.start, (part.low + part.high) / 2
         for low, high in ((part.low, middle), (middle, part.high)):
-            left = self._way(start, part.end)[0]
+            left = self._largest_displacement(start, part.end)[0]
             if low == middle and not found and left >= large:
                 return [(left, _Part(start, part.end, low, high, solved=False))]
             self.increments.go_back_to(start)
@@ -96,7 +96,7 @@ class SnapThroughSearch:
             if not outcome.converged:
                 return [(left, _Part(start, part.end, low, high))]
             end = self.increments.snapshot()
-            size = self._way(start, end)[0]
+            size = self._largest_displacement(start, end)[0]
             if outcome.nonconvex:
                 found.append((size, _Part(start, end, low, high)))
             if outcome.nonconvex and size >= large:
@@ -104,7 +104,7 @@ class SnapThroughSearch:
             start = end
         return found
 
-    def _is_calm(self, part: _Part) -> bool:
+    def _is_convex(self, part: _Part) -> bool:
         """Whether the energy is convex all the way from the start of a part. Collective."""
         self.increments.go_back_to(part.start)
         outcome = self.increments.solve(
@@ -114,21 +114,21 @@ class SnapThroughSearch:
 
     def _is_fine(self, part: _Part) -> bool:
         """Whether a part narrows every load down to `FINE`."""
-        for first, last in self._ways().values() or [(0.0, 1.0)]:
+        for first, last in self._load_ranges().values() or [(0.0, 1.0)]:
             value = max(abs(first + part.high / self.steps * (last - first)),
                         SMALLEST * max(abs(first), abs(last)))  # fmt: skip
             if (part.high - part.low) / self.steps * abs(last - first) > FINE * value:
                 return False
         return True
 
-    def _ways(self) -> dict[str, tuple[float, float]]:
+    def _load_ranges(self) -> dict[str, tuple[float, float]]:
         """First and last value of each changing load, without supports, lengths and sealed air."""
         ways, inner = dict(self.target.factors), self.target.pressure
         if inner.fans is None and inner.air is None:
             ways["pressure"] = (inner.first, inner.last)
         return {name: way for name, way in ways.items() if way[0] != way[1]}
 
-    def _way(self, before: SceneState, after: SceneState) -> tuple[float, Array]:
+    def _largest_displacement(self, before: SceneState, after: SceneState) -> tuple[float, Array]:
         """Largest displacement (length) of a vertex or joint, and its place before. Collective."""
         own = self.scene.V.dofmap.index_map.size_local
         places: Array = self.scene.membrane.stress_free[:own] + before.u.reshape(-1, 3)[:own]
@@ -148,10 +148,11 @@ class SnapThroughSearch:
         before, after = part.start, part.end
         low, high = float(part.low / self.steps), float(part.high / self.steps)
         loads = {
-            name: (between(a, b, low), between(a, b, high)) for name, (a, b) in self._ways().items()
+            name: (between(a, b, low), between(a, b, high))
+            for name, (a, b) in self._load_ranges().items()
         }
         known = [f"{a:.5g} and {b:.5g} of {name!r}" for name, (a, b) in loads.items()]
-        size, place = self._way(before, after)
+        size, place = self._largest_displacement(before, after)
         words = (
             f"between {', '.join(known) or f'{low:.2%} and {high:.2%} of the way'} the equilibrium "
             f"becomes unstable: the structure jumps to another one, which no stable equilibria "

@@ -52,7 +52,7 @@ docs/theory/verification.md. "pull on the membrane" allows a point that was rele
 down again in the same step, where it stays. A cable half a cell beside its place on a line of the
 mesh would be held sideways by 0.1 of its contact force."""
 
-CRUDE = {
+MESH_DEPENDENT = {
     "pull on the membrane", "depth below the membrane", "friction beyond its bound",
     "held by vertices", "held by edges", "unbalanced forces of cables",
 }  # fmt: skip
@@ -154,7 +154,7 @@ class CableVerifier:
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
         return [
-            Check(name, float(value), LIMITS[name], found[name][1], name not in CRUDE)
+            Check(name, float(value), LIMITS[name], found[name][1], name not in MESH_DEPENDENT)
             for name, value in zip(names, worst, strict=True)
         ]
 

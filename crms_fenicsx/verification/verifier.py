@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
-SHAKE = 1e-5
+VIRTUAL_DISPLACEMENT = 1e-5
 """Size of the virtual displacements: the change of nodal forces that they cause in a membrane of
 stiffness E t and its prestress, relative to the scene's force.
 
 Where the energy is smooth, its difference is of second order in them; where it is not, as in cells
-about to turn slack, the error is at most `SHAKE` times the scene's force.
+about to turn slack, the error is at most `VIRTUAL_DISPLACEMENT` times the scene's force.
 """
 LARGEST_SHAKE = 1e-6
 """Largest virtual displacement, relative to the cell size: beside very tight cables the membrane's
@@ -52,7 +52,7 @@ FINER = 16.0
 of an energy that is not smooth falls with them."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force, without rounding. A hundred times what
-`SHAKE` explains, as edges near cable points are stiffer than the membrane."""
+`VIRTUAL_DISPLACEMENT` explains, as edges near cable points are stiffer than the membrane."""
 VISIBLE = 0.1
 """Part of it that rounding may take, unless displacements would become too large."""
 BALANCE = 1e-7
@@ -62,7 +62,7 @@ PLACE = 1e-12
 larger, to its distance from the origin: these places are set, not solved for."""
 SPREAD = 8.0
 """Standard deviations that bound a sum of unbalanced forces with random signs."""
-BY_OTHER_MEANS = "pressure", "dead load", "pond", "bars"
+GEOMETRIC_TERMS = "pressure", "dead load", "pond", "bars"
 """Terms whose forces the balance computes from the geometry."""
 NEGLIGIBLE = 1e-300
 """Least force (force) that others are divided by."""
@@ -128,7 +128,8 @@ class Verifier:
         modulus = max(m.reference_modulus for m in materials)
         prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
         cells = scene.mesh.mesh.topology.index_map(2).size_global
-        step = SHAKE * force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
+        strain = force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
+        step = VIRTUAL_DISPLACEMENT * strain
         largest = LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells)
         for axial in (cable.axial for cable in scene.cables if cable.taut):
             if axial is not None:
@@ -224,7 +225,7 @@ class Verifier:
         on_plain = np.sum(g[plain] ** 2)
         g[:] = -loads
         for term in potential.terms:
-            if term.name not in BY_OTHER_MEANS and term not in scene.terms:
+            if term.name not in GEOMETRIC_TERMS and term not in scene.terms:
                 term.add_gradient(potential.x, potential.sums_of(term), g)
         if system.bars is not None:
             system.bars.add_pulls(g, -1.0)
@@ -251,7 +252,7 @@ class Verifier:
         all_loads = max(float(total[13]), force)
         limit = BALANCE + unbalanced / all_loads
         own = max(float(np.sqrt(total[16])) or section_forces(scene), NEGLIGIBLE)
-        worst = self._off_places(unknowns)
+        worst = self._position_errors(unknowns)
         checks = [
             Check("unbalanced forces", float(np.sqrt(total[14])) / force,
                   BALANCE + SPREAD * outcome.residual / force),
@@ -269,7 +270,7 @@ class Verifier:
             checks.append(Check("depth below the floor", worst[1] / worst[2], PLACE))
         return checks
 
-    def _off_places(self, unknowns: Unknowns) -> Array:
+    def _position_errors(self, unknowns: Unknowns) -> Array:
         """Errors of support positions, depth below the floor, and distance from the origin."""
         scene, (moved, _) = self.scene, self._prescribed
         away = float(

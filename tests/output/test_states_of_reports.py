@@ -154,7 +154,7 @@ def test_a_step_that_fails_leaves_what_was_verified(
     scene = solver.scene
     scene.put_wind(0.3, -0.8)
     other = Solver(scene, max_halvings=1)
-    monkeypatch.setattr("crms_fenicsx.steps.increment_solver.MOST_TURNS", 1)
+    monkeypatch.setattr("crms_fenicsx.steps.increment_solver.MAX_FOLLOWER_SOLVES", 1)
     with pytest.raises(ConvergenceError, match="still turns"):
         other.advance(load={"wind": 1.0})
     assert solver.summary().in_equilibrium

@@ -133,7 +133,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     for number, way in enumerate(ways):
         at = camera.project(way)[:, :2]
         steps = [] if closeups else _spaced_steps(at, 14.0 * axes3d.point)
-        _draw_way(axes3d.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
+        _draw_point_path(axes3d.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
     axes3d.add_legend(
         [
             (DISTINCT[number % len(DISTINCT)], path.name or f"path {number + 1}", "line")
@@ -182,7 +182,7 @@ def _add_closeups(
         for place, number in enumerate(numbers):
             at = ways[number][:, :2]
             steps = _spaced_steps(at, 9.0 * point) if place == 0 else []
-            _draw_way(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
+            _draw_point_path(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
 
 
 def _draw_below(
@@ -207,7 +207,7 @@ def _draw_below(
     )
 
 
-def _draw_way(axes: Any, at: Array, number: int, size: float, steps: Sequence[int]) -> None:
+def _draw_point_path(axes: Any, at: Array, number: int, size: float, steps: Sequence[int]) -> None:
     colour = DISTINCT[number % len(DISTINCT)]
     axes.plot(
         *at.T, color=colour, linewidth=1.4, marker="o", markersize=size, zorder=3,
