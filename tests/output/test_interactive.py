@@ -59,4 +59,5 @@ def test_scales_stand_beside_the_view() -> None:
     assert "<title>snow &amp; wind</title>" in page and "VTK.js" not in page
     assert page.index("<body class='x'>") < page.index("force [kN/m]") < page.index("axial")
     assert page.count("linear-gradient(to right, #") == 2
+    assert '<div class="content"' in page  # else vtk.js empties the body
     assert [f"<span>{x}</span>" in page for x in ("0", "2", "4", "6", "8", "-0.5")] == 6 * [True]
