@@ -210,7 +210,7 @@ class IncrementSolver:
         """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
         for _ in range(MAX_FOLLOWER_SOLVES):
-            turned = tuple(load.turned(scene.membrane) for load in scene.loads)
+            turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
             size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5

@@ -41,7 +41,7 @@ stiffness E t and its prestress, relative to the scene's force.
 Where the energy is smooth, its difference is of second order in them; where it is not, as in cells
 about to turn slack, the error is at most `VIRTUAL_DISPLACEMENT` times the scene's force.
 """
-LARGEST_SHAKE = 1e-6
+LARGEST_DISPLACEMENT = 1e-6
 """Largest virtual displacement, relative to the cell size: beside very tight cables the membrane's
 stiffness is no measure."""
 SMALLEST_SLIP = 0.01
@@ -128,9 +128,9 @@ class Verifier:
         modulus = max(m.reference_modulus for m in materials)
         prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
         cells = scene.mesh.mesh.topology.index_map(2).size_global
-        strain = force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
-        step = VIRTUAL_DISPLACEMENT * strain
-        largest = LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells)
+        size = force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
+        step = VIRTUAL_DISPLACEMENT * size
+        largest = LARGEST_DISPLACEMENT * scene.membrane.size / np.sqrt(cells)
         for axial in (cable.axial for cable in scene.cables if cable.taut):
             if axial is not None:
                 slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
