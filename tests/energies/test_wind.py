@@ -44,8 +44,8 @@ def test_forces_turn_with_the_cells(comm):
     cp = gusty(now.mean(axis=1).T, normals.T)
     np.testing.assert_allclose(load.forces, forces_one_by_one(scene, 0.7, cp), atol=1e-10)
     scene.u.x.array[:] = 5.0 * noise(X, 7).ravel()
-    assert load.turned(scene.membrane) is load, "wind that does not blow"
-    turned = replace(load, factor=2.0).turned(scene.membrane)
+    assert load.with_current_normals(scene.membrane) is load, "wind that does not blow"
+    turned = replace(load, factor=2.0).with_current_normals(scene.membrane)
     np.testing.assert_allclose(turned.forces, forces_one_by_one(scene, 0.7, cp), atol=1e-10)
 
 
