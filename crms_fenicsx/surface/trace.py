@@ -62,7 +62,8 @@ def route_points(route: object) -> Array:
         )
     bad = np.flatnonzero(~np.isfinite(course).all(axis=1))
     if len(bad):
-        raise PathError(f"path: point {bad[0]} is {as_text(course[bad[0]])}, which is not finite.")
+        i = int(bad[0])
+        raise PathError(f"path: point {i} is {course[i].tolist()}, which is not finite.")
     return course
 
 
