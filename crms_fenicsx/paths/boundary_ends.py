@@ -49,9 +49,9 @@ def renew_ends(change: PathChange) -> bool:
     changed = False
     shape = change.net.strip_shape()
     for cable in change.net.cables:
-        led = [_renew(change, cable, last, shape) for last in (False, True)]
-        if any(led):  # it may lie over other cells now
-            changed, shape = True, change.net.strip_shape()
+        for last in (False, True):
+            if _renew(change, cable, last, shape):  # it may lie over other cells now
+                changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.update(path_is_geodesic=False)
     return changed
@@ -86,6 +86,8 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
         node = cable.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
+        if led:
+            shape = change.net.strip_shape()
     there = cable.positions[beside]
     if not cable.lifted[beside]:  # its edge may have moved since the last step
         there = shape.mean(*node.interpolation())

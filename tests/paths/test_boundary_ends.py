@@ -121,6 +121,20 @@ def test_an_anchor_moved_far_over_the_membrane(comm) -> None:
     assert set(cable.nodes[1].point.support) == set(there.nodes[1].point.support)
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("last", [False, True])
+def test_an_anchor_moved_off_the_membrane_over_cells_without_cables(comm, last: bool) -> None:
+    """The path's end follows it at once to the boundary, where it is that of a new cable."""
+    far, near, beyond = (120.0, 53.0, 0.0), (32.0, 51.0, 15.0), (-28.0, 76.0, 5.0)
+    ends = [far, near] if last else [near, far]
+    scene, cable, solver = solved(comm, "structured", ends, 90.0)
+    way = np.subtract(beyond, near)
+    solver.advance(move={cable.end if last else cable.start: tuple(way)}, L0={cable: 148.0})
+    ends = [far, beyond] if last else [beyond, far]
+    fresh, there, _ = solved(comm, "structured", ends, 148.0)
+    assert_same((scene, cable), (fresh, there), 1e-3)
+
+
 @pytest.mark.parametrize("moved", ["the anchor", "the edge"])
 def test_an_end_that_comes_to_lie_over_the_membrane_does_not_go_round_by_its_edge(
     comm: MPI.Intracomm, moved: str
