@@ -369,7 +369,7 @@ class Minimizer:
         """Switch from slow stages to Newton's method, or back."""
         newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
-        if newton.is_quick(residual, self._scale):
+        if (self._h0_is_outdated or newton.active) and newton.is_quick(residual, self._scale):
             self._h0_is_outdated = True
         elif newton.active:
             newton.check_progress(residual)
