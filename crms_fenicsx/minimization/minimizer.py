@@ -7,8 +7,9 @@ rebuilt, once finishing would take longer than with a new H0, or its line search
 much. The next solve of the same potential, at other loads, starts with the last H0.
 
 Newton's method, with H0 rebuilt in each iteration, takes over where a stage makes little progress,
-as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum: H0 is
-the energy's second derivative, and cable points far out of balance are relaxed before each step.
+as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum where
+no earlier H0 is of use: H0 is the energy's second derivative, and cable points far out of balance
+are relaxed before each step.
 
 Near the minimum energy differences drown in rounding before the forces balance. There a stage keeps
 the H0 of the one before and measures energy from its start x0 by the trapezoidal rule, accurate to

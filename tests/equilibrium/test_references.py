@@ -51,6 +51,18 @@ def test_inflated_square(comm, n: int, wrinkling: bool, w: float, W: float) -> N
     assert later.evaluations + REBUILD * later.factorizations <= 24
 
 
+@pytest.mark.parametrize("n", [16, 33])
+def test_load_steps_under_a_cable_begin_with_the_h0_before(comm, n: int) -> None:
+    """As long as its path stays, along a line of the mesh and across cells."""
+    scene = clamped(square(comm, n))
+    scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 50.0), (100.0, 50.0)], L0=100.0)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    later = [solver.advance(pressure=f * PRESSURE).outcome for f in (1.1, 1.2, 1.3)]
+    assert sum(one.factorizations for one in later) <= 3
+    assert all(one.evaluations + REBUILD * one.factorizations <= 32 for one in later)
+
+
 def test_inflated_square_converges_to_the_continuum(comm) -> None:
     sizes, w, W, V = [], [], [], []
     for n in (8, 16, 32):
