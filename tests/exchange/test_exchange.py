@@ -37,7 +37,6 @@ def roof(comm: MPI.Intracomm) -> Solver:
 
 
 @pytest.mark.ranks
-@pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")  # ezdxf's own, of pyparsing
 def test_a_shape_as_dxf(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """Faces with the area of the surface, the cable's line, the bar and the supports; no error."""
     ezdxf = pytest.importorskip("ezdxf")

@@ -105,7 +105,6 @@ def test_nesting_uses_the_width(pattern: patterns.Pattern) -> None:
 
 
 @pytest.mark.ranks
-@pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")  # ezdxf's own, of pyparsing
 def test_dxf_is_read_back(comm: MPI.Intracomm, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Without errors, with all layers, the outline's length, and the unit."""
     ezdxf = pytest.importorskip("ezdxf")

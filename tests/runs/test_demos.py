@@ -48,10 +48,7 @@ DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThr
 """On cells of 6 m the hall dents all at once under snow."""
 
 
-DEPRECATED = pytest.mark.filterwarnings("ignore:.*deprecated:DeprecationWarning")
-"""What ezdxf calls of pyparsing where a file of the patterns is read back."""
-
-MARKS = {"air_hall": [DENTED], "patterns": [DEPRECATED]}
+MARKS = {"air_hall": [DENTED]}
 
 
 @pytest.mark.ranks
