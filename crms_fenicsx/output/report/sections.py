@@ -79,16 +79,17 @@ LONG = 28
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases, renamed to their codes LC1, LC2 ... if a name is long."""
+    """The cases; if a name is long, in the order of their codes LC0, LC1 ... and renamed to them."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
     if max(len(case.name) for case in cases) < LONG:
         return list(cases)
+    order = list(codes)
     return [
         replace(case, name=codes[case.name], pictures=tuple(
             replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
             for one in case.pictures
         ))
-        for case in cases
+        for case in sorted(cases, key=lambda case: order.index(case.name))
     ]  # fmt: skip
 
 
