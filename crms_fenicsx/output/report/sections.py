@@ -79,7 +79,7 @@ LONG = 28
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases; if a name is long, in the order of their codes LC0, LC1 ... and renamed to them."""
+    """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
     if max(len(case.name) for case in cases) < LONG:
         return list(cases)
