@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, HasSystem
+from crms_fenicsx.output.report.page import rendered
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES, fields_of
 from crms_fenicsx.runtime.errors import raised_together
@@ -84,11 +84,7 @@ class Scale:
 
 def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
     """A vtk.js page with its title and colour scales."""
-    from jinja2 import Environment, FileSystemLoader
-
-    folder = FileSystemLoader(Path(__file__).parent / "templates")
-    jinja = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    shown = jinja.get_template("scales.html").render(title=title, scales=scales)
+    shown = rendered("scales.html", title=title, scales=scales)
     page = re.sub("<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", page, count=1)
     return re.sub("<body[^>]*>", lambda found: f"{found[0]}\n{shown}", page, count=1)
 

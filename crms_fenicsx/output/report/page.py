@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 from crms_fenicsx.output.history import escaped
 
@@ -246,22 +246,25 @@ def page(
     template: Path | None = None,
 ) -> str:  # fmt: skip
     """The HTML page, from the package's template or another one."""
-    from jinja2 import ChoiceLoader, Environment, FileSystemLoader, StrictUndefined
-
-    folders = [Path(__file__).parent / "templates"]
-    loaders = [FileSystemLoader(x) for x in ([template.parent] if template else []) + folders]
-    jinja = Environment(
-        loader=ChoiceLoader(loaders), autoescape=True, trim_blocks=True, lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )  # fmt: skip
-    jinja.filters["cell"] = shown
     numbered, chapter, below = [], 0, 0
     for one in sections:
         chapter, below = (chapter + 1, 0) if one.level == 2 else (chapter, below + 1)
         text = f"{chapter}" if one.level == 2 else f"{chapter}.{below}"
         numbered.append(PageSection(one.title, one.body, one.level, text))
-    name = template.name if template else "report.html"
-    return jinja.get_template(name).render(title=title, about=about, sections=numbered)
+    name, own = (template.name, [template.parent]) if template else ("report.html", [])
+    return rendered(name, own, title=title, about=about, sections=numbered)
+
+
+def rendered(name: str, folders: Sequence[Path] = (), **values: Any) -> str:
+    """A template of some folders, or else of the package, with values."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    jinja = Environment(
+        loader=FileSystemLoader([*folders, Path(__file__).parent / "templates"]),
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+    )  # fmt: skip
+    jinja.filters["cell"] = shown
+    return jinja.get_template(name).render(**values)
 
 
 def shown(value: Cell) -> str:
