@@ -285,8 +285,8 @@ def _theory(scene: Scene) -> dict[str, str]:
     if ResidualStress.name in added:
         added.remove(ResidualStress.name)
         found["Residual membrane forces"] = (
-            "deviations of the form's equilibrium forces from the prescribed prestress; included "
-            "in the membrane forces below"
+            "deviations of the form's equilibrium forces from the prescribed prestress; the "
+            "membrane forces below have them"
         )
     if added:
         found["Terms of the energy added by the user"] = ", ".join(added)
