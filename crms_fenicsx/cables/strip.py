@@ -254,11 +254,12 @@ def cells_at(
 def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
     """Strip extended by rings of cells around vertices (ids, the same on all ranks). Collective."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
-    for _ in range(rings):
-        lacking = [int(v) for v in wanted if int(v) not in strip.complete]
+    for ring in range(rings):
+        if ring:
+            wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
+        lacking = [v for v in ints(wanted) if v not in strip.complete]
         if lacking:
             strip = strip.merged(cells_at(membrane, lacking))
-        wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
     return strip
 
 

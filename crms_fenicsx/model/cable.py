@@ -47,7 +47,7 @@ class Cable:
         """Friction against sideways sliding; None if it slides freely."""
         friction = self.friction
         if not isinstance(friction, Friction):
-            friction = Friction(friction)
+            return Friction(friction) if friction > 0 else None
         return friction if friction.at_rest > 0 else None
 
     @property

@@ -42,11 +42,19 @@ class FoldPoints:
         self._number = dict(zip(keys, range(len(keys)), strict=True))
 
     @classmethod
-    def of(cls, cables: Sequence[LaidCable], nodes: NodeTable | None = None) -> FoldPoints:
-        """Current fold points of taut cables, without lifted ones."""
-        table, fractions = NodeTable.of(cables, nodes), fractions_of(cables)
+    def of(
+        cls,
+        cables: Sequence[LaidCable],
+        nodes: NodeTable | None = None,
+        near: Sequence[int] | None = None,
+    ) -> FoldPoints:
+        """Current fold points of taut cables with given nodes, without lifted ones; only those on
+        edges between the vertices `near`, if given."""
+        table, fractions = nodes or NodeTable.of(cables), fractions_of(cables)
         on = (table.size == 2) & (table.kind != CROSSING) & table.taut & ~table.lifted
         rows = np.flatnonzero(on)
+        if near is not None:
+            rows = rows[np.isin(table.support[rows, :2], near).all(axis=1)]
         first, second = table.support[rows, 0], table.support[rows, 1]
         rows = rows[np.lexsort((rows, fractions[rows], second, first))]
         edges = table.support[rows, :2]
@@ -133,7 +141,6 @@ class CreasedSurface:
         self.shape, self.strip, self.folds = shape, shape.strip, folds
         self.anchors = _places(anchors)
         self.ends = ends
-        self._at = shape.places
 
     def with_anchors(
         self, anchors: Mapping[int, Array], ends: Mapping[int, tuple[int, ...]]
@@ -151,15 +158,16 @@ class CreasedSurface:
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through its fold points."""
+        at = self.shape.places
         if edge[1] in self.anchors:
-            return math.dist(self._at[edge[0]], self.anchors[edge[1]])
+            return math.dist(at[edge[0]], self.anchors[edge[1]])
         k = self.folds.number(edge)
-        return math.dist(self._at[edge[0]], self._at[edge[1]]) if k is None else self._bent[k]
+        return math.dist(at[edge[0]], at[edge[1]]) if k is None else self._bent[k]
 
     def _line(self, edge: Edge) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        points = map(floats, vectors(self.folds.on(edge)))
-        return [self._at[edge[0]], *points, self._at[edge[1]]]
+        points, at = map(floats, vectors(self.folds.on(edge))), self.shape.places
+        return [at[edge[0]], *points, at[edge[1]]]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
@@ -181,7 +189,7 @@ class CreasedSurface:
 
     def _joined_to(self, vertex: int) -> set[int]:
         """Anchors to which a boundary vertex is joined."""
-        place = self._at[vertex]
+        place = self.shape.places[vertex]
         nearest = min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
         return {nearest} | {k for k, vertices in self.ends.items() if vertex in vertices}
 

@@ -24,7 +24,7 @@ from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, ints
 from crms_fenicsx.surface.points import Support, edge_of
 
 SLACK, TINY = 0.05, 1e-5
@@ -194,17 +194,17 @@ def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[
     """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
     which it can only slide, and at clamps, unless all of their cables can slide."""
     near = PRESSED if cable.lateral is None else GRIPPED
-    nodes, lifted = cable.nodes, cable.lifted
-    fractions = [float(f) for f in cable.fractions]
+    nodes, lifted, fractions = cable.nodes, cable.lifted, cable.fractions
     boundary = _along_boundary(nodes, shape)
     clamped = () if cable.parts is None else set(cable.parts.nodes) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
-    for k, support in _between_ends(cable):
-        if nodes[k].kind == "vertex":
-            if not lifted[k] and k not in boundary and k not in clamped:
-                found[support[0]].append(k)
-        elif nodes[k].slides and not near <= fractions[k] <= 1 - near:  # or beyond the edge's end
-            found[support[int(fractions[k] > 0.5)]].append(k)
+    # near an edge's end or beyond it, or not on an edge
+    beside = np.flatnonzero(~((near <= fractions) & (fractions <= 1 - near)))
+    for k in ints(beside[(0 < beside) & (beside < len(nodes) - 1)]):
+        if nodes[k].slides:
+            found[nodes[k].support[int(fractions[k] > 0.5)]].append(k)
+        elif nodes[k].kind == "vertex" and not (lifted[k] or k in boundary or k in clamped):
+            found[nodes[k].support[0]].append(k)
     return dict(found)
 
 

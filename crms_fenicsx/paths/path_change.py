@@ -89,14 +89,22 @@ class PathChange:
         """Number of the membrane's vertices; larger ids are those of anchors."""
         return self.net.membrane.V.dofmap.index_map.size_global
 
-    def surface(
-        self, vertices: Sequence[int] = (), rings: int = 1, like: StripShape | None = None
-    ) -> CreasedSurface:
+    def surface(self, vertices: Sequence[int] = ()) -> CreasedSurface:
         """The current surface, including all cells around some vertices. Collective."""
+        return CreasedSurface(self.shape(vertices), self.folds())
+
+    def shape(
+        self, vertices: Sequence[int] = (), rings: int = 1, like: StripShape | None = None
+    ) -> StripShape:
+        """The current shape, including all cells around some vertices: `like`, if that includes
+        them. Collective."""
         self.net.grow_strip(vertices, rings)
-        if like is None or like.strip is not self.net.strip:
-            like = self.net.strip_shape()
-        return CreasedSurface(like, self.folds())
+        known = like is not None and like.strip is self.net.strip
+        return like if like is not None and known else self.net.strip_shape()
+
+    def folds_near(self, vertices: Sequence[int]) -> FoldPoints:
+        """Fold points of all cables on the edges between some vertices."""
+        return FoldPoints.of(self.net.cables, self.net.nodes, vertices)
 
     def folds(self) -> FoldPoints:
         """Fold points of all cables, cached until these change."""

@@ -19,7 +19,7 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
-from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface
 from crms_fenicsx.paths.held_vertices import VertexRun, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -52,7 +52,7 @@ class WayPast:
     supports: Corridor  # of the path, between the cable's anchors
     vertices: frozenset[int]  # those passed
     replaced: Corridor  # supports left, and those taken instead
-    surface: CreasedSurface  # with the anchors
+    shape: StripShape
 
 
 def way_past(
@@ -60,7 +60,8 @@ def way_past(
 ) -> WayPast | None:
     """Find the path of a cable past a run; None if it can pass none of the vertices. Collective."""
     string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
-    joined = change.with_anchors(cable, change.surface(run.vertices, like=shape))
+    shape = change.shape(run.vertices, like=shape)
+    joined = change.with_anchors(cable, CreasedSurface(shape, NO_FOLDS))
     n = change.n_vertices
     first, last = n in joined.anchors, n + 1 in joined.anchors
     string = (((n,),) if first else ()) + string + (((n + 1,),) if last else ())
@@ -75,7 +76,8 @@ def way_past(
                 break
             except MissingCells as missing:
                 change.net.grow_strip(missing.vertices, rings)
-                joined = change.with_anchors(cable, change.surface())
+                shape = change.shape()
+                joined = change.with_anchors(cable, CreasedSurface(shape, NO_FOLDS))
             except MeshError:
                 break  # a vertex where several sheets meet holds the cable
         # No cable lies between the membrane's boundary and an anchor.
@@ -86,16 +88,16 @@ def way_past(
     if not passed:
         return None
     kept = string[first : len(string) - last]
-    return WayPast(kept, frozenset(passed), replaced, joined)
+    return WayPast(kept, frozenset(passed), replaced, shape)
 
 
 def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a path past vertices, with its remaining nodes unchanged."""
     supports, on_path = way.supports, cable.path_nodes()
-    change.net.grow_strip([v for support in supports for v in support])
-    strip = change.net.strip
-    assert strip is not None
+    shape = change.shape([v for support in supports for v in support], like=way.shape)
     old = {cable.nodes[k].support: k for k in on_path}
+    taken = [v for support in supports if support not in old for v in support]
+    surface = CreasedSurface(shape, change.folds_near(taken))
     least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
     def kept(k: int) -> tuple[CableNode, Array, float, bool]:
@@ -105,8 +107,8 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     def new(edge: Edge) -> tuple[CableNode, Array, float, bool]:
         fraction = least if edge[0] in way.vertices else 1 - least
         point = EdgePoint(edge, fraction)
-        node = CableNode("edge slider" if edge in strip.held_edges else "fold", point)
-        return node, way.surface.place(edge, fraction), fraction, False
+        node = CableNode("edge slider" if edge in shape.strip.held_edges else "fold", point)
+        return node, surface.place(edge, fraction), fraction, False
 
     last = len(cable.nodes) - 1
     rows = [kept(0)] if on_path[0] > 0 else []  # an anchor
@@ -118,7 +120,7 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
     if added:  # along the boundary nodes may only vanish
         part = on_path[max(added[0] - 1, 0) : added[-1] + 2]
-        straighten(change, cable, part, way.surface.shape)
+        straighten(change, cable, part, shape)
 
 
 def straighten(
@@ -127,7 +129,8 @@ def straighten(
     """Pull a part of a cable, given by nodes, taut in its cells between its ends, and return
     whether that is possible. Collective. Gathers vertex positions that are not known."""
     points = cable.points(part)
-    surface = change.surface([v for point in points for v in point.support], like=shape)
+    vertices = [v for point in points for v in point.support]
+    surface = CreasedSurface(change.shape(vertices, like=shape), change.folds_near(vertices))
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
         return False
     string = shorten(points, surface, max_flips=0).points
@@ -205,7 +208,7 @@ class VertexTrials:
     def _shape(self, group: list[Trial]) -> StripShape:
         """Positions of the vertices around runs and around the edges beside them. Collective."""
         vertices = [vertex for _, run in group for vertex in run.vertices]
-        return self.change.surface(vertices, rings=2).shape
+        return self.change.shape(vertices, rings=2)
 
     def _held(self) -> list[Trial]:
         """Untried runs that hold cables."""
