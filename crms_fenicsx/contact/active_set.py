@@ -7,32 +7,24 @@ change back and forth only a few times in a solve, so that it terminates.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.points_on_edges import (
-    CROSSING,
-    NodeTable,
-    fractions_of,
-    positions_of,
-)
+from crms_fenicsx.cables.points_on_edges import NodeTable, fractions_of, positions_of
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact import lift_off as contact
-from crms_fenicsx.contact.lift_off import (
-    DEPTH,
-    PULL,
-    Polylines,
-)
-from crms_fenicsx.meshes.triangles import lists, vectors
-from crms_fenicsx.model.cable_state import Crossing, NodeId
+from crms_fenicsx.contact.free_spans import FreeSpans
+from crms_fenicsx.contact.lift_off import DEPTH, PULL, Polylines
+from crms_fenicsx.meshes.triangles import norm
+from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats, ints
-from crms_fenicsx.surface.lines import apparent_crossing
-from crms_fenicsx.surface.points import Edge, EdgePoint, Support
+from crms_fenicsx.runtime.arrays import Booleans, flags, floats, ints
+from crms_fenicsx.surface.lines import gaps
+from crms_fenicsx.surface.points import Support
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -56,14 +48,8 @@ def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
     lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
     normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
-    found = set()
-    for n, number in enumerate(apart):
-        (a, b), (c, d) = vectors(lower[n]), vectors(upper[n])
-        s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normals[n]))
-        gap = float((c + t * (d - c) - a - s * (b - a)) @ normals[n])
-        if gap < -DEPTH * float(np.linalg.norm(b - a)):
-            found.add(number)
-    return found
+    deep = gaps(lower, upper, normals) < -DEPTH * norm(lower[:, 1] - lower[:, 0])
+    return {apart[n] for n in np.flatnonzero(deep)}
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
@@ -102,11 +88,10 @@ class ActiveSet:
         words. Collective."""
         return self._switch(self.net.strip_shape(), solved=False)
 
-    def update(self) -> list[str]:
-        """Update the active set from a solved state and return the changes in words. Collective."""
+    def update(self, shape: StripShape) -> list[str]:
+        """Update the active set from a solved state and return the changes in words."""
         if self._first_look:
             self._forget()
-        shape = self.net.strip_shape()
         changes = self._switch(shape, solved=True) or self._contacts(shape)
         if not changes and self.net.crossings:
             changes = self._crossings(shape)
@@ -174,64 +159,39 @@ class ActiveSet:
         for c, k in nodes.ids(pulling):
             released[c].append(k)
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
-        on_edges = self._on_edges_under_spans(nodes, nodes.on(shape.strip.simplices))
-        changes = []
+        free, changes = None, []
         for c in sorted({*released, *ints(off)}):
-            changes += self._change(net.cables[c], released[c], shape, on_edges)
+            if free is None:
+                free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
+            new = self._change(c, released[c], free)
+            changes += new
+            free = None if new else free  # the cable now folds edges below other spans
         return changes
 
-    def _change(
-        self,
-        cable: LaidCable,
-        released: Sequence[int],
-        shape: StripShape,
-        on_edges: Mapping[Edge, Sequence[NodeId]],
-    ) -> list[str]:
+    def _change(self, c: int, released: Sequence[int], free: FreeSpans) -> list[str]:
         """Release a cable at some nodes, and let it touch down under its spans."""
+        cable = self.net.cables[c]
 
         def key(k: int) -> ContactKey:
             return cable.name, cable.nodes[k].support
 
-        free = [k for k in released if key(k) not in self._settled]
+        loose = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            folds = self._bends(cable, on_edges)
-            places = contact.captured(cable, shape, folds)
+            free.move(c)
+            places = free.captured(c, -DEPTH)
             unclear = cable.slides_freely and not self._rested(cable)
-            if unclear and not free and not places:
-                nearly = contact.captured(cable, shape, folds, contact.NEARLY)
+            if unclear and not loose and not places:
+                nearly = free.captured(c, contact.NEARLY)
                 places = {k: place for k, place in nearly.items() if key(k) not in self._released}
-        if free:
-            contact.lift(cable, free)
+        if loose:
+            contact.lift(cable, loose)
         if places:
             contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
-        self._released |= {key(k) for k in free}
-        texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
+        self._released |= {key(k) for k in loose}
+        texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in loose]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
-
-    def _bends(
-        self, cable: LaidCable, on_edges: Mapping[Edge, Sequence[NodeId]]
-    ) -> dict[Edge, list[Array]]:
-        """Points (3,) of other cables, in order, on the edges below a cable's lifted nodes."""
-        cables, found = self.net.cables, {}
-        for node in (cable.nodes[k] for k in np.flatnonzero(cable.lifted)):
-            if isinstance(node.point, EdgePoint):
-                others = [(c, k) for c, k in on_edges[node.point.edge] if cables[c] is not cable]
-                points = [(float(cables[c].fractions[k]), c, k) for c, k in others]
-                found[node.point.edge] = [
-                    cables[c].positions[k] for _, c, k in sorted(points) if not cables[c].lifted[k]
-                ]
-        return found
-
-    def _on_edges_under_spans(self, nodes: NodeTable, on: Integers) -> dict[Edge, Sequence[NodeId]]:
-        """Nodes of taut cables, lifted ones too, on each edge below a lifted node."""
-        edge = nodes.taut & (nodes.size == 2) & (nodes.kind != CROSSING)
-        rows = np.flatnonzero(edge & np.isin(on, on[edge & nodes.lifted]))
-        found: dict[Edge, list[NodeId]] = defaultdict(list)
-        for (a, b, _), node in zip(lists(nodes.support[rows]), nodes.ids(rows), strict=True):
-            found[a, b].append(node)
-        return dict(found)
 
     def _clamped(self, nodes: NodeTable) -> Booleans:
         """Whether a clamp joins each node to another, (n,): these only lift off together."""

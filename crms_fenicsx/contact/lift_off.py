@@ -10,77 +10,22 @@ Contacts released and restored in one solve stay closed, which prevents chatteri
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.meshes.triangles import vectors
-from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.contact.free_spans import FreeSpans, Gap, under
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.surface import lines
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, Support, VertexPoint
-
-
-class Gap(NamedTuple):
-    """Gap between a free span and the membrane, at one of the cable's nodes."""
-
-    gap: float  # height of the span along the membrane's normal (length)
-    fraction: float  # on the edge; NaN at a vertex
-    place: Array  # place, above: (3,) point of the membrane, and of the span
-    above: Array
-    # whether both lie within the ends of edge and span, or the span is just beyond an edge's end:
-    # paths keep that far off vertices, so the two sides need not be distinguished.
-    inside: bool
-    # vertex at the edge's end that the span passes closely on the other side; -1 if none
-    past: int = -1
+from crms_fenicsx.surface.points import CellPoint
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
     """Cell size around a vertex or an edge (length)."""
     return float(shape.normals_and_sizes([support])[1][0])
-
-
-def under(
-    node: CableNode,
-    span: tuple[Array, Array],
-    shape: StripShape,
-    bends: Sequence[Array] = (),
-    reach: float = PAST,
-) -> Gap:
-    """Gap of a free span at a node's edge or vertex."""
-    assert node.point is not None
-    support = node.point.support
-    return _gap(support, span, shape, shape.normal(support), bends, reach)
-
-
-def _gap(
-    support: Support,
-    span: tuple[Array, Array],
-    shape: StripShape,
-    normal: Array,
-    bends: Sequence[Array] = (),
-    reach: float = PAST,
-) -> Gap:
-    """As `under`, with a given normal."""
-    line = [shape.at(support[0])] if len(support) == 1 else [
-        shape.at(support[0]), *bends, shape.at(support[-1])
-    ]  # fmt: skip
-    gap, fraction, place, above, inside, end = lines.passed(
-        np.array(line), *span, normal, INSIDE, reach
-    )
-    return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
-
-
-def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
-    """Pairs of contacts between which the cable is off the membrane."""
-    for a, b in pairwise(cable.contacts()):
-        if b - a > 1:
-            yield a, b
 
 
 PULL = 1e-6
@@ -184,99 +129,29 @@ def released(cable: LaidCable, shape: StripShape) -> list[int]:
     return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
 
 
-def captured(
-    cable: LaidCable,
-    shape: StripShape,
-    bends: Mapping[Edge, Sequence[Array]],
-    height: float = -DEPTH,
-) -> dict[int, Gap]:
-    """Nodes where a free span penetrates the membrane, with the contact points.
-
-    With a `height` relative to the cell size: where the span is lower than that.
-
-    Where the path rounds a vertex that the span passes on the other side, beyond the ends of all
-    path edges there, the span touches near the vertex, as no edge lies below it. This happens in
-    steep regions: the path lies in one plane, while each edge is examined along its own normal.
-
-    Moves the lifted nodes onto their span.
+def captured(cable: LaidCable, shape: StripShape, height: float = -DEPTH) -> dict[int, Gap]:
+    """Nodes where a free span penetrates the membrane, or is lower than a `height` relative to the
+    cell size, with the contact points; for a cable alone. Moves the lifted nodes onto their span.
     """
-    found = {}
-    positions, fractions = cable.positions.copy(), cable.fractions.copy()
-    around = _around_lifted(cable, shape)
-    for a, b in spans(cable):
-        span = (positions[a], positions[b])
-        passed: dict[int, Gap] = {}
-        for k in range(a + 1, b):
-            node = cable.nodes[k]
-            if k not in around:
-                positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
-                continue
-            support, (normal, size) = node.support, around[k]
-            on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
-            place = _gap(support, span, shape, normal, on_edge)
-            positions[k] = place.above
-            if node.slides:  # keeps the path below the span
-                fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-            if place.gap < height * size:
-                if place.inside:
-                    found[k] = place
-                elif height < 0.0 and place.past >= 0:
-                    passed[k] = place
-        found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
-    cable.update(positions=positions, fractions=fractions)
-    return found
+    every = np.ones(1, dtype=bool)
+    free = FreeSpans([cable], NodeTable.of([cable]), shape, every)
+    free.move(0)
+    return free.captured(0, height)
 
 
-def _around_lifted(cable: LaidCable, shape: StripShape) -> dict[int, tuple[Array, float]]:
-    """Normals and sizes of the cells at the lifted nodes, without crossings and feet."""
-    lifted = [
-        k
-        for k in ints(np.flatnonzero(cable.lifted))
-        if cable.nodes[k].kind != "crossing" and not is_foot(cable, k)
-    ]
-    normals, sizes = shape.normals_and_sizes([cable.nodes[k].support for k in lifted])
-    return dict(zip(lifted, zip(vectors(normals), floats(sizes), strict=True), strict=True))
-
-
-def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
-    """Whether a span passes a vertex beyond the ends of all path edges around it."""
-    vertex = passed[k].past
-
-    def around(n: int) -> bool:
-        point = cable.nodes[n].point
-        return isinstance(point, EdgePoint) and vertex in point.edge
-
-    first = last = k
-    while around(first - 1):
-        first -= 1
-    while around(last + 1):
-        last += 1
-    return all(n in passed and passed[n].past == vertex for n in range(first, last + 1))
-
-
-def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
+def sunk(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> set[int]:
     """Numbers of cables with a span deep below the membrane beside a vertex, beyond the ends of the
     path's edges, so that none can stop it; perhaps far beyond, if the span ends at another cable
     and their crossing has slid out of its cell."""
+    may = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
+    free = FreeSpans(cables, nodes, shape, may, reach=np.inf)
     found = set()
-    for c, cable in enumerate(cables):
-        if not cable.taut or not cable.lifts_off:
-            continue
-        around = _around_lifted(cable, shape)
-        for a, b in spans(cable):
-            span = (cable.positions[a], cable.positions[b])
-            for k in range(a + 1, b):
-                if k not in around:
-                    continue
-                normal, size = around[k]
-                place = _gap(cable.nodes[k].support, span, shape, normal, reach=np.inf)
-                deep = -SUNK * size
-                if place.past < 0 or place.gap >= deep:
-                    continue
-                # The span passes the line of a nearly parallel edge far away: check at the vertex.
-                vertex = CableNode("vertex", VertexPoint(place.past))
-                if under(vertex, span, shape).gap < deep:
-                    found.add(c)
+    for n in np.flatnonzero((free.past >= 0) & (free.heights < -SUNK * free.sizes)):
+        # The span passes the line of a nearly parallel edge far away: check at the vertex.
+        first, last = free.ends[n]
+        place = under((int(free.past[n]),), (first, last), shape)
+        if place.gap < -SUNK * free.sizes[n]:
+            found.add(int(nodes.cable[free.rows[n]]))
     return found
 
 
@@ -305,7 +180,7 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
     for _ in range(len(cable.nodes) + 1):
         free = released(cable, shape)
         lift(cable, free)
-        places = {} if free else captured(cable, shape, {})
+        places = {} if free else captured(cable, shape)
         touch(cable, places)
         positions = cable.positions.copy()
         for k in places:  # a slack cable is not solved: put the point where its fraction says

@@ -111,10 +111,12 @@ def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> 
     return CellPoint(cell, (x, y, z))
 
 
-def with_span_projections(
-    cable: LaidCable, shape: StripShape
-) -> tuple[list[SurfacePoint], list[bool]] | None:
-    """Path of a cable with updated span projections: points, lifted flags; None if unchanged."""
+Projected = tuple[list[SurfacePoint], list[bool]]
+"""Points of a path, and whether each is lifted."""
+
+
+def with_span_projections(cable: LaidCable, shape: StripShape) -> Projected | None:
+    """Path of a cable with updated span projections; None if unchanged."""
     nodes, contacts = cable.nodes, cable.contacts()
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False

@@ -107,9 +107,10 @@ class ContactLoop:
 
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""
-        changes = self.active.update() or self._lift_clamps()
+        shape = self.scene.net.strip_shape()
+        changes = self.active.update(shape) or self._lift_clamps()
         if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
-            changes = self.sliding.renew_projections()
+            changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
         return changes
 

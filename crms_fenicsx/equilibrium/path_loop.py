@@ -191,4 +191,4 @@ class PathLoop:
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()
-        return sunk(cables, self.scene.net.strip_shape())
+        return sunk(cables, self.scene.net.nodes, self.scene.net.strip_shape())

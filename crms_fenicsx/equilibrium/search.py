@@ -152,7 +152,7 @@ class EquilibriumSearch:
         contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), sliding, start)
         paths = PathLoop(contacts, change, self.tried)
         changed = renew_ends(change)
-        if sliding.renew_projections() or changed:
+        if sliding.renew_projections(self.scene.net.strip_shape()) or changed:
             self.system.rebuild()
         return contacts, FrictionLoop(contacts, paths.solve, self.tried)
 

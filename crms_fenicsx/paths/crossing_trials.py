@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
-from crms_fenicsx.contact.lift_off import Gap, captured, lift, may_lift, outward_pulls, touch
+from crms_fenicsx.contact.free_spans import Gap
+from crms_fenicsx.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
@@ -193,7 +194,7 @@ class CrossingTrials:
             off = cable.lifted
             if not off.any():
                 continue
-            for k, gap in captured(cable, shape, {}, LOW).items():
+            for k, gap in captured(cable, shape, LOW).items():
                 if not (off[k - 1] and off[k + 1]):
                     found.append((gap.gap, c, k, gap))
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):

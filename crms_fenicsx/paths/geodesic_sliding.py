@@ -8,14 +8,15 @@ it is kept if the energy falls, else half of the flips are tried. No path is tri
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import drape
-from crms_fenicsx.contact.span_projection import with_span_projections
+from crms_fenicsx.contact.span_projection import Projected, with_span_projections
 from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
@@ -34,6 +35,8 @@ from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
+
+Result = TypeVar("Result")
 
 CLAMP_INSIDE = 1e-6
 """Least weight of a corner of a clamp's cell."""
@@ -90,25 +93,21 @@ class GeodesicSliding:
         for c in numbers:
             self.net.cables[c].update(path_is_geodesic=False)
 
-    def renew_projections(self) -> list[str]:
+    def renew_projections(self, shape: StripShape) -> list[str]:
         """Move paths of lifted parts below their spans; return the changes in words. Collective."""
         changes: list[str] = []
         off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
-        if not off:
-            return changes
-        surface = self.change.surface()
-        for cable in off:
-            for rings in itertools.count(1):
-                try:
-                    found = with_span_projections(cable, surface.shape)
-                    break
-                except MissingCells as missing:
-                    self.net.grow_strip(missing.vertices, rings)
-                    surface = self.change.surface()
+
+        def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:
+            return lambda cable: with_span_projections(cable, on)
+
+        for cable, found in zip(off, self._for_each(off, projected, shape), strict=True):
+            if found is None:
+                continue
+            points, lifted = found
+            surface = self.change.surface([v for point in points for v in point.support])
             # A span that folds back over its own touchdown keeps its old projection.
-            if found is not None and not why_invalid(corridor(found[0]), surface.opposite_vertices):
-                points, lifted = found
-                surface = self.change.surface([v for point in points for v in point.support])
+            if why_invalid(corridor(points), surface.opposite_vertices) is None:
                 self.change.replace(cable, points, lifted, surface)
                 changes.append(f"{cable.name} hangs over other cells")
         return changes
@@ -167,20 +166,35 @@ class GeodesicSliding:
         max_flips: int | None,
         fresh: bool,
     ) -> list[_Pulled]:
-        """Pull paths taut, each on one rank, growing the strip as needed. Collective."""
-        found: dict[int, _Pulled] = {}
-        for rings in itertools.count(1):
-            surface = CreasedSurface(self.net.strip_shape(), folds)
+        """Pull paths taut. Collective."""
 
-            def pulled(c: int, on: CreasedSurface = surface) -> _Pulled | MissingCells:
+        def pulled(on: StripShape) -> Callable[[LaidCable], _Pulled]:
+            surface = CreasedSurface(on, folds)
+            return lambda cable: self._pulled(cable, surface, max_flips, fresh)
+
+        return self._for_each(cables, pulled, self.net.strip_shape())
+
+    def _for_each(
+        self,
+        cables: Sequence[LaidCable],
+        work_on: Callable[[StripShape], Callable[[LaidCable], Result]],
+        shape: StripShape,
+    ) -> list[Result]:
+        """Results for cables, each worked out on one rank, growing the strip as needed. `work_on`
+        returns what is to be done on a shape. Collective."""
+        found: dict[int, Result] = {}
+        for rings in itertools.count(1):
+            work = work_on(shape)
+
+            def done(c: int, work: Callable[[LaidCable], Result] = work) -> Result | MissingCells:
                 try:
-                    return self._pulled(cables[c], on, max_flips, fresh)
+                    return work(cables[c])
                 except MissingCells as missing:
                     return missing
 
             pending = [c for c in range(len(cables)) if c not in found]
             lacking: set[int] = set()
-            new = share_out(self.net.membrane.comm, pending, pulled)
+            new = share_out(self.net.membrane.comm, pending, done)
             for c, result in zip(pending, new, strict=True):
                 if isinstance(result, MissingCells):
                     lacking.update(result.vertices)
@@ -189,6 +203,7 @@ class GeodesicSliding:
             if not lacking:
                 break
             self.net.grow_strip(sorted(lacking), rings)
+            shape = self.net.strip_shape()
         return [found[c] for c in range(len(cables))]
 
     def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:

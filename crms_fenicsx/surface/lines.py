@@ -46,6 +46,33 @@ def passed(line, start, end, normal, margin, reach):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True)
+def passed_by_spans(points, first, ends, normals, margin, reach):  # type: ignore[no-untyped-def]
+    """`passed` of n lines, concatenated in `points` (m, 3) from `first` (n + 1,) on, by the spans
+    between `ends` (n, 2, 3), with normals (n, 3)."""
+    n = len(ends)
+    gaps, fractions, inside = np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_)
+    places, above, end = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        line, span = points[first[i] : first[i + 1]], ends[i]
+        found = passed(line, span[0], span[1], normals[i], margin, reach)
+        gaps[i], fractions[i], places[i], above[i], inside[i], end[i] = found
+    return gaps, fractions, places, above, inside, end
+
+
+@numba.njit(cache=True)
+def gaps(lower, upper, normals):  # type: ignore[no-untyped-def]
+    """Gaps (n,) between segments (n, 2, 3), one above the other along normals (n, 3), where they
+    cross or come closest to that."""
+    found = np.empty(len(lower))
+    for n in range(len(lower)):
+        (a, b), (c, d) = lower[n], upper[n]
+        s, t = apparent_crossing(a, b, c, d, normals[n])
+        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
+        found[n] = _dot(c + t * (d - c) - a - s * (b - a), normals[n])
+    return found
+
+
+@numba.njit(cache=True)
 def apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
     """Parameters of the crossing of lines ab and cd in the projection along the normal."""
     u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)

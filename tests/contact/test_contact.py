@@ -13,13 +13,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cable_edits import put
+from strip_roof import along, cable_on, roof
 
-from crms_fenicsx import Cable
-from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.cables.points_on_edges import NodeTable
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.active_set import joining, parting
+from crms_fenicsx.contact.free_spans import Gap, spans, under
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
-    Gap,
     Polylines,
     captured,
     drape,
@@ -28,66 +29,17 @@ from crms_fenicsx.contact.lift_off import (
     outward_pulls,
     released,
     size_at,
-    spans,
     sunk,
     touch,
-    under,
 )
 from crms_fenicsx.meshes.triangles import cross
-from crms_fenicsx.model.cable_state import CableNode, CableState, Crossing
+from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
 UP = np.array([0.0, 0.0, 1.0])
-
-
-def roof(heights: Sequence[float]) -> StripShape:
-    """A strip of triangles with these heights at x = 0, 1, 2 ...; vertices x, and n + x beyond."""
-    n = len(heights)
-    cells = [c for k in range(n - 1) for c in ((k, k + 1, n + k), (k + 1, n + k + 1, n + k))]
-    points = np.array([(x % n, x // n, heights[x % n]) for x in range(2 * n)], dtype=float)
-    none = np.zeros(len(cells), dtype=np.int64)
-    strip = Strip(np.array(cells, dtype=np.int64), none, np.arange(len(cells)))
-    return StripShape(strip, points, points)
-
-
-def cable_on(
-    shape: StripShape, nodes: Sequence[CableNode], anchors: Sequence[Sequence[float]] = ()
-) -> LaidCable:
-    """A cable in tension over these nodes, with anchors before the first and after the last."""
-    places = []
-    for node in nodes:
-        ids, weights = node.interpolation()
-        places.append(np.dot(weights, [shape.at(i) for i in ids]))
-    all_nodes = list(nodes)
-    if len(anchors):
-        all_nodes = [CableNode("anchor"), *nodes, CableNode("anchor")]
-        places = [anchors[0], *places, anchors[1]]
-    fractions = [
-        node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
-    ]
-    state = CableState(
-        Cable(1000.0),
-        tuple(all_nodes), np.array(places, dtype=float), np.array(fractions),
-        np.zeros(len(all_nodes), dtype=bool), np.full((len(all_nodes), 3), np.nan), 1.0, 1.0, 10.0,
-        taut=True,
-    )  # fmt: skip
-    return LaidCable("cable 1", state)
-
-
-def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict[float, int]]:
-    """A cable along y = 1/2 and the numbers of its nodes by x; its ends are tied or anchored."""
-    n = len(shape.strip.vertices) // 2
-    edges = {float(k): (k, n + k) for k in range(n)}
-    edges |= {k + 0.5: (k + 1, n + k) for k in range(n - 1)}
-    kinds = dict.fromkeys(edges, "fold")
-    if not anchors:
-        kinds[0.0] = kinds[n - 1.0] = "tied"
-    nodes = [CableNode(kinds[x], EdgePoint(edges[x], 0.5)) for x in sorted(edges)]  # type: ignore[arg-type]
-    first = 1 if anchors else 0
-    return cable_on(shape, nodes, anchors), {x: first + k for k, x in enumerate(sorted(edges))}
 
 
 def set_lifted(cable: LaidCable, nodes: Sequence[int]) -> None:
@@ -237,7 +189,7 @@ def test_a_foot_only_marks_the_place_under_an_anchor() -> None:
     assert 1 in released(cable, shape)
     set_lifted(cable, [1])
     put(cable, "positions", 0, (0.3, 0.3, -2.0))  # even with the anchor below
-    assert captured(cable, shape, {}) == {}
+    assert captured(cable, shape) == {}
 
 
 # ---- spans and what lies under them ------------------------------------------------------------
@@ -254,7 +206,7 @@ def test_under_an_edge() -> None:
     shape = roof([0.0, 0.5, 0.0])
     node = CableNode("fold", EdgePoint((1, 4), 0.5))
     span = np.array([(0.0, 0.2, 1.0)]), np.array([(2.0, 0.6, 2.0)])
-    found = under(node, (span[0][0], span[1][0]), shape)
+    found = under(node.support, (span[0][0], span[1][0]), shape)
     assert found.gap == pytest.approx(1.0) and found.fraction == pytest.approx(0.4)
     np.testing.assert_allclose(found.place, [1.0, 0.4, 0.5])
     np.testing.assert_allclose(found.above, [1.0, 0.4, 1.5])
@@ -276,7 +228,7 @@ def test_under_an_edge() -> None:
 def test_under_an_edge_that_is_not_passed(start, end, fraction, place, above, gap) -> None:
     shape = roof([0.0, 0.5, 0.0])
     node = CableNode("fold", EdgePoint((1, 4), 0.5))
-    found = under(node, (np.array(start, dtype=float), np.array(end, dtype=float)), shape)
+    found = under(node.support, (np.array(start, dtype=float), np.array(end, dtype=float)), shape)
     assert found.fraction == pytest.approx(fraction)
     np.testing.assert_allclose(found.place, place, atol=1e-15)
     np.testing.assert_allclose(found.above, above, atol=1e-15)
@@ -293,9 +245,9 @@ def test_a_span_far_beyond_the_edges_of_its_path_is_sunk(y: float) -> None:
     )
     cable.update(taut=True)
     set_lifted(cable, [1])
-    assert sunk([cable], shape) == (set() if y < 1 else {0})
+    assert sunk([cable], NodeTable.of([cable]), shape) == (set() if y < 1 else {0})
     put(cable, "positions", ([0, -1], 2), 0.6)
-    assert sunk([cable], shape) == set()
+    assert sunk([cable], NodeTable.of([cable]), shape) == set()
 
 
 def slow_under(
@@ -359,8 +311,9 @@ def test_places_under_spans_are_those_of_the_slow_twin(seed: int) -> None:
         start, end = rng.uniform(-0.5, 1.5, (2, 3))
         start[0], end[0] = start[0] - 0.5, end[0] + 1.0
         bends = [np.array([1.0, y, 0.5 + rng.uniform(-0.3, 0.3)]) for y in (0.4, 0.8)]
-        given = node, (start, end), shape, bends[: seed % 3] if node is nodes[0] else []
-        for found, expected in zip(under(*given), slow_under(*given), strict=True):
+        given = (start, end), shape, bends[: seed % 3] if node is nodes[0] else []
+        places = under(node.support, *given), slow_under(node, *given)
+        for found, expected in zip(*places, strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -371,23 +324,23 @@ def test_under_an_edge_that_another_cable_bends(y: float, z: float) -> None:
     shape = roof([0.0, 0.0, 0.0])
     node = CableNode("fold", EdgePoint((1, 4), 0.9))
     span = np.array([0.0, y, 1.0]), np.array([2.0, y, 1.0])
-    found = under(node, span, shape, [np.array([1.0, 0.5, z])])
+    found = under(node.support, span, shape, [np.array([1.0, 0.5, z])])
     assert found.gap == pytest.approx(1.0 - z / 2) and found.inside
     np.testing.assert_allclose(found.place, [1.0, y, z / 2])
     assert found.fraction == pytest.approx(y)
-    beyond = under(node, (span[0] + [0, 5, 0], span[1] + [0, 5, 0]), shape, [found.place])
+    beyond = under(node.support, (span[0] + [0, 5, 0], span[1] + [0, 5, 0]), shape, [found.place])
     assert not beyond.inside and beyond.fraction == 1.0
 
 
 def test_under_a_vertex() -> None:
     shape = roof([0.0, 0.5, 0.0])
     node = CableNode("vertex", VertexPoint(1))
-    found = under(node, (np.array([0.0, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
+    found = under(node.support, (np.array([0.0, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
     np.testing.assert_allclose(found.place, [1.0, 0.0, 0.5])
     np.testing.assert_allclose(found.above, [1.0, 0.0, 1.0])
     # the roof is symmetric, but only one cell at its left side touches the vertex
     assert np.isnan(found.fraction) and found.inside and 0.3 < found.gap <= 0.5
-    outside = under(node, (np.array([1.5, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
+    outside = under(node.support, (np.array([1.5, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
     assert not outside.inside
     np.testing.assert_allclose(outside.above, [1.5, 0.0, 1.0])
 
@@ -401,7 +354,7 @@ def test_a_span_through_a_hill_touches_it() -> None:
     shape = roof(heights)
     cable, at = along(shape)
     set_lifted(cable, range(1, 8))
-    places = captured(cable, shape, {})
+    places = captured(cable, shape)
     assert sorted(places) == list(range(1, 8))
     assert places[at[2.0]].gap == pytest.approx(-1.0)
     # the diagonal's normal is that of its two cells, which are in one plane of slope 3/4
@@ -419,7 +372,7 @@ def test_a_span_above_a_valley_does_not_touch_it() -> None:
     shape = roof([1.0, 0.8, 1.0])
     cable, _ = along(shape)
     set_lifted(cable, [1, 2, 3])
-    assert captured(cable, shape, {}) == {}
+    assert captured(cable, shape) == {}
     np.testing.assert_allclose(cable.positions[:, 2], 1.0)
     # along the normal, 0.1 up is 0.02 inwards
     np.testing.assert_allclose(cable.positions[:, 0], [0.0, 0.52, 1.0, 1.48, 2.0])
@@ -430,7 +383,7 @@ def test_rounding_does_not_touch(depth: float, touches: bool) -> None:
     shape = roof([0.0, depth, 0.0])
     cable, at = along(shape)
     set_lifted(cable, [1, 2, 3])
-    assert (at[1.0] in captured(cable, shape, {})) == touches
+    assert (at[1.0] in captured(cable, shape)) == touches
 
 
 def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
@@ -439,7 +392,7 @@ def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
     cable, at = along(shape)
     put(cable, "positions", -1, (2.0, 0.999, 0.0))
     set_lifted(cable, [1, 2, 3])
-    places = captured(cable, shape, {})
+    places = captured(cable, shape)
     assert places[at[1.0]].fraction == pytest.approx(0.7495)
     touch(cable, places)
     np.testing.assert_allclose(cable.positions[at[1.0]], [1.0, 0.7495, 1.0])
@@ -447,20 +400,8 @@ def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
     put(cable, "positions", (0, 1), 0.001)
     put(cable, "positions", (-1, 1), 0.001)
     set_lifted(cable, [1, 2, 3])
-    touch(cable, captured(cable, shape, {}))
+    touch(cable, captured(cable, shape))
     assert cable.fractions[at[1.0]] == INSIDE
-
-
-def test_it_touches_another_cable_s_bend() -> None:
-    """The edge has been bent up by another cable: there the straight span runs below it."""
-    shape = roof([0.0, 0.0, 0.0])
-    cable, at = along(shape)
-    set_lifted(cable, [1, 2, 3])
-    assert captured(cable, shape, {}) == {}
-    bends = {(1, 4): [np.array([1.0, 0.5, 0.2])]}
-    places = captured(cable, shape, bends)
-    assert list(places) == [at[1.0]]
-    assert places[at[1.0]].gap == pytest.approx(-0.2)
 
 
 # ---- draping -----------------------------------------------------------------------------------
