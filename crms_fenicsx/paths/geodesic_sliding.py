@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -32,7 +33,7 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
-from crms_fenicsx.surface.flip_geodesic import shorten
+from crms_fenicsx.surface.flip_geodesic import FlippedPath, shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
 
@@ -215,35 +216,36 @@ class GeodesicSliding:
         self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
     ) -> _Pulled:
         """Pull one path taut."""
-        path = list(cable.path.points)
+        on_path, parts = cable.path_nodes(), _between_clamps(cable, surface.shape)
+        path = _old_points(cable, on_path, [run for _, run, _ in parts])
         refused = set(self.tried.refused.get(cable.name, ()))
-        held_at = None
+        held_at, n = None, self.change.n_vertices
         if is_crossed(cable) and not fresh:
             visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
             left = {v for _, *vertices in self.tried.left.get(cable.name, ()) for v in vertices}
             held_at = visited | vertices_near(cable, BEYOND) - left
-        points: list[SurfacePoint] = []
-        lifted: list[bool] = []
+        pulled: dict[range, Callable[[], Sequence[SurfacePoint]]] = {}
         passed = 0
         followed: list[tuple[Corridor, bool]] = []
-        for is_off, run, clamps in _between_clamps(cable, surface.shape):
-            new = path[run.start : run.stop]
+        for is_off, run, clamps in parts:
             if not is_off:
+                new = path[run.start : run.stop]
                 # Pulled taut between clamps, adjacent lifted points, or anchors.
                 before, after = self.change.beyond(cable, surface, path, run)
                 before = before if clamps[0] is None else clamps[0]
                 after = after if clamps[1] is None else clamps[1]
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                fits = self._may_lie(string, joined)
+                given = corridor(string)
+                fits = self._may_lie(given, joined)
                 if not fits and len(string) > len(new):  # a span folds back over its own touchdown
-                    before, after, string = [], [], new
-                    fits = self._may_lie(string, joined)
+                    before, after, string, given = [], [], new, corridor(new)
+                    fits = self._may_lie(given, joined)
                 if fits and len(string) > 2:
-                    given = corridor(string)
                     refused.add(given)
                     pulls = held_at is None or bool(held_at)
-                    followed.append((given, pulls and not before and not after))
+                    at_anchor = any(max(support) >= n for support in (given[0], given[-1]))
+                    followed.append((given, pulls and not at_anchor))
                     if pulls:  # otherwise it flips over no vertex
                         result = shorten(
                             string, joined, refused=refused, max_flips=max_flips,
@@ -251,19 +253,38 @@ class GeodesicSliding:
                             checked=given in self._followed,
                         )  # fmt: skip
                         passed += len(result.flips)
-                        new = list(result.points[len(before) : len(result.points) - len(after)])
-            points += new
-            lifted += [is_off] * len(new)
+                        pulled[run] = partial(_without_ends, result, len(before), len(after))
+        points: list[SurfacePoint] = []
+        lifted: list[bool] = []
         if passed or fresh:
-            n = self.change.n_vertices
+            for is_off, run, _ in parts:
+                own = partial(cable.points, on_path[run.start : run.stop])
+                points += pulled.get(run, own)()
+                lifted += [is_off] * (len(points) - len(lifted))
             if len(points) < 2 or any(max(point.support) >= n for point in points):
                 raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
-        return _Pulled(points if passed or fresh else [], lifted, passed, followed)
+        return _Pulled(points, lifted, passed, followed)
 
-    def _may_lie(self, string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
-        """Whether a cable can follow a path."""
-        given = corridor(string)
+    def _may_lie(self, given: Corridor, surface: CreasedSurface) -> bool:
+        """Whether a cable can follow a corridor."""
         return given in self._followed or why_invalid(given, surface.opposite_vertices) is None
+
+
+def _old_points(
+    cable: LaidCable, on_path: Sequence[int], parts: Sequence[range]
+) -> list[SurfacePoint]:
+    """Points of a path, in their current places at the ends of its parts: elsewhere only their
+    edges count."""
+    path = [point for k in on_path if (point := cable.nodes[k].point) is not None]
+    ends = [i for part in parts for i in (part.start, part.stop - 1)]
+    for i, point in zip(ends, cable.points([on_path[i] for i in ends]), strict=True):
+        path[i] = point
+    return path
+
+
+def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
+    """The points of a path without its first and last ones."""
+    return path.points[first : len(path.points) - last]
 
 
 def _leaves_cells(cable: LaidCable) -> bool:

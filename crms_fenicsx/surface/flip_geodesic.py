@@ -16,8 +16,9 @@ by just flipping edges, ACM Trans. Graph. 39, 2020), but without changing the me
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 from crms_fenicsx.runtime import checks
@@ -57,12 +58,16 @@ LONGER = 1e-12
 class FlippedPath:
     """A path that has been pulled taut."""
 
-    # both ends as given, or moved into a cell beside an edge that the path follows; in between the
-    # crossings of the taut string, even if only rounding separates them from a vertex
-    points: tuple[SurfacePoint, ...]
     flips: tuple[int, ...]  # vertices it has been flipped over, in order
     length: float  # length of the taut string (length)
     before: float  # length of the taut string in the given corridor (length)
+    find: Callable[[], tuple[SurfacePoint, ...]]  # finds `points`, which few paths need
+
+    @cached_property
+    def points(self) -> tuple[SurfacePoint, ...]:
+        """Both ends as given, or moved into a cell beside an edge that the path follows; in between
+        the crossings of the taut string, even if only rounding separates them from a vertex."""
+        return self.find()
 
 
 def shorten(
@@ -92,7 +97,7 @@ def shorten(
         if not done:
             break
         flips.extend(done)
-    return FlippedPath(state.points(), tuple(flips), state.length, before)
+    return FlippedPath(tuple(flips), state.length, before, state.points)
 
 
 class _GeodesicPath:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
@@ -41,12 +42,17 @@ class TautString:
     """The shortest path through a strip."""
 
     length: float
-    fractions: tuple[float, ...] = ()  # crossing of each edge (a, b): 0 at a, 1 at b
     bends: tuple[Bend, ...] = ()  # in order
     # angles (rad) between the string's first and last segment and the edges at its ends, by the
     # edges' other vertices; meaningful if that end is a vertex
     leaving: dict[int, float] = field(default_factory=dict)
     arriving: dict[int, float] = field(default_factory=dict)
+    cross: Callable[[], tuple[float, ...]] = tuple  # finds `fractions`, which few strings need
+
+    @cached_property
+    def fractions(self) -> tuple[float, ...]:
+        """Crossing of each edge (a, b): 0 at a, 1 at b."""
+        return self.cross()
 
 
 def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
@@ -126,18 +132,25 @@ class _Strip:
         self.start_beyond = self._beyond(start, 2, 1, lengths)
         self.at[0] = _at(start, dict([self.start_beyond, (a, self.at[1]), (b, self.at[2])]))
         left, right = 1, 2
+        at, vertex = self.at, self.vertex
         for k, edge in enumerate(edges[1:], start=1):
-            stays = left if self.vertex[left] in edge else right
-            new = edge[0] if edge[1] == self.vertex[stays] else edge[1]
-            self.at.append(self._third(left, right, new, lengths))
-            self.vertex.append(new)
+            new = len(at)  # replaces the node at the left or right end of the edge before
+            if vertex[left] in edge:
+                stays, goes = left, right
+            else:
+                stays, goes = right, left
+            vertex.append(edge[0] if edge[1] == vertex[stays] else edge[1])
+            own, other = lengths[edge], lengths[edge_of(vertex[goes], vertex[new])]
+            if stays == left:
+                at.append(_apex(at[left], at[right], ab, own, other))
+                right = new
+            else:
+                at.append(_apex(at[left], at[right], ab, other, own))
+                left = new
+            ab = own
             self.first.append(k)
             self.last.append(k)
             self.last[stays] = k
-            if stays == left:
-                right = len(self.at) - 1
-            else:
-                left = len(self.at) - 1
             self.left.append(left)
             self.right.append(right)
         self.end_beyond = self._beyond(end, left, right, lengths)
@@ -211,13 +224,13 @@ def pull_taut(
     parts = [strip.at[b] - strip.at[a] for a, b in pairwise(nodes)]
     return TautString(
         sum(map(abs, parts)),
-        _fractions(strip, edges, nodes, touched),
         tuple(bends),
         {strip.vertex[n]: _angle(parts[0], strip.at[n] - strip.at[0]) for n in (1, 2)},
         {
             strip.vertex[n]: _angle(-parts[-1], strip.at[n] - strip.at[-1])
             for n in (strip.left[-1], strip.right[-1])
         },
+        lambda: _fractions(strip, edges, nodes, touched),
     )
 
 

@@ -54,8 +54,8 @@ class EdgePoint:
     fraction: float
 
     def __post_init__(self) -> None:
-        a, b = (int(v) for v in self.edge)
-        object.__setattr__(self, "edge", (a, b))
+        a, b = self.edge
+        object.__setattr__(self, "edge", (int(a), int(b)))
         object.__setattr__(self, "fraction", float(self.fraction))
         if not 0 <= a < b:
             raise PathError(f"edge ({a}, {b}) of a path: give its vertex ids as (smaller, larger)")
