@@ -14,6 +14,7 @@ from itertools import chain, pairwise
 import numba
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.meshes.triangles import double_areas, lists, norm, vectors
@@ -330,9 +331,8 @@ class StripShape:
         given = np.zeros((2, len(strip.vertices), 3))
         given[1, mine] = membrane.stress_free[dofs]
         given[0, mine] = given[1, mine] + membrane.u.x.array.reshape(-1, 3)[dofs]
-        found = np.zeros_like(given)
-        membrane.comm.Allreduce(given, found)
-        return cls(strip, found[0], found[1])
+        membrane.comm.Allreduce(MPI.IN_PLACE, given)
+        return cls(strip, given[0], given[1])
 
     @cached_property
     def places(self) -> dict[int, tuple[float, float, float]]:

@@ -86,16 +86,20 @@ class ActiveSet:
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; return the changes in
         words. Collective."""
-        return self._switch(self.net.strip_shape(), solved=False)
+        return self._switch(self.net.strip_shape(), self._lines(), solved=False)
 
     def update(self, shape: StripShape) -> list[str]:
         """Update the active set from a solved state and return the changes in words."""
         if self._first_look:
             self._forget()
-        changes = self._switch(shape, solved=True) or self._contacts(shape)
+        lines = self._lines()
+        changes = self._switch(shape, lines, solved=True) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
-            changes = self._crossings(shape)
+            changes = self._crossings(shape, lines)
         return changes
+
+    def _lines(self) -> Polylines:
+        return Polylines(self.net.nodes, positions_of(self.net.cables))
 
     def _forget(self) -> None:
         """Forget the contact history of cables that have moved; other contacts would recur."""
@@ -112,7 +116,7 @@ class ActiveSet:
         """Name of a cable that keeps switching between slack and taut; "" if none does."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 
-    def _switch(self, shape: StripShape, solved: bool) -> list[str]:
+    def _switch(self, shape: StripShape, lines: Polylines, solved: bool) -> list[str]:
         """Tighten slack cables that have become too short for their paths, slacken others.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
@@ -122,7 +126,6 @@ class ActiveSet:
         not with axial friction, which is path-dependent.
         """
         changes: list[str] = []
-        lines = Polylines(self.net.nodes, positions_of(self.net.cables))
         lengths, flat = floats(lines.lengths), None
         for c, cable in enumerate(self.net.cables):
             if cable.cable.law == "step":
@@ -149,23 +152,23 @@ class ActiveSet:
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
         return changes
 
-    def _contacts(self, shape: StripShape) -> list[str]:
+    def _contacts(self, shape: StripShape, lines: Polylines) -> list[str]:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
-        net, nodes = self.net, self.net.nodes
+        net, nodes = self.net, lines.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
         may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
-        pulling = Polylines(nodes, positions_of(net.cables)).released(shape, may)
+        pulling = lines.released(shape, may)
         released: dict[int, list[int]] = defaultdict(list)
         for c, k in nodes.ids(pulling):
             released[c].append(k)
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
-        free, changes = None, []
+        changes: list[str] = []
+        free = FreeSpans(net.cables, nodes, shape, held, folded=True)
         for c in sorted({*released, *ints(off)}):
-            if free is None:
-                free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
             new = self._change(c, released[c], free)
+            if new:  # the cable folds other edges now, perhaps below other spans
+                free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
             changes += new
-            free = None if new else free  # the cable now folds edges below other spans
         return changes
 
     def _change(self, c: int, released: Sequence[int], free: FreeSpans) -> list[str]:
@@ -215,10 +218,9 @@ class ActiveSet:
         covered[rows] = above
         return covered
 
-    def _crossings(self, shape: StripShape) -> list[str]:
+    def _crossings(self, shape: StripShape, lines: Polylines) -> list[str]:
         changes = []
         net = self.net
-        lines = Polylines(net.nodes, positions_of(net.cables))
         pulled = parting(net.crossings, lines, shape)
         joined = joining(net.crossings, lines, shape)
         crossings = list(net.crossings)
