@@ -21,7 +21,6 @@ from crms_fenicsx.paths import vertex_passing
 from crms_fenicsx.paths.held_vertices import VertexRun
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
-from crms_fenicsx.surface.points import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 
@@ -169,21 +168,25 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
     from crms_fenicsx.paths import geodesic_sliding
 
     passed: list[tuple[set[int], set[int]]] = []
-    pull = geodesic_sliding.shorten
+    near: set[int] = set()
+    pull, pull_cable = geodesic_sliding.shorten, geodesic_sliding.GeodesicSliding._pulled
+
+    def of(self, cable, *args):
+        near.clear()
+        for node, fraction in zip(cable.nodes, cable.fractions.tolist(), strict=True):
+            if node.slides and min(fraction, 1 - fraction) < BEYOND:
+                near.add(node.support[int(fraction > 0.5)])
+        return pull_cable(self, cable, *args)
 
     def recorded(points, surface, *, held_at=None, **options):
         result = pull(points, surface, held_at=held_at, **options)
         if held_at is not None:
-            near = {
-                p.edge[int(p.fraction > 0.5)]
-                for p in points
-                if isinstance(p, EdgePoint) and min(p.fraction, 1 - p.fraction) < BEYOND
-            }
             free = pull(points, surface, **options).flips
             passed.append((set(result.flips) - near, set(free) - near))
         return result
 
     monkeypatch.setattr(geodesic_sliding, "shorten", recorded)
+    monkeypatch.setattr(geodesic_sliding.GeodesicSliding, "_pulled", of)
     for seed in (1, 2):
         scene = random_net(comm, seed)
         Solver(scene).advance(pressure=2 * PRESSURE)
