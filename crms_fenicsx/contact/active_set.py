@@ -186,7 +186,9 @@ class ActiveSet:
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not loose and not places:
                 nearly = free.captured(c, contact.NEARLY)
-                places = {k: place for k, place in nearly.items() if key(k) not in self._released}
+                # The folds around a vertex do not bulge up to the span where one was released.
+                parted = {v for name, at in self._released if name == cable.name for v in at}
+                places = {k: nearly[k] for k in nearly if parted.isdisjoint(cable.nodes[k].support)}
         if loose:
             contact.lift(cable, loose)
         if places:

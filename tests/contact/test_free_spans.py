@@ -1,5 +1,7 @@
 """Free spans of several cables at once, against loops over their nodes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cable_edits import put
@@ -7,6 +9,7 @@ from strip_roof import along, roof
 
 from crms_fenicsx.cables.points_on_edges import NodeTable
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.contact.free_spans import FreeSpans, Gap, spans, under
 from crms_fenicsx.contact.lift_off import is_foot, size_at
 from crms_fenicsx.model.cable_state import CableNode
@@ -91,3 +94,21 @@ def test_nodes_are_moved_onto_spans_and_captured_where_these_are_low(height: flo
                 place = gaps[k].above if k in gaps else flat
                 np.testing.assert_array_equal(cable.positions[k], place)
     assert count > 2
+
+
+@pytest.mark.parametrize("before", [None, 2.0, 2.5])
+def test_spans_low_above_the_membrane_close_but_not_beside_a_released_contact(
+    before: float | None,
+) -> None:
+    """Folds around one vertex bulge together: where one contact pulled off, the next one would."""
+    shape = roof([0.0, -0.02, -0.02, -0.02, 0.0])
+    cable, at = along(shape)
+    cable.update(lifted=np.isin(np.arange(9), range(1, 8)))
+    pulled = set() if before is None else {(cable.name, cable.nodes[at[before]].support)}
+    memory = SimpleNamespace(released=pulled, settled=set(), has_rested=lambda _: False)
+    active = ActiveSet(SimpleNamespace(cables=[cable]), memory)  # type: ignore[arg-type]
+    free = FreeSpans([cable], NodeTable.of([cable]), shape, np.ones(1, dtype=bool))
+    texts = active._change(0, [], free)
+    apart = {None: [], 2.0: [1.5, 2.0, 2.5], 2.5: [2.0, 2.5, 3.0]}[before]
+    assert [x for x, k in at.items() if cable.lifted[k]] == apart
+    assert len(texts) == 7 - len(apart)
