@@ -12,8 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Literal
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.cable_state import CableNode, CableState
@@ -23,13 +22,12 @@ from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface
 from crms_fenicsx.paths.held_vertices import VertexRun, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
-from crms_fenicsx.surface.points import Edge, EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.surface.vertex_flip import other_side
 
 
@@ -100,22 +98,22 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     surface = CreasedSurface(shape, change.folds_near(taken))
     least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
-    def kept(k: int) -> tuple[CableNode, Array, float, bool]:
-        fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])
-        return cable.nodes[k], cable.positions[k], fraction, lifted
-
-    def new(edge: Edge) -> tuple[CableNode, Array, float, bool]:
-        fraction = least if edge[0] in way.vertices else 1 - least
-        point = EdgePoint(edge, fraction)
-        node = CableNode("edge slider" if edge in shape.strip.held_edges else "fold", point)
-        return node, surface.place(edge, fraction), fraction, False
-
-    last = len(cable.nodes) - 1
-    rows = [kept(0)] if on_path[0] > 0 else []  # an anchor
-    rows += [kept(old[s]) if s in old else new((s[0], s[1])) for s in supports]
-    rows += [kept(last)] if on_path[-1] < last else []
-    nodes, positions, fractions, lifted = zip(*rows, strict=True)
-    cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
+    first, last = on_path[0] > 0, on_path[-1] < len(cable.nodes) - 1  # anchors
+    edges = [*[None] * first, *supports, *[None] * last]
+    rows = [*[0] * first, *(old.get(support, -1) for support in supports), *[-1] * last]
+    nodes, lifted = [cable.nodes[k] for k in rows], cable.lifted[rows]
+    positions, fractions = cable.positions[rows], cable.fractions[rows]
+    for i, edge in enumerate(edges):
+        if edge is None or edge in old:
+            continue
+        a, b = edge
+        fractions[i] = fraction = least if a in way.vertices else 1 - least
+        kind: Literal["edge slider", "fold"] = "fold"
+        if (a, b) in shape.strip.held_edges:
+            kind = "edge slider"
+        nodes[i], lifted[i] = CableNode(kind, EdgePoint((a, b), fraction)), False
+        positions[i] = surface.place((a, b), fraction)
+    cable.set_nodes(nodes, positions, fractions, lifted)
     on_path = cable.path_nodes()
     added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
     if added:  # along the boundary nodes may only vanish
