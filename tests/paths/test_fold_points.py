@@ -55,6 +55,10 @@ def test_points_are_those_of_a_table_made_anew(comm) -> None:
     cables[2].set_nodes(nodes[::-1], x[::-1].copy(), cables[2].fractions[::-1], cables[2].lifted)
     cables[1].update(taut=True)
     assert same(FoldPoints.of(cables, scene.net.nodes), bends(cables))
+    near = sorted(expected)[0]
+    some = {edge: points for edge, points in bends(cables).items() if {*edge} <= {*near}}
+    assert len(some) == 1 and same(FoldPoints.of(cables, scene.net.nodes, near), some)
+    assert len(FoldPoints.of(cables, scene.net.nodes, []).edges) == 0
     assert same(first, expected), "what becomes of the cables changes nothing"
     assert same(FoldPoints.of(cables[1:]), bends(cables[1:]))
 
