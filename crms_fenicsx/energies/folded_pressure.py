@@ -80,7 +80,7 @@ ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
 
 
 @numba.njit(cache=True)
-def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
+def volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
     """Put second derivatives of ``factor x volume`` by active facets' `ROWS` and `COLUMNS` into
     `blocks` (n, 3, 2, 3, 3)."""
     p = np.empty(3)
@@ -139,7 +139,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         t, blocks = self.table, self.pattern.values.reshape(-1, 3, 2, 3, 3)
-        _volume_hessian(
+        volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
             self.active, blocks,
         )  # fmt: skip

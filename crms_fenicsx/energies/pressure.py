@@ -26,10 +26,11 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, FormPattern
-from crms_fenicsx.dofs.layout import Unknowns, edge_ends
-from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
-from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.compiled_forms import FormInputs
+from crms_fenicsx.energies.folded_pressure import COLUMNS, ROWS, volume_hessian
+from crms_fenicsx.energies.integral import Integral
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.membrane import Membrane
@@ -60,7 +61,6 @@ class FollowerPressure(EnergyTerm):
         origin: Array,
     ) -> None:
         self.u, self.cells, self.pressure = u, cells, pressure
-        self._hessian: FormPattern | None = None
         self.origin = fem.Constant(u.function_space.mesh, origin)
         inputs = FormInputs("pressure", (u, cells), (pressure, self.origin))
         self.integral = Integral(u.function_space, self._variation, inputs=inputs)
@@ -79,35 +79,20 @@ class FollowerPressure(EnergyTerm):
         work += ufl.dot(dF[1], ufl.cross(x, F[0]))
         return self.cells / 3 * (change * q - self.pressure * work) * dx
 
-    def _hessian_form(self) -> fem.Form:
-        """The form of the second derivatives, compiled on first use."""
-        V, inputs = self.u.function_space, self.integral.inputs
-        assert inputs is not None
-
-        def write() -> ufl.Form:
-            F = Kinematics(self.u, tangent_basis(V.mesh, None)).F
-            x, n = ufl.SpatialCoordinate(V.mesh) - self.origin + self.u, ufl.cross(F[0], F[1])
-            energy = -self.pressure * (self.cells / 3 * ufl.dot(n, x)) * one_point(V.mesh)
-            force = ufl.derivative(energy, self.u, ufl.TestFunction(V))
-            return ufl.derivative(force, self.u, ufl.TrialFunction(V))
-
-        named = FormInputs("pressure's second derivatives", inputs.functions, inputs.constants)
-        return compiled_form(named, [V, V], write)
-
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
-        vertices = unknowns.vertex_blocks()
-        a, b = vertices[edge_ends(self.u.function_space)].T
-        places = np.concatenate([a, b, vertices]), np.concatenate([b, a, vertices])
-        self.patterns = (BlockPattern(*places),)
-        if self._hessian is not None:
-            self._hessian.attach(unknowns)
+        own = self.cells.x.array[: self.u.function_space.mesh.topology.index_map(2).size_local] > 0
+        self._corners = unknowns.vertex_blocks()[self.u.function_space.dofmap.list[: len(own)][own]]
+        rows, cols = (self._corners[:, side].ravel() for side in (ROWS, COLUMNS))
+        self.patterns = (BlockPattern(rows, cols),)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        if self._hessian is None:
-            self._hessian = FormPattern(self._hessian_form(), self.u.function_space)
-            self._hessian.attach(self.unknowns)
-        self._hessian.add(A)
+        (pattern,), ones = self.patterns, np.ones(len(self._corners))
+        volume_hessian(
+            self.unknowns.X, x, self._corners, ones, self.origin.value, -float(self.pressure.value),
+            ones > 0, pattern.values.reshape(-1, 3, 2, 3, 3),
+        )  # fmt: skip
+        pattern.add(A)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""
