@@ -19,7 +19,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
-"""Of a pattern: block indices, weights, positions in the matrix's values and row strides there."""
+"""Of a pattern: indices of its values, weights, positions in the matrix, row strides there."""
 
 
 class StiffnessMatrix:
@@ -114,13 +114,13 @@ class StiffnessMatrix:
         scatter_blocks(pattern.values, *self._places[pattern], self._values)
 
     def _spread(self, pattern: BlockPattern) -> tuple[Indices, Indices, Indices, Array]:
-        """Rows (m,), columns (m,), sources and weights of a pattern's blocks in this matrix."""
+        """Rows and columns (m,) of a pattern's blocks in this matrix, their values and weights."""
         unknowns = self.unknowns
-        found: tuple[Indices, Indices, Indices, Array] = _spread(
+        rows, cols, blocks, weights = _spread(
             pattern.rows, pattern.cols, self._kept, self._rides, unknowns.interpolation,
             unknowns.weights,
         )  # fmt: skip
-        return found
+        return rows, cols, *pattern.parts(blocks, weights)
 
     def assemble(self) -> None:
         """Assemble the matrix, with edge sliders projected on their lines. Collective."""

@@ -120,7 +120,7 @@ class _Asymmetry:
     def take(self, pattern: BlockPattern) -> None:
         for (a, b), sign in ((self.directions, 1.0), (self.directions[::-1], -1.0)):
             rows, cols = b[pattern.rows], a[pattern.cols]
-            self.value += sign * float(np.einsum("ni,nij,nj", rows, pattern.values, cols))
+            self.value += sign * float(np.einsum("ni,nij,nj", rows, pattern.blocks(), cols))
 
 
 class TermsWithDyads(TermsOnLayout):

@@ -58,7 +58,7 @@ def test_blocks_of_equal_place_are_summed(edge_sliders) -> None:
 def test_a_segment_pulls_its_ends_together() -> None:
     unknowns = cable_square(MPI.COMM_SELF).unknowns
     pattern = SegmentPattern(np.array([[2, 5]], dtype=np.int32))
-    pattern.own_values[0] = value = np.diag([1.0, 2.0, 3.0])
+    pattern.values[0] = value = np.diag([1.0, 2.0, 3.0])
     matrix = StiffnessMatrix(unknowns, [pattern])
     pattern.add(matrix)
     matrix.assemble()
