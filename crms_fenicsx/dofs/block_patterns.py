@@ -69,10 +69,13 @@ def scatter_blocks(values, sources, weights, starts, strides, out):  # type: ign
 
 class FormPattern(BlockPattern):
     """Vertex blocks of a DOLFINx bilinear form. It serves successive layouts, whose vertices are
-    the same but whose cable points differ."""
+    the same but whose cable points differ.
+
+    Attributes: `form`: the form; one over fewer cells may replace it.
+    """
 
     def __init__(self, form: fem.Form, V: fem.FunctionSpace) -> None:
-        self._form, self._matrix = form, fem.create_matrix(form)
+        self.form, self._matrix = form, fem.create_matrix(form)
         rows = np.repeat(np.arange(len(self._matrix.indptr) - 1), np.diff(self._matrix.indptr))
         cols = np.array(self._matrix.indices[: len(rows)])
         # The pattern includes entries of other ranks' cells, which stay zero here.
@@ -91,7 +94,7 @@ class FormPattern(BlockPattern):
     def add(self, A: BlockSink) -> None:
         """Assemble the form at the current state of its functions and add it."""
         self._matrix.data[:] = 0.0
-        fem.assemble_matrix(self._matrix, self._form)  # type: ignore[arg-type]
+        fem.assemble_matrix(self._matrix, self.form)  # type: ignore[arg-type]
         self.values = np.asarray(self._matrix.data).reshape(-1, 3, 3)[self._known]
         super().add(A)
 

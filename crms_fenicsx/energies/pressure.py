@@ -62,7 +62,7 @@ class FollowerPressure(EnergyTerm):
     ) -> None:
         self.u, self.cells, self.pressure = u, cells, pressure
         self.origin = fem.Constant(u.function_space.mesh, origin)
-        inputs = FormInputs("pressure", (u, cells), (pressure, self.origin))
+        inputs = FormInputs("pressure", (u, cells), (pressure, self.origin), (cells,))
         self.integral = Integral(u.function_space, self._variation, inputs=inputs)
 
     def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:

@@ -57,7 +57,7 @@ def assembled(comm: MPI.Intracomm, n: int, material: MembraneMaterial) -> list[A
     both = [energy.integral, volume.integral]
     FusedAssembly.of(both).assemble()
     found = [np.array(value) for part in both for value in (part.value, part.gradient)]
-    stiffness = fem.assemble_matrix(energy._pattern._form).data  # type: ignore[arg-type]
+    stiffness = fem.assemble_matrix(energy._pattern.form).data  # type: ignore[arg-type]
     return [*found, np.array(stiffness)]
 
 
@@ -80,8 +80,31 @@ def test_a_form_on_another_mesh_is_that_of_its_signature(
         found = assembled(comm, 6, MATERIALS[name])
     for module in (membrane_energy, integral):
         monkeypatch.setattr(module, "compiled_form", by_signature)
+    monkeypatch.setattr(integral, "ALL", "everywhere")
     for one, other in zip(found, assembled(comm, 6, MATERIALS[name]), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("name", ["isotropic", "parts"])
+def test_cells_without_a_factor_are_left_out(comm: MPI.Intracomm, name: str) -> None:
+    scene = Scene(grid(comm, 4, MATERIALS[name]), MATERIALS[name])
+    scene.u.x.array[:] = 0.1 * scene.membrane.stress_free.ravel()
+    term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
+
+    def energy() -> float:
+        FusedAssembly.of([term.integral]).assemble()
+        return float(comm.allreduce(term.integral.value))
+
+    whole, every = energy(), term.plain.x.array.copy()
+    term.plain.x.array[::2] = 0.0
+    part = energy()
+    assert 0.0 < part < whole
+    form = term.integral.passes[term.integral,]
+    term.plain.x.array[:] = every
+    form.assemble()
+    assert comm.allreduce(term.integral.value) == pytest.approx(part, rel=1e-14)
+    assert energy() == whole
 
 
 @pytest.mark.ranks
