@@ -56,12 +56,11 @@ def _unit(X, x, a, b, r):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _angle(a, b):  # type: ignore[no-untyped-def]
-    """Angle between two unit vectors, and its cosine and sine."""
+def _cosine_sine(a, b):  # type: ignore[no-untyped-def]
+    """Cosine and sine of the angle between two unit vectors; 0, 0 if one vanishes."""
     cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     c0, c1, c2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    sine = math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
-    return math.atan2(sine, cosine), cosine, sine
+    return cosine, math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
 
 
 @numba.njit(cache=True)
@@ -81,9 +80,10 @@ def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-de
         a = _unit(X, x, p, previous, ra)
         b = _unit(X, x, p, following, rb)
         d = _unit(X, x, p, q, rq)
-        alpha, ca, sa = _angle(ra, rq)
-        beta, cb, sb = _angle(rb, rq)
-        value = alpha + beta - math.pi
+        ca, sa = _cosine_sine(ra, rq)
+        cb, sb = _cosine_sine(rb, rq)
+        # alpha + beta - pi by one arc tangent, as these take long
+        value = math.atan2(-sa * cb - ca * sb, sa * sb - ca * cb)
         w, wa, wb = 1.0, 0.0, 0.0
         total = a + b
         if weighted and total > 0.0:
@@ -113,7 +113,7 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
     ``(cot n n^T - r e^T - e r^T) / u^2`` and, mixed, ``-n n^T / (u c sin)``. The gradients by both
     vectors are put into eu and ec.
     """
-    _, cosine, sine = _angle(ru, rc)
+    cosine, sine = _cosine_sine(ru, rc)
     eu[:] = ec[:] = 0.0
     if u * sine == 0.0 or c * sine == 0.0:
         return
