@@ -61,10 +61,8 @@ class StiffnessMatrix:
         unknowns = self.unknowns
         self._pointers = np.append(0, np.cumsum(np.repeat(widths, 3))).astype(PETSc.IntType)
         self._columns = np.empty(len(self._values), dtype=PETSc.IntType)
-        for cols, starts, strides in zip(
-            (self._cols, self._rows), self._starts, self._strides, strict=True
-        ):
-            _expand(cols, starts, strides, self._columns)
+        _expand(self._cols, self._starts[0], self._strides[0], self._columns)
+        _expand(self._rows, self._starts[1], self._strides[1], self._columns)
         if unknowns.comm.size == 1:
             n = 3 * n_owned
             csr = (self._pointers[: n + 1], self._columns, self._values)

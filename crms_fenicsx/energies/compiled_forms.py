@@ -80,10 +80,9 @@ class CompiledCode:
     ) -> fem.Form:
         """The form on a mesh, over the cells that count now."""
         mesh = inputs.mesh
-        counts = np.ones(mesh.topology.index_map(2).size_local, dtype=bool)
-        if inputs.factors:
-            counts = np.any([one.x.array[: len(counts)] != 0.0 for one in inputs.factors], axis=0)
-        cells = np.flatnonzero(counts).astype(np.int32)
+        owned = mesh.topology.index_map(2).size_local
+        counts = [one.x.array[:owned] != 0.0 for one in inputs.factors] or [np.ones(owned, bool)]
+        cells = np.flatnonzero(np.any(counts, axis=0)).astype(np.int32)
         own = [
             (tag, cells if cell_tags is None else np.intersect1d(cells, cell_tags.find(tag)))
             for tag in self.parts

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
-    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which thus leave this term without a
-    new form; `integral`: energy and nodal forces; `stiffening`: artificial stiffness; `frames`: see
+    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which thus leave this term without new
+    code; `integral`: energy and nodal forces; `stiffening`: artificial stiffness; `frames`: see
     `Membrane.frames`.
     """
 

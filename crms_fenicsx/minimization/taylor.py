@@ -92,8 +92,8 @@ class TermsOnLayout:
         return product
 
     def asymmetry(self, x: Array, d: Array, other: Array) -> float:
-        """Difference of ``other K d`` and ``d K other`` by all blocks that terms add, of which a
-        matrix takes those on and above its diagonal only. Collective."""
+        """``other K d - d K other`` by all blocks that terms add; a matrix takes those on and above
+        its diagonal only. Collective."""
         self.value(x)
         sink = _Asymmetry()
         for values in (d, other):
@@ -118,9 +118,9 @@ class _Asymmetry:
         self.value = 0.0
 
     def take(self, pattern: BlockPattern) -> None:
-        for (a, b), sign in ((self.directions, 1.0), (self.directions[::-1], -1.0)):
-            rows, cols = b[pattern.rows], a[pattern.cols]
-            self.value += sign * float(np.einsum("ni,nij,nj", rows, pattern.blocks(), cols))
+        (d, other), blocks, both = self.directions, pattern.blocks(), "ni,nij,nj"
+        self.value += float(np.einsum(both, other[pattern.rows], blocks, d[pattern.cols]))
+        self.value -= float(np.einsum(both, d[pattern.rows], blocks, other[pattern.cols]))
 
 
 class TermsWithDyads(TermsOnLayout):
