@@ -28,12 +28,29 @@ def rows_of(table: Indices) -> tuple[Indices, Indices]:
 class BlockPattern:
     """Blocks at fixed positions in the matrix.
 
-    Attributes: `values` (n, 3, 3): blocks that `add` adds. Shapes: rows, cols (n,).
+    With `factors` (n, k) each value is for k blocks in a row, multiplied by these. Attributes:
+    `values` (n, 3, 3): values that `add` adds. Shapes: rows, cols (n,) or (n k,).
     """
 
-    def __init__(self, rows: Indices, cols: Indices) -> None:
-        self.rows, self.cols = rows, cols
-        self.values: Array = np.zeros((len(rows), 3, 3))
+    _factors: Array | None = None
+
+    def __init__(self, rows: Indices, cols: Indices, factors: Array | None = None) -> None:
+        self.rows, self.cols, self._factors = rows, cols, factors
+        self.values: Array = np.zeros((len(rows if factors is None else factors), 3, 3))
+
+    def parts(self, blocks: Indices, weights: Array) -> tuple[Indices, Array]:
+        """Indices of the values of blocks (m,), and the `weights` (m,) times their factors."""
+        if self._factors is None:
+            return blocks, weights
+        size = self._factors.shape[1]
+        return (blocks // size).astype(np.int32), weights * self._factors.reshape(-1)[blocks]
+
+    def blocks(self) -> Array:
+        """All blocks, (n, 3, 3) or (n k, 3, 3)."""
+        n = len(self.rows)
+        sources, factors = self.parts(np.arange(n, dtype=np.int32), np.ones(n))
+        blocks: Array = factors[:, None, None] * self.values[sources]
+        return blocks
 
     def add(self, A: BlockSink) -> None:
         A.take(self)
@@ -52,17 +69,21 @@ def scatter_blocks(values, sources, weights, starts, strides, out):  # type: ign
 
 class FormPattern(BlockPattern):
     """Vertex blocks of a DOLFINx bilinear form. It serves successive layouts, whose vertices are
-    the same but whose cable points differ."""
+    the same but whose cable points differ.
+
+    Attributes: `form`: the form; one over fewer cells may replace it.
+    """
 
     def __init__(self, form: fem.Form, V: fem.FunctionSpace) -> None:
-        self._form, self._matrix = form, fem.create_matrix(form)
+        self.form, self._matrix = form, fem.create_matrix(form)
         rows = np.repeat(np.arange(len(self._matrix.indptr) - 1), np.diff(self._matrix.indptr))
         cols = np.array(self._matrix.indices[: len(rows)])
         # The pattern includes entries of other ranks' cells, which stay zero here.
         cells = V.dofmap.list[: V.mesh.topology.index_map(2).size_local].astype(np.int64)
         size = int(cols.max(initial=0)) + 1
         own = cells[:, :, None] * size + cells[:, None, :]
-        self._known = np.flatnonzero(np.isin(rows * size + cols, own))
+        known = np.flatnonzero(np.isin(rows * size + cols, own))
+        self._known = slice(None) if len(known) == len(rows) else known
         self._rows, self._cols = rows[self._known], cols[self._known]
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -73,7 +94,7 @@ class FormPattern(BlockPattern):
     def add(self, A: BlockSink) -> None:
         """Assemble the form at the current state of its functions and add it."""
         self._matrix.data[:] = 0.0
-        fem.assemble_matrix(self._matrix, self._form)  # type: ignore[arg-type]
+        fem.assemble_matrix(self._matrix, self.form)  # type: ignore[arg-type]
         self.values = np.asarray(self._matrix.data).reshape(-1, 3, 3)[self._known]
         super().add(A)
 
@@ -82,16 +103,9 @@ class SegmentPattern(BlockPattern):
     """Blocks of segments (n, 2): plus their value on the diagonal, minus off it."""
 
     def __init__(self, segments: Indices) -> None:
-        a, b = segments[:, 0], segments[:, 1]
-        super().__init__(np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a]))
-        self.own_values = np.zeros((len(segments), 3, 3))
-        """Value of each segment."""
-
-    def add(self, A: BlockSink) -> None:
-        values = self.values.reshape(4, *self.own_values.shape)
-        values[:2] = self.own_values
-        np.negative(self.own_values, out=values[2:])
-        super().add(A)
+        rows, cols = segments[:, [0, 1, 0, 1]], segments[:, [0, 1, 1, 0]]
+        signs = np.tile([1.0, 1.0, -1.0, -1.0], (len(segments), 1))
+        super().__init__(rows.ravel(), cols.ravel(), signs)
 
 
 class ElementPattern(BlockPattern):

@@ -1,8 +1,9 @@
 """The sparse stiffness matrix of a layout, assembled from (3, 3) blocks.
 
 Many elements contribute to the same block. The position of each contribution is computed once per
-layout; assembly then adds to the matrix's value array. On several processes this array belongs to a
-local matrix with ghost rows, which PETSc adds to their owners' rows.
+layout; assembly then adds to the matrix's value array. As the stiffness is symmetric, only blocks
+on and above the diagonal are added, and mirrored in the end. On several processes the array belongs
+to a local matrix with ghost rows, which PETSc adds to their owners' rows.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
-"""Of a pattern: block indices, weights, positions in the matrix's values and row strides there."""
+"""Of a pattern: indices of its values, weights, positions in the matrix, row strides there."""
 
 
 class StiffnessMatrix:
@@ -40,27 +41,28 @@ class StiffnessMatrix:
         found = [self._spread(pattern) for pattern in patterns]
         rows, cols = (np.concatenate([owned, *(part[k] for part in found)]) for k in (0, 1))
         first, self._rows, self._cols, block = distinct_pairs(rows, cols, unknowns.n_local)
-        self._strides = (3 * np.diff(first)[self._rows]).astype(PETSc.IntType)
-        starts = 9 * first[self._rows] + 3 * (np.arange(len(self._rows)) - first[self._rows])
-        self._starts = starts.astype(PETSc.IntType)
-        self._values = np.zeros(9 * len(starts))
+        begins, starts, strides = _mirrored(first, self._rows, self._cols)
+        # (2, n): of the blocks and of their mirror images
+        self._starts, self._strides = starts.astype(PETSc.IntType), strides.astype(PETSc.IntType)
+        self._values = np.zeros(9 * begins[-1])
         self._places: dict[BlockPattern, Places] = {}
         start = len(owned)
         for pattern, (_, _, sources, weights) in zip(patterns, found, strict=True):
             own = block[start : start + len(sources)]
-            self._places[pattern] = sources, weights, self._starts[own], self._strides[own]
+            self._places[pattern] = sources, weights, self._starts[0, own], self._strides[0, own]
             start += len(sources)
         sliding = np.zeros(unknowns.n_local, dtype=bool)
         sliding[unknowns.edge_sliders] = True
         self._sliding = np.flatnonzero(sliding[self._rows] | sliding[self._cols])
-        self.petsc = self._create(numbers, len(owned), 3 * np.diff(first))
+        self.petsc = self._create(numbers, len(owned), 3 * np.diff(begins))
 
     def _create(self, numbers: Integers, n_owned: int, widths: Integers) -> PETSc.Mat:
         """Create the PETSc matrix; on one process it uses `_values` as its memory."""
         unknowns = self.unknowns
         self._pointers = np.append(0, np.cumsum(np.repeat(widths, 3))).astype(PETSc.IntType)
         self._columns = np.empty(len(self._values), dtype=PETSc.IntType)
-        _expand(self._cols, self._starts, self._strides, self._columns)
+        _expand(self._cols, self._starts[0], self._strides[0], self._columns)
+        _expand(self._rows, self._starts[1], self._strides[1], self._columns)
         if unknowns.comm.size == 1:
             n = 3 * n_owned
             csr = (self._pointers[: n + 1], self._columns, self._values)
@@ -84,9 +86,11 @@ class StiffnessMatrix:
         n = self.unknowns.n_owned
         vector, counts = self.unknowns.vector()
         # Columns: number of blocks in each row, and of those that may belong to another rank.
-        counts[:, 0] = np.bincount(self._rows, minlength=len(counts))
-        elsewhere = (self._rows >= n) | (self._cols >= n)
-        counts[:, 1] = np.bincount(self._rows, weights=elsewhere, minlength=len(counts))
+        counts[:, 0] = np.diff(self._pointers[::3]) // 9
+        rows, cols = self._rows, self._cols
+        foreign = cols >= n
+        counts[:, 1] = np.bincount(rows, foreign, len(counts))
+        counts[:, 1] += np.bincount(cols, foreign & (rows != cols), len(counts))
         self.unknowns.add_ghosts(vector)
         own, others = counts[:n_owned, :2].astype(PETSc.IntType).T
         all_blocks = A.getSize()[0] // 3
@@ -105,35 +109,22 @@ class StiffnessMatrix:
 
     def take(self, pattern: BlockPattern) -> None:
         """Add a pattern's values; tied points pass theirs on to their vertices."""
-        if pattern not in self._places:
-            self._places[pattern] = self._find(pattern)
         scatter_blocks(pattern.values, *self._places[pattern], self._values)
 
     def _spread(self, pattern: BlockPattern) -> tuple[Indices, Indices, Indices, Array]:
-        """Rows (m,), columns (m,), sources and weights of a pattern's blocks in this matrix."""
+        """Rows and columns (m,) of a pattern's blocks in this matrix, their values and weights."""
         unknowns = self.unknowns
-        found: tuple[Indices, Indices, Indices, Array] = _spread(
+        rows, cols, blocks, weights = _spread(
             pattern.rows, pattern.cols, self._kept, self._rides, unknowns.interpolation,
             unknowns.weights,
         )  # fmt: skip
-        return found
-
-    def _find(self, pattern: BlockPattern) -> Places:
-        """Positions of a pattern not given at construction, within the existing nonzeros."""
-        rows, cols, sources, weights = self._spread(pattern)
-        size = self.unknowns.n_local
-        keys, wanted = (
-            own_rows.astype(np.int64) * size + own_cols
-            for own_rows, own_cols in ((self._rows, self._cols), (rows, cols))
-        )
-        block = np.searchsorted(keys, wanted)
-        assert np.array_equal(keys[np.minimum(block, len(keys) - 1)], wanted)
-        return sources, weights, self._starts[block], self._strides[block]
+        return rows, cols, *pattern.parts(blocks, weights)
 
     def assemble(self) -> None:
         """Assemble the matrix, with edge sliders projected on their lines. Collective."""
         if len(self._sliding):
             self._project()
+        _mirror(self._starts, self._strides, self._values)
         if self.unknowns.comm.size == 1:
             self.petsc.stateIncrease()
         else:
@@ -146,8 +137,8 @@ class StiffnessMatrix:
     def _project(self) -> None:
         """Project the edge sliders' blocks on their lines."""
         own = self._sliding
-        at = self._starts[own][:, None, None] + np.arange(3)
-        at = at + np.arange(3)[:, None] * self._strides[own][:, None, None]
+        at = self._starts[0, own][:, None, None] + np.arange(3)
+        at = at + np.arange(3)[:, None] * self._strides[0, own][:, None, None]
         blocks = self._values[at]
         self._values[at] = self.unknowns.project_blocks(self._rows[own], self._cols[own], blocks)
 
@@ -163,7 +154,8 @@ def _expand(cols, starts, strides, columns):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no-untyped-def]
-    """`LocalBlocks.spread` for the `kept` blocks; `rides`: indices of tied points, or -1."""
+    """`LocalBlocks.spread` for the `kept` blocks, on and above the diagonal; `rides`: indices of
+    tied points, or -1."""
     m = 0
     for k in range(len(rows)):
         tied = (rides[rows[k]] >= 0) + (rides[cols[k]] >= 0)
@@ -177,11 +169,46 @@ def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no
             for j in range(1 if b < 0 else 3):
                 row, row_share = (rows[k], 1.0) if a < 0 else (interpolation[a, i], weights[a, i])
                 col, col_share = (cols[k], 1.0) if b < 0 else (interpolation[b, j], weights[b, j])
-                if kept[row] and kept[col] and row_share * col_share != 0.0:
+                if row <= col and kept[row] and kept[col] and row_share * col_share != 0.0:
                     places[0, m], places[1, m] = row, col
                     sources[m], shares[m] = k, row_share * col_share
                     m += 1
     return places[0, :m], places[1, :m], sources[:m], shares[:m]
+
+
+@numba.njit(cache=True)
+def _mirrored(first, rows, cols):  # type: ignore[no-untyped-def]
+    """First block of each row (size + 1,) of a symmetric matrix, whose blocks (n,) on and above the
+    diagonal are given as by `distinct_pairs`; places (2, n) of these blocks and of their mirror
+    images in the values, and strides (2, n) of their rows."""
+    n, size = len(rows), len(first) - 1
+    begins, below = np.zeros(size + 1, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    for k in range(n):
+        below[cols[k]] += rows[k] < cols[k]
+    for row in range(size):
+        begins[row + 1] = begins[row] + below[row] + first[row + 1] - first[row]
+    starts, strides = np.empty((2, n), dtype=np.int64), np.empty((2, n), dtype=np.int64)
+    used = np.zeros(size, dtype=np.int64)
+    for k in range(n):
+        row, col = rows[k], cols[k]
+        starts[0, k] = starts[1, k] = 9 * begins[row] + 3 * (below[row] + k - first[row])
+        if row < col:
+            starts[1, k] = 9 * begins[col] + 3 * used[col]
+            used[col] += 1
+        strides[0, k] = 3 * (begins[row + 1] - begins[row])
+        strides[1, k] = 3 * (begins[col + 1] - begins[col])
+    return begins, starts, strides
+
+
+@numba.njit(cache=True)
+def _mirror(starts, strides, values):  # type: ignore[no-untyped-def]
+    """Copy the blocks above the diagonal to their mirror images."""
+    for k in range(starts.shape[1]):
+        if starts[0, k] != starts[1, k]:
+            for i in range(3):
+                for j in range(3):
+                    own = starts[0, k] + i * strides[0, k] + j
+                    values[starts[1, k] + j * strides[1, k] + i] = values[own]
 
 
 @numba.njit(cache=True)

@@ -206,9 +206,7 @@ class CapstanTension(EnergyTerm):
         """Add the geometric stiffness, and the axial one of single spans between sticking nodes."""
         c = self.chains
         forces = self.tensions(sums)[c.span]
-        segment_stiffness(
-            self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.own_values
-        )
+        segment_stiffness(self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.values)
         self.pattern.add(A)
         self._add_links(x, sums, A)
 

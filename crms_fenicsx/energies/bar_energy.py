@@ -104,8 +104,8 @@ class BarEnergy(EnergyTerm):
         ways = self._X[t.ends] + x[t.ends]
         d = (ways[:, 1] - ways[:, 0]) / lengths[:, None]
         along = d[:, :, None] * d[:, None, :]
-        self._pattern.own_values[:] = (axial - across)[:, None, None] * along
-        self._pattern.own_values += across[:, None, None] * np.eye(3)
+        self._pattern.values[:] = (axial - across)[:, None, None] * along
+        self._pattern.values += across[:, None, None] * np.eye(3)
         self._pattern.add(A)
 
     def _least_lengths(self) -> Array:

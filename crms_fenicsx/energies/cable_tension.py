@@ -113,9 +113,7 @@ class CableTension(EnergyTerm):
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness, and the axial one of cables `alone`."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
-        segment_stiffness(
-            self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values
-        )
+        segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
         (single,) = np.nonzero(self.alone[self.cable])
         if len(single):
             ends = self.segments[single]
@@ -123,7 +121,7 @@ class CableTension(EnergyTerm):
             ways = ways[:, 1] - ways[:, 0]
             squares = np.maximum(np.sum(ways**2, axis=1), self.eps[single] ** 2)
             axial = self.stiffnesses(sums)[self.cable[single]] / squares
-            self.pattern.own_values[single] += (
+            self.pattern.values[single] += (
                 axial[:, None, None] * ways[:, :, None] * ways[:, None, :]
             )
         self.pattern.add(A)

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import basix.ufl
+import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
 DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "triangle", 1, shape=(3,)))
 SCALARS = ufl.FunctionSpace(DOMAIN, basix.ufl.element("DG", "triangle", 0))
+ALL = 0
+"""Tag of all cells in forms on meshes without tags, which leave out cells."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class FormInputs:
     key: Hashable
     functions: tuple[fem.Function, ...]
     constants: tuple[fem.Constant, ...]
+    # values of cells; those where all are zero contribute nothing and are left out
+    factors: tuple[fem.Function, ...] = ()
 
     @property
     def mesh(self) -> Any:
@@ -36,10 +41,12 @@ class FormInputs:
     @classmethod
     def joint(cls, parts: Sequence[FormInputs]) -> FormInputs:
         """Those of a sum of forms."""
+        limited = all(part.factors for part in parts)
         return cls(
             tuple(part.key for part in parts),
             tuple(function for part in parts for function in part.functions),
             tuple(constant for part in parts for constant in part.constants),
+            tuple(factor for part in parts for factor in part.factors if limited),
         )
 
 
@@ -71,11 +78,15 @@ class CompiledCode:
     def bound(
         self, spaces: Sequence[fem.FunctionSpace], inputs: FormInputs, cell_tags: Any
     ) -> fem.Form:
-        """The form on a mesh."""
+        """The form on a mesh, over the cells that count now."""
         mesh = inputs.mesh
         owned = mesh.topology.index_map(2).size_local
-        cells = [(tag, cell_tags.find(tag)) for tag in self.parts]
-        own = [(tag, found[found < owned]) for tag, found in cells]
+        counts = [one.x.array[:owned] != 0.0 for one in inputs.factors] or [np.ones(owned, bool)]
+        cells = np.flatnonzero(np.any(counts, axis=0)).astype(np.int32)
+        own = [
+            (tag, cells if cell_tags is None else np.intersect1d(cells, cell_tags.find(tag)))
+            for tag in self.parts
+        ]
         functions = {one: inputs.functions[k] for one, k in self.functions.items()}
         constants = {one: inputs.constants[k] for one, k in self.constants.items()}
         domains = {fem.IntegralType.cell: own} if own else {}

@@ -56,12 +56,11 @@ def _unit(X, x, a, b, r):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _angle(a, b):  # type: ignore[no-untyped-def]
-    """Angle between two unit vectors, and its cosine and sine."""
+def _cosine_sine(a, b):  # type: ignore[no-untyped-def]
+    """Cosine and sine of the angle between two unit vectors; 0, 0 if one vanishes."""
     cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     c0, c1, c2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    sine = math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
-    return math.atan2(sine, cosine), cosine, sine
+    return cosine, math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
 
 
 @numba.njit(cache=True)
@@ -81,9 +80,10 @@ def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-de
         a = _unit(X, x, p, previous, ra)
         b = _unit(X, x, p, following, rb)
         d = _unit(X, x, p, q, rq)
-        alpha, ca, sa = _angle(ra, rq)
-        beta, cb, sb = _angle(rb, rq)
-        value = alpha + beta - math.pi
+        ca, sa = _cosine_sine(ra, rq)
+        cb, sb = _cosine_sine(rb, rq)
+        # alpha + beta - pi by one arc tangent, as these take long
+        value = math.atan2(-sa * cb - ca * sb, sa * sb - ca * cb)
         w, wa, wb = 1.0, 0.0, 0.0
         total = a + b
         if weighted and total > 0.0:
@@ -113,7 +113,7 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
     ``(cot n n^T - r e^T - e r^T) / u^2`` and, mixed, ``-n n^T / (u c sin)``. The gradients by both
     vectors are put into eu and ec.
     """
-    cosine, sine = _angle(ru, rc)[1:]
+    cosine, sine = _cosine_sine(ru, rc)
     eu[:] = ec[:] = 0.0
     if u * sine == 0.0 or c * sine == 0.0:
         return
@@ -124,13 +124,13 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
     )
     for a in range(3):
         eu[a], ec[a] = (cosine * ru[a] - rc[a]) / sine, (cosine * rc[a] - ru[a]) / sine
-    cot = cosine / sine
+    cot, uu, cc, uc = cosine / sine, w / u**2, w / c**2, w / (u * c * sine)
     for a in range(3):
         for b in range(3):
             nn = n[a] * n[b]
-            out[i, i, a, b] += w * (cot * nn - ru[a] * eu[b] - eu[a] * ru[b]) / u**2
-            out[2, 2, a, b] += w * (cot * nn - rc[a] * ec[b] - ec[a] * rc[b]) / c**2
-            out[i, 2, a, b] -= w * nn / (u * c * sine)
+            out[i, i, a, b] += uu * (cot * nn - ru[a] * eu[b] - eu[a] * ru[b])
+            out[2, 2, a, b] += cc * (cot * nn - rc[a] * ec[b] - ec[a] * rc[b])
+            out[i, 2, a, b] -= uc * nn
     for a in range(3):
         eu[a] /= u
         ec[a] /= c
@@ -161,14 +161,13 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
         for m in range(2):  # a loop, as each call with a constant would be compiled separately
             _add_angle(unit[m], unit[2], a if m == 0 else b, d, w, H, m, sides[m], chords[m])
         value = r[k] / w if w > 0.0 else 0.0
+        fa, fb = value * wa / a if a > 0.0 else 0.0, value * wb / b if b > 0.0 else 0.0
         ra, rb, ga, gb = unit[0], unit[1], sides[0], sides[1]
         for i in range(3):
             for j in range(3):
                 same = 1.0 if i == j else 0.0
-                if a > 0.0:
-                    H[0, 0, i, j] += value * wa * (same - ra[i] * ra[j]) / a
-                if b > 0.0:
-                    H[1, 1, i, j] += value * wb * (same - rb[i] * rb[j]) / b
+                H[0, 0, i, j] += fa * (same - ra[i] * ra[j])
+                H[1, 1, i, j] += fb * (same - rb[i] * rb[j])
                 H[0, 0, i, j] += value * waa * ra[i] * ra[j] + wa * (ra[i] * ga[j] + ga[i] * ra[j])
                 H[1, 1, i, j] += value * wbb * rb[i] * rb[j] + wb * (rb[i] * gb[j] + gb[i] * rb[j])
                 H[0, 1, i, j] += (
@@ -178,15 +177,17 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
                 H[0, 2, i, j] += wa * ra[i] * gc_j
                 H[1, 2, i, j] += wb * rb[i] * gc_j
         factor = 2 * coefficients[k] * r[k]
-        for m in range(3):
-            for n in range(3):
-                for i in range(3):
-                    for j in range(3):
+        for n in range(3):
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0  # minus the derivative by p, with which all vectors turn
+                    for m in range(3):
                         h = factor * (H[m, n, i, j] if m <= n else H[n, m, j, i])
                         blocks[k, at[m], at[n], i, j] += h
-                        blocks[k, at[m], 1, i, j] -= h
-                        blocks[k, 1, at[n], i, j] -= h
-                        blocks[k, 1, 1, i, j] += h
+                        total += h
+                    blocks[k, 1, at[n], i, j] -= total
+                    blocks[k, at[n], 1, j, i] -= total
+                    blocks[k, 1, 1, i, j] += total
 
 
 @numba.njit(cache=True)

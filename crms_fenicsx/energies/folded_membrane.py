@@ -281,7 +281,7 @@ class FoldedMembraneEnergy(EnergyTerm):
             self.elements.values, self._tension, self.active, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A)
-        segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)
+        segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.values)
         self.edges.add(A)
 
     def elements_on(self, chosen: Booleans) -> FoldedCells | None:

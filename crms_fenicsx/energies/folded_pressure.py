@@ -14,8 +14,9 @@ import numba
 import numpy as np
 from dolfinx import fem
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockSink, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
+from crms_fenicsx.energies.pressure import volume_pattern
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
@@ -75,29 +76,20 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
             g[node, 2] += scale * n[2]
 
 
-ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
-"""Corners of the blocks of a facet's second derivatives; those by the same corner twice vanish."""
-
-
 @numba.njit(cache=True)
-def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
-    """Put second derivatives of ``factor x volume`` by active facets' `ROWS` and `COLUMNS` into
-    `blocks` (n, 3, 2, 3, 3)."""
+def _volume_hessian(X, x, corners, weights, origin, factor, active, values):  # type: ignore[no-untyped-def]
+    """Put second derivatives of ``factor x volume`` of active facets into `values` (3 n, 3, 3) of a
+    `volume_pattern`."""
     p = np.empty(3)
     for f in range(len(active)):
-        if not active[f]:
-            continue
-        blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
-        for m in range(3):
+        for m in range(3 if active[f] else 0):
             # the derivative by corners m + 1 and m + 2 is the cross product with corner m
             for i in range(3):
                 p[i] = scale * (X[corners[f, m], i] - origin[i] + x[corners[f, m], i])
-            block, twin = blocks[f, m, 0], blocks[f, m, 1]
             for i in range(3):
                 j, k = (i + 1) % 3, (i + 2) % 3
-                block[i, j] = twin[j, i] = p[k]
-                block[j, i] = twin[i, j] = -p[k]
+                values[3 * f + m, i, j], values[3 * f + m, j, i] = p[k], -p[k]
 
 
 class FoldedFollowerPressure(EnergyTerm):
@@ -110,8 +102,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
-        rows, cols = (table.corners[:, own].ravel() for own in (ROWS, COLUMNS))
-        self.pattern = BlockPattern(rows, cols)
+        self.pattern = volume_pattern(table.corners)
         self.patterns = (self.pattern,)
         self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
 
@@ -138,10 +129,10 @@ class FoldedFollowerPressure(EnergyTerm):
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        t, blocks = self.table, self.pattern.values.reshape(-1, 3, 2, 3, 3)
+        t, factor = self.table, -float(self.pressure.value)
         _volume_hessian(
-            self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
-            self.active, blocks,
+            self.unknowns.X, x, t.corners, t.weights, self.origin, factor, self.active,
+            self.pattern.values,
         )  # fmt: skip
         self.pattern.add(A)
 

@@ -18,13 +18,20 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
+from crms_fenicsx.energies.compiled_forms import ALL, FormInputs, compiled_form
 from crms_fenicsx.runtime.arrays import Array
 
 
 def one_point(mesh: Any, **options: Any) -> ufl.Measure:
     """Measure of the stress-free surface; one point is exact, as strains are constant in a cell."""
     return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
+
+
+def counting_cells(mesh: Any, inputs: FormInputs | None, cell_tags: Any) -> ufl.Measure:
+    """The same for a form that leaves out cells without `factors`."""
+    everywhere = inputs is None or not inputs.factors or cell_tags is not None
+    dx = one_point(mesh, subdomain_data=cell_tags)
+    return dx if everywhere else dx(ALL)
 
 
 class Integral:
@@ -65,7 +72,7 @@ class FusedAssembly:
 
         def write() -> ufl.Form:
             test, form = ufl.TestFunction(space), 0
-            dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
+            dx = counting_cells(V.mesh, inputs, tags)  # a form has one measure, tags or none
             for k, integral in enumerate(integrals):
                 v = ufl.as_vector([test[4 * k + i] for i in range(3)])
                 form += integral.form(v, test[4 * k + 3], dx)
@@ -73,14 +80,18 @@ class FusedAssembly:
 
         known = [integral.inputs for integral in integrals if integral.inputs is not None]
         inputs = FormInputs.joint(known) if len(known) == len(integrals) else None
-        self._form: fem.Form = compiled_form(inputs, [space], write, tags)
+        self._bind = lambda: compiled_form(inputs, [space], write, tags)
+        self._form: fem.Form = self._bind()
+        self._lasting = inputs is None or not inputs.factors
 
     @classmethod
     def of(cls, integrals: Sequence[Integral]) -> FusedAssembly:
-        """Return the pass over these integrals, cached, so that it is compiled once."""
+        """Return the pass over these integrals and the cells that count now; compiled once."""
         passes, key = integrals[0].passes, tuple(integrals)
         if key not in passes:
             passes[key] = cls(integrals)
+        elif not passes[key]._lasting:
+            passes[key]._form = passes[key]._bind()
         return passes[key]
 
     def assemble(self) -> None:

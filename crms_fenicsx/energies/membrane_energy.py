@@ -14,7 +14,7 @@ from dolfinx import fem
 from crms_fenicsx.dofs.block_patterns import BlockSink, FormPattern
 from crms_fenicsx.dofs.layout import Unknowns, edge_ends
 from crms_fenicsx.energies.compiled_forms import FormInputs, compiled_form
-from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.energies.integral import Integral, counting_cells
 from crms_fenicsx.energies.kinematics import (
     Kinematics,
     Stiffening,
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
-    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which thus leave this term without a
-    new form; `integral`: energy and nodal forces; `stiffening`: artificial stiffness; `frames`: see
+    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which thus leave this term without new
+    code; `integral`: energy and nodal forces; `stiffening`: artificial stiffness; `frames`: see
     `Membrane.frames`.
     """
 
@@ -85,8 +85,8 @@ class MembraneEnergy(EnergyTerm):
             tag: fem.Constant(mesh, material.parameters) for tag, material in materials.items()
         }
         self.renew_materials()
-        stiffness = compiled_form(self._inputs("stiffness"), [V, V], self._stiffness, cell_tags)
-        self._pattern = FormPattern(stiffness, V)
+        self._all_stiffness = self._bound_stiffness()
+        self._pattern = FormPattern(self._all_stiffness, V)
         self.patterns = (self._pattern,)
         prepare = None if self.tension_field is None else self.tension_field.update
         self.integral = Integral(V, self._variation, prepare, cell_tags, self._inputs("energy"))
@@ -106,7 +106,13 @@ class MembraneEnergy(EnergyTerm):
         stiffening = self.stiffening
         constants = stiffening.prestress, stiffening.floor, stiffening.compression
         key = f"{form} of the membrane", laws, self.cell_tags is None, self._sewn is None
-        return FormInputs(key, tuple(functions), (*constants, *self._parameters.values()))
+        numbers = (*constants, *self._parameters.values())
+        return FormInputs(key, tuple(functions), numbers, (self.plain,))
+
+    def _bound_stiffness(self) -> fem.Form:
+        """The form of the stiffness over the plain cells."""
+        inputs, V = self._inputs("stiffness"), self.u.function_space
+        return compiled_form(inputs, [V, V], lambda: self._stiffness(inputs), self.cell_tags)
 
     @cached_property
     def terms(self) -> dict[int, tuple[LawTerms, Kinematics]]:
@@ -160,11 +166,11 @@ class MembraneEnergy(EnergyTerm):
             variation += self._part * (law.energy * q + work) * self._on(tag, dx)
         return variation
 
-    def _stiffness(self) -> ufl.Form:
+    def _stiffness(self, inputs: FormInputs | None) -> ufl.Form:
         """The form of the stiffness, positive semidefinite."""
         V = self.u.function_space
         v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-        dx = one_point(V.mesh, subdomain_data=self.cell_tags)
+        dx = counting_cells(V.mesh, inputs, self.cell_tags)
         stiffness: Any = 0
         for tag, (law, kinematics) in self.terms.items():
             linear = self.materials[tag].law == LINEAR
@@ -223,6 +229,8 @@ class MembraneEnergy(EnergyTerm):
 
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
+        if self._inputs("stiffness") is not None:
+            self._pattern.form = self._bound_stiffness()
         self._pattern.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:
@@ -253,12 +261,13 @@ class MembraneEnergy(EnergyTerm):
 
     def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the stiffness of all of this rank's cells, folded ones treated as plain."""
-        plain = self.plain.x.array.copy()
+        plain, form = self.plain.x.array.copy(), self._pattern.form
         self.plain.x.array[:] = 1.0
         try:
+            self._pattern.form = self._all_stiffness
             self.add_stiffness(x, sums, A)
         finally:
-            self.plain.x.array[:] = plain
+            self.plain.x.array[:], self._pattern.form = plain, form
 
     @property
     def links(self) -> Indices:  # type: ignore[override]

@@ -148,7 +148,8 @@ class EnergyTerm(ABC):
         """Add a positive semidefinite stiffness (force/length) to the matrix of H0.
 
         It affects the speed, not the solution; without it the minimiser learns of the term only
-        from gradients. The matrix takes (3, 3) blocks of `patterns` only.
+        from gradients. The matrix takes (3, 3) blocks of `patterns` only, and is symmetric: of two
+        mirrored blocks it takes the one above the diagonal.
         """
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:

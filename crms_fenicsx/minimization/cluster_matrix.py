@@ -69,10 +69,10 @@ class ClusterMatrix:
         whole, number = self.layout.whole, self.layout.number
         if whole.n_tied_points == 0:
             i, j, kept = _lower_half(pattern.rows, pattern.cols, number)
-            return i, j, kept, np.ones(len(kept))
+            return i, j, *pattern.parts(kept, np.ones(len(kept)))
         (rows, cols), sources, weights = whole.spread(pattern.rows, pattern.cols)
         i, j, kept = _lower_half(rows, cols, number)
-        return i, j, sources[kept], weights[kept]
+        return i, j, *pattern.parts(sources[kept], weights[kept])
 
     def _find_columns(self, of: ColumnPattern) -> tuple[Integers, Integers, Integers, Array]:
         """Column and block of the dyads' entries at moving blocks, with sources and weights."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, SegmentPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
@@ -53,11 +53,12 @@ class Damping:
 
     def __init__(self, springs: Springs) -> None:
         self.springs, fractions = springs, springs.fractions
-        self._on_edges = ElementPattern(*springs.element_blocks)
+        weights = np.stack([np.ones(len(fractions)), fractions - 1, -fractions], axis=1)
+        shares = weights[:, :, None] * weights[:, None, :]
+        rows, cols = np.repeat(springs.sliders, 3, axis=1), np.tile(springs.sliders, 3)
+        self._on_edges = BlockPattern(rows.ravel(), cols.ravel(), shares.reshape(-1, 9))
         self._along = SegmentPattern(springs.segments)
         self.patterns = (self._on_edges, self._along)
-        weights = np.stack([np.ones(len(fractions)), fractions - 1, -fractions], axis=1)
-        self._shares = weights[:, :, None] * weights[:, None, :]
 
     def elements_on(self, chosen: Booleans) -> Springs:
         """Springs that touch the chosen blocks, (n_local,)."""
@@ -74,12 +75,11 @@ class Damping:
         travel = np.minimum(SLIDE * np.linalg.norm(X[end] - X[start], axis=1), to_start)
         travel = np.minimum(travel, to_end)
         stiffness = _ratio(force[point], travel)
-        blocks = (stiffness[:, None, None] * self._shares).reshape(-1, 1, 1)
-        np.multiply(blocks, np.eye(3), out=self._on_edges.values)
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._on_edges.values)
         self._on_edges.add(A)
         a, b = self.springs.segments.T
         stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
-        np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.own_values)
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.values)
         self._along.add(A)
 
     def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:

@@ -10,8 +10,8 @@ the solve (`relax_patch`), which often suffices.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
-import scipy.sparse as sp
 from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import GhostFlags
@@ -19,7 +19,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.clusters import gather, give_back
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 POINT_PART, POINT_RINGS = 0.1, 2
 PATCH_PART, PATCH_RINGS = 0.02, 3
@@ -75,8 +75,8 @@ class LocalRelaxation:
         self._n_all = self._count(self._all)
         pairs = [term.links for term in potential.terms if term.links is not None]
         links = np.concatenate([np.zeros((0, 2), dtype=np.int32), *pairs])
-        self._point_links = _adjacency(links[self._points[links].all(axis=1)], len(free))
-        self._links = _adjacency(links[free[links].all(axis=1)], len(free))
+        self._point_links = links[self._points[links].all(axis=1)]
+        self._links = links[free[links].all(axis=1)]
 
     @classmethod
     def of(cls, potential: Potential) -> LocalRelaxation | None:
@@ -183,9 +183,9 @@ class LocalRelaxation:
         return float(squares[0] ** 0.5), float(squares[1] ** 0.5)
 
     def _around(
-        self, of: Booleans, links: sp.csr_matrix, part: float, rings: int, least: float
+        self, of: Booleans, links: Indices, part: float, rings: int, least: float
     ) -> Booleans:
-        """Blocks out of balance, and rings around them."""
+        """Blocks out of balance, and rings of linked (n, 2) blocks around them."""
         sizes = self._sizes()
         sizes *= of[: len(sizes)]
         top = self.potential.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
@@ -193,7 +193,7 @@ class LocalRelaxation:
         found[: len(sizes)] = sizes > max(part * top, least)
         found = self._flags.of_owners(found)
         for _ in range(rings):
-            found = self._flags.on_any(found | (links @ found > 0))
+            found = self._flags.on_any(_with_linked(links, found))
         return found
 
     def _count(self, of: Booleans) -> int:
@@ -202,8 +202,12 @@ class LocalRelaxation:
         return int(unknowns.comm.allreduce(np.count_nonzero(of[: unknowns.n_owned])))
 
 
-def _adjacency(pairs: Array, size: int) -> sp.csr_matrix:
-    """Adjacency of `size` blocks linked by pairs (n, 2)."""
-    ones = np.ones(2 * len(pairs), dtype=np.int32)
-    a, b = pairs.T
-    return sp.csr_matrix((ones, (np.append(a, b), np.append(b, a))), shape=(size, size))
+@numba.njit(cache=True)
+def _with_linked(links, flags):  # type: ignore[no-untyped-def]
+    """Flags of blocks and of those linked to flagged ones by pairs (n, 2)."""
+    found = flags.copy()
+    for k in range(len(links)):
+        a, b = links[k]
+        found[a] |= flags[b]
+        found[b] |= flags[a]
+    return found

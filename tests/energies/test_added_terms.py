@@ -175,6 +175,11 @@ def test_taylor_test_of_a_wrong_term(comm: MPI.Intracomm) -> None:
     class Wrong(StiffSprings):
         factor, shear, twice = 1.0, 0.0, 1.0
 
+        def attach(self, unknowns: Any) -> None:
+            super().attach(unknowns)
+            self.pair = ElementPattern(np.array([0, 2]), np.array([0, 1]))
+            self.patterns = (self.pattern, self.pair)
+
         def add_gradient(self, x: Any, sums: Any, g: Any) -> None:
             super().add_gradient(x, sums, g)
             g *= self.factor
@@ -182,8 +187,9 @@ def test_taylor_test_of_a_wrong_term(comm: MPI.Intracomm) -> None:
         def add_stiffness(self, x: Any, sums: Any, A: Any) -> None:
             super().add_stiffness(x, sums, A)
             self.pattern.values[:] = (self.twice - 1) * np.eye(3)
-            self.pattern.values[:, 0, 1] += self.shear
             self.pattern.add(A)
+            self.pair.values[2] = self.shear  # below the diagonal
+            self.pair.add(A)
 
     term = Wrong(c=0.01)
     taylor_test(term, scene.u)

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from term_scene import FABRIC
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, meshes
-from crms_fenicsx.energies import compiled_forms, integral, membrane_energy, pressure
+from crms_fenicsx.energies import compiled_forms, integral, membrane_energy
 from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
@@ -45,7 +45,7 @@ def grid(comm: MPI.Intracomm, n: int, material: Any) -> meshes.MembraneMesh:
 
 
 def assembled(comm: MPI.Intracomm, n: int, material: MembraneMaterial) -> list[Any]:
-    """Values, gradients and second derivatives of membrane and pressure in a bent state."""
+    """Values and gradients of membrane and pressure, and the membrane's stiffness, when bent."""
     scene = Scene(grid(comm, n, material), material)
     x, y, _ = scene.membrane.stress_free.T
     scene.u.x.array[:] = np.stack([0.02 * x * y, -0.01 * y, 0.3 * x * y * (1 - y)], 1).ravel()
@@ -57,9 +57,8 @@ def assembled(comm: MPI.Intracomm, n: int, material: MembraneMaterial) -> list[A
     both = [energy.integral, volume.integral]
     FusedAssembly.of(both).assemble()
     found = [np.array(value) for part in both for value in (part.value, part.gradient)]
-    hessian = fem.assemble_matrix(volume._hessian_form()).data
-    stiffness = fem.assemble_matrix(energy._pattern._form).data  # type: ignore[arg-type]
-    return [*found, np.array(hessian), np.array(stiffness)]
+    stiffness = fem.assemble_matrix(energy._pattern.form).data  # type: ignore[arg-type]
+    return [*found, np.array(stiffness)]
 
 
 def by_signature(inputs: Any, spaces: Any, write: Callable[[], Any], tags: Any = None) -> fem.Form:
@@ -79,10 +78,33 @@ def test_a_form_on_another_mesh_is_that_of_its_signature(
         unable.delattr(fem, "compile_form")
         unable.delattr(fem, "form")
         found = assembled(comm, 6, MATERIALS[name])
-    for module in (membrane_energy, pressure, integral):
+    for module in (membrane_energy, integral):
         monkeypatch.setattr(module, "compiled_form", by_signature)
+    monkeypatch.setattr(integral, "ALL", "everywhere")
     for one, other in zip(found, assembled(comm, 6, MATERIALS[name]), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("name", ["isotropic", "parts"])
+def test_cells_without_a_factor_are_left_out(comm: MPI.Intracomm, name: str) -> None:
+    scene = Scene(grid(comm, 4, MATERIALS[name]), MATERIALS[name])
+    scene.u.x.array[:] = 0.1 * scene.membrane.stress_free.ravel()
+    term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
+
+    def energy() -> float:
+        FusedAssembly.of([term.integral]).assemble()
+        return float(comm.allreduce(term.integral.value))
+
+    whole, every = energy(), term.plain.x.array.copy()
+    term.plain.x.array[::2] = 0.0
+    part = energy()
+    assert 0.0 < part < whole
+    form = term.integral.passes[term.integral,]
+    term.plain.x.array[:] = every
+    form.assemble()
+    assert comm.allreduce(term.integral.value) == pytest.approx(part, rel=1e-14)
+    assert energy() == whole
 
 
 @pytest.mark.ranks

@@ -32,7 +32,7 @@ def test_a_new_layout_of_the_unknowns_compiles_nothing(
     system.potential.evaluate()
     energies = system.potential.energies()
     monkeypatch.delattr(fem, "form")
-    monkeypatch.delattr(fem, "create_form")
+    monkeypatch.delattr(fem, "compile_form")
     system.rebuild()
     system.read_scene()
     system.potential.evaluate()

@@ -84,7 +84,7 @@ class Bars(EnergyTerm):
         pass
 
     def add_stiffness(self, x, sums, A) -> None:
-        self.pattern.own_values[:] = 3.0 * np.eye(3)
+        self.pattern.values[:] = 3.0 * np.eye(3)
         self.pattern.add(A)
 
 

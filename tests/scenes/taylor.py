@@ -44,7 +44,7 @@ class DenseBlocks:
 
     def take(self, pattern: BlockPattern) -> None:
         """Add a pattern's values one by one."""
-        np.add.at(self.values, (pattern.rows, pattern.cols), pattern.values)
+        np.add.at(self.values, (pattern.rows, pattern.cols), pattern.blocks())
 
 
 class TermOnPoints:
