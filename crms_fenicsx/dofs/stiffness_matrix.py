@@ -100,6 +100,11 @@ class StiffnessMatrix:
     def destroy(self) -> None:
         self.petsc.destroy()
 
+    @property
+    def csr(self) -> tuple[Indices, Indices, Array]:
+        """Memory of the matrix on one process: row pointers, columns, values."""
+        return self._pointers, self._columns, self._values
+
     def clear(self) -> None:
         self._values[:] = 0.0
 

@@ -36,6 +36,7 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     stiffen_across_edge_sliders,
 )
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.stretched_stiffness import StretchedStiffness
 from crms_fenicsx.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}
@@ -110,6 +111,9 @@ class InitialHessian:
         if self.pc.getType() == PETSc.PC.Type.CHOLESKY and PETSc.Sys.hasExternalPackage("mumps"):
             self._augmented = AugmentedStiffness(self.matrix, prefix)
         self._is_augmented = False
+        self._stretched: StretchedStiffness | None = None
+        if cables and self._exact and self.pc.getFactorSolverType() == "cholmod":
+            self._stretched = StretchedStiffness(self._stiffness)
         self._outer: PETSc.KSP | None = None
         self._dyads: Array = np.zeros(0)
         self.shift: Array = np.zeros(0)
@@ -123,6 +127,8 @@ class InitialHessian:
             self._membrane.destroy()
         if self._augmented is not None:
             self._augmented.destroy()
+        if self._stretched is not None:
+            self._stretched.destroy()
         self.pc.destroy()
         self._stiffness.destroy()
 
@@ -134,16 +140,22 @@ class InitialHessian:
             self._membrane.assemble(held)
         elif not self._exact:
             set_near_null_space(self.matrix, self.potential)
-        self._dyads, columns = self.potential.dyad_columns(held)
+        self._dyads, columns, of_cables = self.potential.dyad_columns(held)
+        whole = columns * np.sqrt(self._dyads)
         augmentable = self._augmented is not None and len(self._dyads) > 0
         self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
+        if self._stretched is not None:
+            if self._stretched.assemble(whole[:, of_cables]):
+                self._renew_pc(self._stretched.petsc)
+            self._dyads, columns = self._dyads[~of_cables], columns[:, ~of_cables]
         if not self._is_augmented and self._set_up():
             self._add_dyads(columns)
             return True
-        self._is_augmented = augmentable
-        if self._augmented is None or not augmentable:
+        # Other dyads than those of a stretched matrix may make up for what makes it indefinite.
+        self._is_augmented = augmentable and len(self._dyads) > 0
+        if self._augmented is None or not self._is_augmented:
             return False
-        return self._augmented.factorize(columns * np.sqrt(self._dyads))
+        return self._augmented.factorize(whole)
 
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid, and return whether K is definite."""
@@ -154,13 +166,17 @@ class InitialHessian:
         except PETSc.Error as error:
             if error.ierr not in INDEFINITE:
                 raise
-            kind, library = self.pc.getType(), self.pc.getFactorSolverType()
-            self.pc.reset()
-            self.pc.setOperators(self.matrix)
-            self.pc.setType(kind)
-            self.pc.setFactorSolverType(library)
+            self._renew_pc(self.pc.getOperators()[0])
             return False
         return True
+
+    def _renew_pc(self, matrix: PETSc.Mat) -> None:
+        """Forget factors, and factorise this matrix next."""
+        kind, library = self.pc.getType(), self.pc.getFactorSolverType()
+        self.pc.reset()
+        self.pc.setOperators(matrix)
+        self.pc.setType(kind)
+        self.pc.setFactorSolverType(library)
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
         """Only assemble K at the potential's state, and return owned held components, (n, 3)."""
@@ -198,25 +214,23 @@ class InitialHessian:
         """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
         multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
         solved = np.empty_like(columns)
-        if not self._exact:
-            b, y = self.matrix.createVecs()
-            for k in range(columns.shape[1]):
-                b.array[:] = columns[:, k]
-                self.pc.apply(b, y)
-                self._take_out(y.array)
-                solved[:, k] = y.array
-            b.destroy()
-            y.destroy()
-            return solved
-        size = ((len(columns), 3 * self.potential.unknowns.n_global), (None, columns.shape[1]))
-        B, Y = (
-            PETSc.Mat().createDense(size, array=array, comm=self.potential.comm)
-            for array in (columns, solved)
-        )
-        self.pc.matApply(B, Y)
-        B.destroy()
-        Y.destroy()
+        b, y = self.matrix.createVecs()
+        for k in range(columns.shape[1]):
+            b.array[:] = columns[:, k]
+            self._apply(b, y)
+            solved[:, k] = y.array
+        b.destroy()
+        y.destroy()
         return solved
+
+    def _apply(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply the preconditioner of K."""
+        if self._stretched is not None:
+            self._stretched.apply(self.pc, b, y)
+            return
+        self.pc.apply(b, y)
+        if not self._exact:
+            self._take_out(y.array)
 
     def _sums_over_ranks(self, rows: Array, vector: PETSc.Vec) -> Array:
         """``rows^T vector`` by one reduction; valid until the next call."""
@@ -245,9 +259,7 @@ class InitialHessian:
 
     def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply H0^-1 with K's preconditioner in place of K^-1; exact if K is factorised."""
-        self.pc.apply(b, y)
-        if not self._exact:
-            self._take_out(y.array)
+        self._apply(b, y)
         if len(self._dyads):
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 

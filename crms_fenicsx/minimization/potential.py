@@ -163,16 +163,17 @@ class Potential:
                 if value > 0.0:
                     yield term, k, float(value)
 
-    def dyad_columns(self, held: Booleans) -> tuple[Array, Array]:
-        """Values (m,) of all dyads and this rank's rows of their columns, (3 n_owned, m), zero at
-        `held` components (n_owned, 3). Collective."""
+    def dyad_columns(self, held: Booleans) -> tuple[Array, Array, Booleans]:
+        """Values (m,) of all dyads, this rank's rows of their columns, (3 n_owned, m), zero at
+        `held` components (n_owned, 3), and whether they belong to cables, (m,). Collective."""
         dyads, n = list(self.dyads()), self.unknowns.n_owned
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             self.dyad_column(term, k)
             self.g[:n][held] = 0.0
             column[:] = self.g[:n].ravel()
-        return np.array([value for _, _, value in dyads]), columns
+        of_cables = np.array([term.of_cables for term, _, _ in dyads], dtype=bool)
+        return np.array([value for _, _, value in dyads]), columns, of_cables
 
     def dyad_column(self, term: EnergyTerm, k: int) -> None:
         """Set `g` to the column of a term's dyad at the current state."""

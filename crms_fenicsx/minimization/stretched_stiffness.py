@@ -1,0 +1,161 @@
+"""Dyads of cables made sparse for CHOLMOD, by "stretching" their dense columns.
+
+A column g with parts g_i at m blocks couples all of these, as a cable's length does. A tree joins
+them along entries of K, and an unknown w for each of its branches counts at both ends:
+
+    (g^T y)^2 = minimum over w of  m sum_i (g_i . y_i + sum of w that end at i - that begin at i)^2,
+
+as the terms have the sum g^T y for any w, and are equal for some w. The matrix of y and w is nearly
+as sparse as K. It is positive definite if and only if its Schur complement K + G G^T is.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+
+UPPER = np.triu_indices(3)
+"""Rows and columns of the upper triangle of a block."""
+
+
+class StretchedStiffness:
+    """Stiffness of a layout on one process and dyads, as a matrix of y and w.
+
+    Attributes: `petsc`: the matrix, of which CHOLMOD reads the upper triangle, all that there is.
+    """
+
+    def __init__(self, stiffness: StiffnessMatrix) -> None:
+        self._pointers, self._indices, self._values = stiffness.csr
+        self._diagonal = diagonal_places(self._pointers, self._indices)
+        self.petsc: PETSc.Mat | None = None
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self.petsc is not None:
+            for petsc in (self._b, self._y, self.petsc):
+                petsc.destroy()
+
+    def assemble(self, columns: Array) -> bool:
+        """Assemble K + G G^T with columns G (n, m). Returns whether `petsc` is a new matrix, for
+        columns with entries at other blocks."""
+        g = columns.T.reshape(columns.shape[1], -1, 3)
+        new = self.petsc is None or len(g) != len(self._counts)
+        new = new or np.count_nonzero(g) != np.count_nonzero(g[self._column, self._block])
+        if new:
+            self.destroy()
+            self._create(g.any(axis=2))
+        assert self.petsc is not None
+        parts = g[self._column, self._block] * self._counts[self._column, None] ** 0.5
+        copy_upper(self._pointers, self._diagonal, self._values, self._starts, self._stretched)
+        np.add.at(self._stretched, self._squares, parts[:, UPPER[0]] * parts[:, UPPER[1]])
+        self._stretched[self._border] = self._signs[:, None] * parts[self._of]
+        self.petsc.stateIncrease()
+        return new
+
+    def _create(self, used: Booleans) -> None:
+        """Create the matrix of columns with entries at the `used` blocks, (m, n_blocks)."""
+        self._counts, (self._column, self._block) = used.sum(axis=1), np.nonzero(used)
+        before = joined(self._pointers, self._indices, self._column, self._block)
+        (after,) = np.nonzero(before >= 0)
+        n, m = len(self._pointers) - 1, len(after)
+        # Both ends of each branch, ordered by the entry of the columns that it counts at.
+        ends = np.concatenate([after, before[after]])
+        order = np.argsort(ends, kind="stable")
+        self._of, self._signs, branch = ends[order], np.where(order < m, 1.0, -1.0), order % max(m, 1)
+        rows = [(3 * self._block[self._of][:, None] + np.arange(3)).ravel(), n + np.arange(m)]
+        cols, products = [np.repeat(branch, 3), np.arange(m)], [np.full(m, 2.0)]
+        for k in range(1, int(np.bincount(self._of).max(initial=0))):
+            (same,) = np.nonzero(self._of[k:] == self._of[:-k])
+            pair = np.sort([branch[same], branch[same + k]], axis=0)
+            rows.append(n + pair[0])
+            cols.append(pair[1])
+            products.append(self._signs[same] * self._signs[same + k])
+        self._lay_out(np.concatenate(rows), n + np.concatenate(cols), np.concatenate(products))
+        starts = self._starts[3 * self._block[:, None] + UPPER[0]]
+        self._squares = starts + UPPER[1] - UPPER[0]
+
+    def _lay_out(self, rows: Integers, cols: Integers, products: Array) -> None:
+        """Create the matrix with the branches' entries, of which the last are given `products`."""
+        n = len(self._pointers) - 1
+        size = int(rows.max(initial=n - 1)) + 1
+        more, upper = np.bincount(rows, minlength=size), self._pointers[1:] - self._diagonal
+        self._starts = np.cumsum(np.append(0, more))
+        self._starts[1 : n + 1] += np.cumsum(upper)
+        self._starts[n + 1 :] += upper.sum()
+        order = np.lexsort((cols, rows))
+        place = np.empty_like(order)
+        place[order] = (
+            self._starts[rows[order] + 1] - np.cumsum(more)[rows[order]] + np.arange(len(rows))
+        )
+        indices = np.empty(self._starts[-1], dtype=PETSc.IntType)
+        self._stretched: Array = np.empty(len(indices))
+        copy_upper(self._pointers, self._diagonal, self._indices, self._starts, indices)
+        indices[place] = cols
+        first = len(rows) - len(products)
+        self._border, self._stretched[place[first:]] = place[:first].reshape(-1, 3), products
+        csr = self._starts.astype(PETSc.IntType), indices, self._stretched
+        self.petsc = PETSc.Mat().createAIJWithArrays((size, size), csr, comm=PETSc.COMM_SELF)
+        self.petsc.setOption(PETSc.Mat.Option.SPD, True)
+        self._b, self._y = self.petsc.createVecs()
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply a preconditioner of `petsc` to b, and drop the branches' values."""
+        n = len(self._pointers) - 1
+        self._b.array[:n] = b.array_r
+        pc.apply(self._b, self._y)
+        y.array[:] = self._y.array_r[:n]
+
+
+@numba.njit(cache=True)
+def diagonal_places(pointers, indices):  # type: ignore[no-untyped-def]
+    """Positions of the diagonal entries (n,) of a matrix in CSR form."""
+    places = np.empty(len(pointers) - 1, dtype=np.int64)
+    for row in range(len(places)):
+        places[row] = pointers[row]
+        while indices[places[row]] != row:
+            places[row] += 1
+    return places
+
+
+@numba.njit(cache=True)
+def copy_upper(pointers, diagonal, values, starts, out):  # type: ignore[no-untyped-def]
+    """Copy the upper triangle of a matrix in CSR form to rows that begin at `starts`."""
+    for row in range(len(diagonal)):
+        for k in range(pointers[row + 1] - diagonal[row]):
+            out[starts[row] + k] = values[diagonal[row] + k]
+
+
+@numba.njit(cache=True)
+def joined(pointers, indices, column, block):  # type: ignore[no-untyped-def]
+    """Join the entries of each column, found breadth first along the entries of a matrix in CSR
+    form, to a tree: the entry from which each was found (n,), -1 for each column's first."""
+    entry = np.full((len(pointers) - 1) // 3, -1, dtype=np.int64)
+    before, queue = np.full(len(block), -2, dtype=np.int64), np.empty(len(block), dtype=np.int64)
+    first = 0
+    while first < len(block):
+        last = first
+        while last < len(block) and column[last] == column[first]:
+            entry[block[last]] = last
+            last += 1
+        end = head = first
+        for seed in range(first, last):  # only the first one, unless there are separate parts
+            if before[seed] == -2:
+                before[seed] = queue[end - 1] if end > first else -1
+                queue[end] = seed
+                end += 1
+            while head < end:
+                row = 3 * block[queue[head]]
+                for k in range(pointers[row], pointers[row + 1], 3):
+                    found = entry[indices[k] // 3]
+                    if found >= 0 and before[found] == -2:
+                        before[found] = queue[head]
+                        queue[end] = found
+                        end += 1
+                head += 1
+        entry[block[first:last]] = -1
+        first = last
+    return before
