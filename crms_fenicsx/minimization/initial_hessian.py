@@ -2,12 +2,12 @@
 
 A cable's elongation couples all its points: EA/L0 times the dyad of the length's gradient would be
 a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness K of all terms, a column
-of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodbury:
+of G per taut cable, and C = diag(EA/L0). It is factorised with extra unknowns: on one process by
+CHOLMOD with the columns of cables made sparse (`stretched_stiffness.py`), on several by MUMPS with
+the tensions (`augmented_stiffness.py`). Few other columns, as of sealed air, enter on one process
+by Sherman-Morrison-Woodbury, or with the tensions where the matrix without them is indefinite:
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
-
-On several processes the solves for Z dominate, so H0 is factorised with the tensions as unknowns
-(`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
 
 With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
 preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
@@ -140,22 +140,23 @@ class InitialHessian:
             self._membrane.assemble(held)
         elif not self._exact:
             set_near_null_space(self.matrix, self.potential)
-        self._dyads, columns, of_cables = self.potential.dyad_columns(held)
-        whole = columns * np.sqrt(self._dyads)
-        augmentable = self._augmented is not None and len(self._dyads) > 0
-        self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
-        if self._stretched is not None:
-            if self._stretched.assemble(whole[:, of_cables]):
+        dyads, columns, of_cables = self.potential.dyad_columns(held)
+        augmented = self._augmented if len(dyads) else None
+        self._is_augmented = augmented is not None and self.pc.getFactorSolverType() == "mumps"
+        if not self._is_augmented:
+            done = 0 if self._stretched is None else of_cables
+            if self._stretched is not None and self._stretched.assemble(
+                dyads[:done], columns[:, :done]
+            ):
                 self._renew_pc(self._stretched.petsc)
-            self._dyads, columns = self._dyads[~of_cables], columns[:, ~of_cables]
-        if not self._is_augmented and self._set_up():
-            self._add_dyads(columns)
-            return True
-        # Other dyads than those of a stretched matrix may make up for what makes it indefinite.
-        self._is_augmented = augmentable and len(self._dyads) > 0
-        if self._augmented is None or not self._is_augmented:
+            if self._set_up():
+                self._add_dyads(dyads[done:], columns[:, done:])
+                return True
+            # The other dyads may make up for what makes the matrix indefinite.
+            self._is_augmented = augmented is not None and done < len(dyads)
+        if augmented is None or not self._is_augmented:
             return False
-        return self._augmented.factorize(whole)
+        return augmented.factorize(columns * np.sqrt(dyads))
 
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid, and return whether K is definite."""
@@ -200,28 +201,21 @@ class InitialHessian:
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
 
-    def _add_dyads(self, columns: Array) -> None:
-        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
-        self._columns, self._shares = columns, np.empty(len(self._dyads))
-        if not len(self._dyads):
-            return
-        self._solved = self._apply_to_all(columns)
-        products = columns.T @ self._solved
-        self.potential.comm.Allreduce(MPI.IN_PLACE, products)
-        self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
-
-    def _apply_to_all(self, columns: Array) -> Array:
-        """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
-        multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
-        solved = np.empty_like(columns)
+    def _add_dyads(self, dyads: Array, columns: Array) -> None:
+        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1. Several columns at once
+        crash multigrid on several processes (PETSc 3.25)."""
+        self._dyads, self._columns, self._shares = dyads, columns, np.empty(len(dyads))
+        self._solved = np.empty_like(columns)
         b, y = self.matrix.createVecs()
-        for k in range(columns.shape[1]):
-            b.array[:] = columns[:, k]
+        for column, solved in zip(columns.T, self._solved.T, strict=True):
+            b.array[:] = column
             self._apply(b, y)
-            solved[:, k] = y.array
+            solved[:] = y.array_r
         b.destroy()
         y.destroy()
-        return solved
+        products = columns.T @ self._solved
+        self.potential.comm.Allreduce(MPI.IN_PLACE, products)
+        self._inner = np.linalg.inv(np.diag(1 / dyads) + products)
 
     def _apply(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply the preconditioner of K."""

@@ -163,17 +163,18 @@ class Potential:
                 if value > 0.0:
                     yield term, k, float(value)
 
-    def dyad_columns(self, held: Booleans) -> tuple[Array, Array, Booleans]:
+    def dyad_columns(self, held: Booleans) -> tuple[Array, Array, int]:
         """Values (m,) of all dyads, this rank's rows of their columns, (3 n_owned, m), zero at
-        `held` components (n_owned, 3), and whether they belong to cables, (m,). Collective."""
-        dyads, n = list(self.dyads()), self.unknowns.n_owned
+        `held` components (n_owned, 3), and how many of cables come first. Collective."""
+        dyads = sorted(self.dyads(), key=lambda dyad: not dyad[0].of_cables)
+        n = self.unknowns.n_owned
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             self.dyad_column(term, k)
             self.g[:n][held] = 0.0
             column[:] = self.g[:n].ravel()
-        of_cables = np.array([term.of_cables for term, _, _ in dyads], dtype=bool)
-        return np.array([value for _, _, value in dyads]), columns, of_cables
+        values = np.array([value for _, _, value in dyads])
+        return values, columns, sum(term.of_cables for term, _, _ in dyads)
 
     def dyad_column(self, term: EnergyTerm, k: int) -> None:
         """Set `g` to the column of a term's dyad at the current state."""

@@ -39,19 +39,22 @@ class StretchedStiffness:
             for petsc in (self._b, self._y, self.petsc):
                 petsc.destroy()
 
-    def assemble(self, columns: Array) -> bool:
-        """Assemble K + G G^T with columns G (n, m). Returns whether `petsc` is a new matrix, for
+    def assemble(self, dyads: Array, columns: Array) -> bool:
+        """Assemble K and dyads (m,) of columns (n, m). Returns whether `petsc` is a new matrix, for
         columns with entries at other blocks."""
-        g = columns.T.reshape(columns.shape[1], -1, 3)
+        g = columns.T.reshape(len(dyads), -1, 3)
+        used = g != 0.0
         new = self.petsc is None or len(g) != len(self._counts)
-        new = new or np.count_nonzero(g) != np.count_nonzero(g[self._column, self._block])
+        new = new or np.count_nonzero(used) != np.count_nonzero(used[self._column, self._block])
         if new:
             self.destroy()
-            self._create(g.any(axis=2))
+            self._create(used[:, :, 0] | used[:, :, 1] | used[:, :, 2])
         assert self.petsc is not None
-        parts = g[self._column, self._block] * self._counts[self._column, None] ** 0.5
+        sizes = np.sqrt(self._counts * dyads)[self._column]
+        parts = sizes[:, None] * g[self._column, self._block]
         copy_upper(self._pointers, self._diagonal, self._values, self._starts, self._stretched)
-        np.add.at(self._stretched, self._squares, parts[:, UPPER[0]] * parts[:, UPPER[1]])
+        squares = parts[:, UPPER[0]] * parts[:, UPPER[1]]
+        np.add.at(self._stretched, self._squares, squares.ravel())  # slower on two axes
         self._stretched[self._border] = self._signs[:, None] * parts[self._of]
         self.petsc.stateIncrease()
         return new
@@ -76,7 +79,7 @@ class StretchedStiffness:
             products.append(self._signs[same] * self._signs[same + k])
         self._lay_out(np.concatenate(rows), n + np.concatenate(cols), np.concatenate(products))
         starts = self._starts[3 * self._block[:, None] + UPPER[0]]
-        self._squares = starts + UPPER[1] - UPPER[0]
+        self._squares = (starts + UPPER[1] - UPPER[0]).ravel()
 
     def _lay_out(self, rows: Integers, cols: Integers, products: Array) -> None:
         """Create the matrix with the branches' entries, of which the last are given `products`."""
@@ -134,28 +137,30 @@ def joined(pointers, indices, column, block):  # type: ignore[no-untyped-def]
     """Join the entries of each column, found breadth first along the entries of a matrix in CSR
     form, to a tree: the entry from which each was found (n,), -1 for each column's first."""
     entry = np.full((len(pointers) - 1) // 3, -1, dtype=np.int64)
-    before, queue = np.full(len(block), -2, dtype=np.int64), np.empty(len(block), dtype=np.int64)
+    before, path = np.full(len(block), -2, dtype=np.int64), np.empty(len(block), dtype=np.int64)
     first = 0
     while first < len(block):
         last = first
         while last < len(block) and column[last] == column[first]:
             entry[block[last]] = last
             last += 1
-        end = head = first
-        for seed in range(first, last):  # only the first one, unless there are separate parts
-            if before[seed] == -2:
-                before[seed] = queue[end - 1] if end > first else -1
-                queue[end] = seed
-                end += 1
-            while head < end:
-                row = 3 * block[queue[head]]
+        seed = first
+        for e in range(first, last):  # only the first one, unless there are separate parts
+            if before[e] > -2:
+                continue
+            before[e], seed = -1 if e == first else seed, e
+            depth, path[0] = 0, e
+            while depth >= 0:
+                row, found = 3 * block[path[depth]], -1
                 for k in range(pointers[row], pointers[row + 1], 3):
                     found = entry[indices[k] // 3]
                     if found >= 0 and before[found] == -2:
-                        before[found] = queue[head]
-                        queue[end] = found
-                        end += 1
-                head += 1
+                        before[found] = path[depth]
+                        depth += 1
+                        path[depth] = found
+                        break
+                else:
+                    depth -= 1
         entry[block[first:last]] = -1
         first = last
     return before
