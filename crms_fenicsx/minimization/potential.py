@@ -171,7 +171,7 @@ class Potential:
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             self.dyad_column(term, k)
-            self.g[:n][held] = 0.0
+            np.copyto(self.g[:n], 0.0, where=held)
             column[:] = self.g[:n].ravel()
         values = np.array([value for _, _, value in dyads])
         return values, columns, sum(term.of_cables for term, _, _ in dyads)

@@ -42,7 +42,7 @@ class StretchedStiffness:
     def assemble(self, dyads: Array, columns: Array) -> bool:
         """Assemble K and dyads (m,) of columns (n, m). Returns whether `petsc` is a new matrix, for
         columns with entries at other blocks."""
-        g = columns.T.reshape(len(dyads), -1, 3)
+        g = columns.T.reshape(len(dyads), len(columns) // 3, 3)
         used = g != 0.0
         new = self.petsc is None or len(g) != len(self._counts)
         new = new or np.count_nonzero(used) != np.count_nonzero(used[self._column, self._block])
