@@ -207,10 +207,10 @@ class InitialHessian:
         self._dyads, self._columns, self._shares = dyads, columns, np.empty(len(dyads))
         self._solved = np.empty_like(columns)
         b, y = self.matrix.createVecs()
-        for column, solved in zip(columns.T, self._solved.T, strict=True):
-            b.array[:] = column
+        for k in range(len(dyads)):
+            b.array[:] = columns[:, k]
             self._apply(b, y)
-            solved[:] = y.array_r
+            self._solved[:, k] = y.array_r
         b.destroy()
         y.destroy()
         products = columns.T @ self._solved

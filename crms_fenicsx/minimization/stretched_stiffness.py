@@ -16,7 +16,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
 UPPER = np.triu_indices(3)
 """Rows and columns of the upper triangle of a block."""
@@ -25,18 +25,18 @@ UPPER = np.triu_indices(3)
 class StretchedStiffness:
     """Stiffness of a layout on one process and dyads, as a matrix of y and w.
 
-    Attributes: `petsc`: the matrix, of which CHOLMOD reads the upper triangle, all that there is.
+    Attributes: `petsc`: the matrix, with its upper triangle only, which is what CHOLMOD reads.
     """
 
     def __init__(self, stiffness: StiffnessMatrix) -> None:
         self._pointers, self._indices, self._values = stiffness.csr
-        self._diagonal = diagonal_places(self._pointers, self._indices)
+        self._diagonal = stiffness.diagonal()
         self.petsc: PETSc.Mat | None = None
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
         if self.petsc is not None:
-            for petsc in (self._b, self._y, self.petsc):
+            for petsc in (*self._vectors, self.petsc):
                 petsc.destroy()
 
     def assemble(self, dyads: Array, columns: Array) -> bool:
@@ -60,17 +60,20 @@ class StretchedStiffness:
         return new
 
     def _create(self, used: Booleans) -> None:
-        """Create the matrix of columns with entries at the `used` blocks, (m, n_blocks)."""
+        """Create the matrix for columns with entries at the `used` blocks, (m, n_blocks)."""
         self._counts, (self._column, self._block) = used.sum(axis=1), np.nonzero(used)
-        before = joined(self._pointers, self._indices, self._column, self._block)
+        before = tree(self._pointers, self._indices, pointers(self._counts), self._block)
         (after,) = np.nonzero(before >= 0)
         n, m = len(self._pointers) - 1, len(after)
-        # Both ends of each branch, ordered by the entry of the columns that it counts at.
+        # Both ends of each branch, sorted by the columns' entries that it joins.
         ends = np.concatenate([after, before[after]])
         order = np.argsort(ends, kind="stable")
-        self._of, self._signs, branch = ends[order], np.where(order < m, 1.0, -1.0), order % max(m, 1)
+        self._of: Integers = ends[order]
+        self._signs: Array = np.where(order < m, 1.0, -1.0)
+        branch = order % max(m, 1)
         rows = [(3 * self._block[self._of][:, None] + np.arange(3)).ravel(), n + np.arange(m)]
-        cols, products = [np.repeat(branch, 3), np.arange(m)], [np.full(m, 2.0)]
+        cols = [np.repeat(branch, 3), np.arange(m)]
+        products: list[Array] = [np.full(m, 2.0)]
         for k in range(1, int(np.bincount(self._of).max(initial=0))):
             (same,) = np.nonzero(self._of[k:] == self._of[:-k])
             pair = np.sort([branch[same], branch[same + k]], axis=0)
@@ -79,49 +82,32 @@ class StretchedStiffness:
             products.append(self._signs[same] * self._signs[same + k])
         self._lay_out(np.concatenate(rows), n + np.concatenate(cols), np.concatenate(products))
         starts = self._starts[3 * self._block[:, None] + UPPER[0]]
-        self._squares = (starts + UPPER[1] - UPPER[0]).ravel()
+        self._squares: Integers = (starts + UPPER[1] - UPPER[0]).ravel()
 
     def _lay_out(self, rows: Integers, cols: Integers, products: Array) -> None:
-        """Create the matrix with the branches' entries, of which the last are given `products`."""
-        n = len(self._pointers) - 1
+        """Create the matrix with entries of the branches, of which the last are `products`."""
+        n, first = len(self._pointers) - 1, len(rows) - len(products)
         size = int(rows.max(initial=n - 1)) + 1
         more, upper = np.bincount(rows, minlength=size), self._pointers[1:] - self._diagonal
-        self._starts = np.cumsum(np.append(0, more))
-        self._starts[1 : n + 1] += np.cumsum(upper)
-        self._starts[n + 1 :] += upper.sum()
-        order = np.lexsort((cols, rows))
-        place = np.empty_like(order)
-        place[order] = (
-            self._starts[rows[order] + 1] - np.cumsum(more)[rows[order]] + np.arange(len(rows))
-        )
+        self._starts = pointers(more + np.pad(upper, (0, size - n)))
+        order, place = np.lexsort((cols, rows)), np.empty_like(rows)
+        place[order] = runs(self._starts[1:] - more, more)
+        self._border, self._stretched = place[:first].reshape(-1, 3), np.empty(self._starts[-1])
+        self._stretched[place[first:]] = products
         indices = np.empty(self._starts[-1], dtype=PETSc.IntType)
-        self._stretched: Array = np.empty(len(indices))
         copy_upper(self._pointers, self._diagonal, self._indices, self._starts, indices)
         indices[place] = cols
-        first = len(rows) - len(products)
-        self._border, self._stretched[place[first:]] = place[:first].reshape(-1, 3), products
         csr = self._starts.astype(PETSc.IntType), indices, self._stretched
         self.petsc = PETSc.Mat().createAIJWithArrays((size, size), csr, comm=PETSc.COMM_SELF)
         self.petsc.setOption(PETSc.Mat.Option.SPD, True)
-        self._b, self._y = self.petsc.createVecs()
+        self._vectors: tuple[PETSc.Vec, PETSc.Vec] = self.petsc.createVecs()
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply a preconditioner of `petsc` to b, and drop the branches' values."""
-        n = len(self._pointers) - 1
-        self._b.array[:n] = b.array_r
-        pc.apply(self._b, self._y)
-        y.array[:] = self._y.array_r[:n]
-
-
-@numba.njit(cache=True)
-def diagonal_places(pointers, indices):  # type: ignore[no-untyped-def]
-    """Positions of the diagonal entries (n,) of a matrix in CSR form."""
-    places = np.empty(len(pointers) - 1, dtype=np.int64)
-    for row in range(len(places)):
-        places[row] = pointers[row]
-        while indices[places[row]] != row:
-            places[row] += 1
-    return places
+        """Apply a preconditioner of `petsc` to b, without the branches' values."""
+        (right, left), n = self._vectors, b.getLocalSize()
+        right.array[:n] = b.array_r
+        pc.apply(right, left)
+        y.array[:] = left.array_r[:n]
 
 
 @numba.njit(cache=True)
@@ -133,34 +119,28 @@ def copy_upper(pointers, diagonal, values, starts, out):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True)
-def joined(pointers, indices, column, block):  # type: ignore[no-untyped-def]
-    """Join the entries of each column, found breadth first along the entries of a matrix in CSR
-    form, to a tree: the entry from which each was found (n,), -1 for each column's first."""
+def tree(pointers, indices, columns, block):  # type: ignore[no-untyped-def]
+    """A tree for each column's entries, which begin at `columns`, depth first along the entries of
+    a matrix in CSR form: what each entry is joined to (n,), -1 for the first of a column."""
     entry = np.full((len(pointers) - 1) // 3, -1, dtype=np.int64)
     before, path = np.full(len(block), -2, dtype=np.int64), np.empty(len(block), dtype=np.int64)
-    first = 0
-    while first < len(block):
-        last = first
-        while last < len(block) and column[last] == column[first]:
-            entry[block[last]] = last
-            last += 1
-        seed = first
-        for e in range(first, last):  # only the first one, unless there are separate parts
+    for c in range(len(columns) - 1):
+        first, last = columns[c], columns[c + 1]
+        for e in range(first, last):
+            entry[block[e]] = e
+        for e in range(first, last):  # more than the first one only for separate parts
             if before[e] > -2:
                 continue
-            before[e], seed = -1 if e == first else seed, e
-            depth, path[0] = 0, e
+            before[e], path[0], depth = e - 1 if e > first else -1, e, 0
             while depth >= 0:
-                row, found = 3 * block[path[depth]], -1
+                row = 3 * block[path[depth]]
                 for k in range(pointers[row], pointers[row + 1], 3):
                     found = entry[indices[k] // 3]
-                    if found >= 0 and before[found] == -2:
+                    if found >= first and before[found] == -2:
                         before[found] = path[depth]
                         depth += 1
                         path[depth] = found
                         break
                 else:
                     depth -= 1
-        entry[block[first:last]] = -1
-        first = last
     return before
