@@ -39,8 +39,9 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.minimization.stretched_stiffness import StretchedStiffness
 from crms_fenicsx.runtime.arrays import Array
 
-QUIET = {"mat_cholmod_print": "0"}
-"""Stops CHOLMOD from printing that a matrix is indefinite; errors are raised anyway."""
+CHOLMOD = {"mat_cholmod_print": "0", "mat_cholmod_factor": "supernodal"}
+"""Stops CHOLMOD from printing that a matrix is indefinite, and from factorising small matrices as
+L D L^T, in which it accepts negative pivots."""
 INDEFINITE = 76, 81
 """PETSc's error codes when an external factorisation finds K indefinite."""
 WORKSPACE = 100
@@ -161,7 +162,7 @@ class InitialHessian:
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid, and return whether K is definite."""
         if self._exact and self.pc.getFactorSolverType() == "cholmod":
-            set_defaults(self.pc.getOptionsPrefix(), QUIET)
+            set_defaults(self.pc.getOptionsPrefix(), CHOLMOD)
         try:
             self.pc.setUp()
         except PETSc.Error as error:
