@@ -7,6 +7,7 @@ is updated from solved states. The path of a lifted cable part is kept below its
 from __future__ import annotations
 
 import logging
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -32,6 +33,10 @@ WEAK = 0.1
 taut cables would be taken for slack."""
 
 
+Look = Callable[[bool], bool]
+"""Called near equilibrium with whether contacts change; returns whether to end the solve."""
+
+
 class ContactLoop:
     """Solves one load step on given paths."""
 
@@ -44,12 +49,10 @@ class ContactLoop:
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
-        return self.solve(h0_prestress, (lambda: True) if rough else None)
+        return self.solve(h0_prestress, operator.not_ if rough else None)
 
-    def solve(
-        self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
-    ) -> Outcome:
-        """Find the equilibrium on the current paths. Collective."""
+    def solve(self, h0_prestress: tuple[float, ...], look: Look | None = None) -> Outcome:
+        """Find the equilibrium on the current paths. Collective. `look` is called near it."""
         system, active = self.system, self.active
         system.read_scene()
         system.locate_cables()
@@ -67,12 +70,13 @@ class ContactLoop:
             if residual > self._weakest() * WEAK and not last:
                 return False
             changes = self._changes()
-            if changes:
-                return True
             if residual > PATHS * scale:
-                return False
-            looked = True
-            return look is not None and look()
+                return bool(changes)
+            ends = look is not None and look(bool(changes))
+            if ends:  # new paths are solved together with new contacts
+                changes = []
+            looked = not changes
+            return ends or bool(changes)
 
         while True:
             if changes:
@@ -95,7 +99,7 @@ class ContactLoop:
                 changes = self._changes()
             if not changes:
                 if not looked and look is not None:
-                    look()
+                    look(False)
                 return total
             if active.cycling_cable():
                 reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"

@@ -85,7 +85,7 @@ class PathLoop:
                         other = not moved and others.next()
                     if not moved and not other and not settled:
                         self.system.rebuild()
-                        total = total + self.contacts.solve((0.0,), lambda: True)
+                        total = total + self.contacts.solve_in_cells((0.0,), rough=True)
                         best, settled = replace(best, outcome=total), True
                         continue
                     if not moved and not other:
@@ -140,11 +140,11 @@ class PathLoop:
         flips = 0
         state, energy = self.contacts.start, 0.0
 
-        def look() -> bool:
+        def look(contacts_change: bool) -> bool:
             nonlocal flips, state, energy
             state, energy = self.scene.state, self.system.objective
             flips = self._change_paths(None)
-            return rough or flips > 0
+            return flips > 0 or (rough and not contacts_change)
 
         outcome = self.contacts.solve(h0_prestress, look)
         return _Try(replace(outcome, flips=flips), state, energy, flips)
