@@ -370,11 +370,8 @@ class Minimizer:
         """Switch from slow stages to Newton's method, or back."""
         newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
-        was_active = newton.active
-        if (self._h0_is_outdated or was_active) and newton.is_quick(residual, self._scale):
+        if (self._h0_is_outdated or newton.active) and newton.is_quick(residual, self._scale):
             self._h0_is_outdated = True
-        elif was_active and not newton.active:  # near the minimum the last step's H0 serves
-            self._h0_is_outdated = not newton.trusts_exact or residual > EXACT * self._scale
         elif newton.active:
             newton.check_progress(residual)
         elif possible and self._h0_is_outdated and stages >= PATIENCE:
