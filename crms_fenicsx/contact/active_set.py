@@ -71,14 +71,17 @@ class ContactMemory(Protocol):
 
 
 class ActiveSet:
-    """Updates the active set of one solve."""
+    """Updates the active set of one solve.
+
+    Attributes: `only_lifted`: whether all changes of the last update are cables that lift off.
+    """
 
     def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
         self.net, self._memory = net, memory
         self._switches: Counter[str] = Counter()
         self._tried: set[str] = set()
         """Cables already tried in tension."""
-        self._first_look = True
+        self._first_look, self.only_lifted = True, False
         self._released, self._settled = (
             (set(), set()) if memory is None else (memory.released, memory.settled)
         )
@@ -90,12 +93,14 @@ class ActiveSet:
 
     def update(self, shape: StripShape) -> list[str]:
         """Update the active set from a solved state and return the changes in words."""
+        self.only_lifted = True
         if self._first_look:
             self._forget()
         lines = self._lines()
         changes = self._switch(shape, lines, solved=True) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
             changes = self._crossings(shape, lines)
+        self.only_lifted &= len(changes) > 0
         return changes
 
     def _lines(self) -> Polylines:
@@ -149,6 +154,7 @@ class ActiveSet:
             # A cable that slackens recovers its folds from the straight path.
             cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
             self._switches[cable.name] += 1
+            self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
         return changes
 
@@ -193,6 +199,7 @@ class ActiveSet:
             contact.lift(cable, loose)
         if places:
             contact.touch(cable, places)
+            self.only_lifted = False
         self._settled |= {key(k) for k in places} & self._released
         self._released |= {key(k) for k in loose}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in loose]
@@ -234,6 +241,7 @@ class ActiveSet:
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
             elif number in joined:
+                self.only_lifted = False
                 crossings[number] = replace(crossing, separated=False)
                 if names in self._released:
                     self._settled.add(names)

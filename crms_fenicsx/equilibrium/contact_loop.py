@@ -70,7 +70,7 @@ class ContactLoop:
             if residual > self._weakest() * WEAK and not last:
                 return False
             changes = self._changes()
-            if residual > PATHS * scale:
+            if residual > PATHS * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
             if ends:  # new paths are solved together with new contacts
@@ -104,6 +104,11 @@ class ContactLoop:
             if active.cycling_cable():
                 reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
+
+    def _may_join_paths(self) -> bool:
+        """Whether paths may change together with contacts: where cables only lift off, so that the
+        state's energy still is a bound, and no friction forces belong to the old contacts."""
+        return self.active.only_lifted and not self.scene.net.has_friction
 
     def _weakest(self) -> float:
         """Least tension of the cables in tension (force)."""
