@@ -193,7 +193,8 @@ class ActiveSet:
             if unclear and not loose and not places:
                 nearly = free.captured(c, contact.NEARLY)
                 # The folds around a vertex do not bulge up to the span where one was released.
-                parted = {v for name, at in self._released if name == cable.name for v in at}
+                keys = [key for key in self._released if key[0] == cable.name]
+                parted = {v for _, at in keys if not isinstance(at, str) for v in at}
                 places = {k: nearly[k] for k in nearly if parted.isdisjoint(cable.nodes[k].support)}
         if loose:
             contact.lift(cable, loose)

@@ -1,0 +1,53 @@
+"""Changes of contacts and of paths that are solved together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
+from crms_fenicsx.contact.active_set import ActiveSet
+from crms_fenicsx.equilibrium.contact_loop import ContactLoop
+
+
+def roof(comm: MPI.Comm) -> Scene:
+    """A flat roof under two families of cables, some of which lift off as it is inflated."""
+    mesh = meshes.spherical_cap(comm, radius=100.0, height=28.0, size=5.1)
+    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene.fix("boundary")
+    for angle in np.radians([45.0, -45.0]):
+        for offset in 8.5 * np.arange(-6.5, 7.0):
+            path = nets.great_circle(100.0, 28.0, angle, offset)
+            scene.lay_cable(Cable(EA=600e3), path=path)
+    return scene
+
+
+def test_paths_change_with_contacts_only_where_cables_lift_off(
+    comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a cable touches down the energy before is lower than any after: no bound for paths."""
+    update, solve = ActiveSet.update, ContactLoop.solve
+    looks: list[bool] = []  # at paths: whether contacts change
+    kinds: set[str] = set()
+
+    def watched_update(self: ActiveSet, *args) -> list[str]:
+        texts = update(self, *args)
+        lifted = [" lifts off " in text for text in texts]
+        assert self.only_lifted == (len(texts) > 0 and all(lifted))
+        kinds.add("none" if not texts else "lifted" if all(lifted) else "others")
+        return texts
+
+    def watched_solve(self: ContactLoop, prestress, look=None):
+        def watched(contacts_change: bool) -> bool:
+            looks.append(contacts_change)
+            assert self.active.only_lifted or not contacts_change
+            return look(contacts_change)
+
+        return solve(self, prestress, watched if look else None)
+
+    monkeypatch.setattr(ActiveSet, "update", watched_update)
+    monkeypatch.setattr(ContactLoop, "solve", watched_solve)
+    Solver(roof(comm)).advance(pressure=0.3)
+    assert any(looks) and not all(looks)
+    assert kinds == {"none", "lifted", "others"}
