@@ -112,8 +112,8 @@ class StiffnessMatrix:
     def diagonal(self) -> Integers:
         """Positions of the diagonal entries in this memory, (n,)."""
         (own,) = np.nonzero(self._rows == self._cols)
-        steps = np.arange(3) * (self._strides[0, own][:, None] + 1)
-        return np.asarray(self._starts[0, own][:, None] + steps, dtype=np.int64).ravel()
+        steps = np.arange(3) * (self._strides[own][:, None] + 1)
+        return np.asarray(self._starts[own][:, None] + steps, dtype=np.int64).ravel()
 
     def clear(self) -> None:
         self._values[:] = 0.0
