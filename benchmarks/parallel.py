@@ -69,7 +69,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.energies import pressure as loads
     from crms_fenicsx.equilibrium import contact_loop, path_loop, search, system
     from crms_fenicsx.minimization import initial_hessian as hessian
-    from crms_fenicsx.minimization import minimizer, potential, stretched_stiffness
+    from crms_fenicsx.minimization import minimizer, potential
 
     clock = Clock(now)
     plain = [membrane_energy.MembraneEnergy, loads.FollowerPressure, nodal_forces.NodalForces]
@@ -85,8 +85,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")
     clock.watch(hessian.InitialHessian, "assemble", "H0: assembly")
     clock.watch(hessian.InitialHessian, "rebuild", "H0: factorisation or multigrid")
-    clock.watch(hessian.InitialHessian, "_add_dyads", "H0: dyads")
-    clock.watch(stretched_stiffness.StretchedStiffness, "assemble", "H0: dyads")
+    clock.watch(hessian.InitialHessian, "_add_dyads", "H0: dyads of the cables")
     clock.watch(hessian.InitialHessian, "solve", "H0: solves")
     clock.watch(minimizer.Minimizer, "solve", "rest of the minimiser")
     clock.watch(system.System, "rebuild", "tables of the cables")

@@ -90,7 +90,7 @@ class ExactHessian(InitialHessian):
         """Factorise, and solve for the cables' dyads."""
         self.count += 1
         self.pc.setUp()
-        self._add_dyads(*self.potential.dyad_columns(self._held)[:2])
+        self._add_dyads(self._held)
 
 
 class _Factors:

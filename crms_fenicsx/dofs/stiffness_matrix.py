@@ -104,17 +104,6 @@ class StiffnessMatrix:
     def destroy(self) -> None:
         self.petsc.destroy()
 
-    @property
-    def csr(self) -> tuple[Indices, Indices, Array]:
-        """Memory of the matrix on one process: row pointers, columns, values."""
-        return self._pointers, self._columns, self._values
-
-    def diagonal(self) -> Integers:
-        """Positions of the diagonal entries in this memory, (n,)."""
-        (own,) = np.nonzero(self._rows == self._cols)
-        steps = np.arange(3) * (self._strides[own][:, None] + 1)
-        return np.asarray(self._starts[own][:, None] + steps, dtype=np.int64).ravel()
-
     def clear(self) -> None:
         self._values[:] = 0.0
 

@@ -136,9 +136,8 @@ class CableTension(EnergyTerm):
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
         """Add the gradient of such a cable's length."""
-        (own,) = np.nonzero(self.cable == self._shared[k])
-        segments, eps, ones = self.segments[own], self.eps[own], np.ones(len(own))
-        add_segment_forces(self.unknowns.X, x, segments, eps, ones, g)
+        self._forces[:] = self.cable == self._shared[k]
+        add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
         """Segments with chosen ends; a table on each rank, as `split` is collective."""

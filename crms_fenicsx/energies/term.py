@@ -66,8 +66,7 @@ class EnergyTerm(ABC):
     stiffening
         Artificial stiffness beyond its energy, set by the minimiser.
     of_cables
-        Whether it exists only because of cables and vanishes without them. The columns of its dyads
-        are then expected to follow lines.
+        Whether it exists only because of cables and vanishes without them.
     has_history
         Whether `begin_step` and `commit` have an effect. Each solve then starts at the beginning of
         the load step. Checkpoints do not save the history of a user-defined term, and refuse it.

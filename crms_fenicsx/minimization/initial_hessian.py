@@ -2,12 +2,12 @@
 
 A cable's elongation couples all its points: EA/L0 times the dyad of the length's gradient would be
 a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness K of all terms, a column
-of G per taut cable, and C = diag(EA/L0). It is factorised with extra unknowns: on one process by
-CHOLMOD with the columns of cables made sparse (`stretched_stiffness.py`), on several by MUMPS with
-the tensions (`augmented_stiffness.py`). Few other columns, as of sealed air, enter on one process
-by Sherman-Morrison-Woodbury, or with the tensions where the matrix without them is indefinite:
+of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodbury:
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
+
+On several processes the solves for Z dominate, so H0 is factorised with the tensions as unknowns
+(`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
 
 With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
 preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
@@ -36,12 +36,10 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     stiffen_across_edge_sliders,
 )
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.stretched_stiffness import StretchedStiffness
 from crms_fenicsx.runtime.arrays import Array
 
-CHOLMOD = {"mat_cholmod_print": "0", "mat_cholmod_factor": "supernodal"}
-"""Stops CHOLMOD from printing that a matrix is indefinite, and from factorising small matrices as
-L D L^T, in which it accepts negative pivots."""
+QUIET = {"mat_cholmod_print": "0"}
+"""Stops CHOLMOD from printing that a matrix is indefinite; errors are raised anyway."""
 INDEFINITE = 76, 81
 """PETSc's error codes when an external factorisation finds K indefinite."""
 WORKSPACE = 100
@@ -112,9 +110,6 @@ class InitialHessian:
         if self.pc.getType() == PETSc.PC.Type.CHOLESKY and PETSc.Sys.hasExternalPackage("mumps"):
             self._augmented = AugmentedStiffness(self.matrix, prefix)
         self._is_augmented = False
-        self._stretched: StretchedStiffness | None = None
-        if cables and self._exact and self.pc.getFactorSolverType() == "cholmod":
-            self._stretched = StretchedStiffness(self._stiffness)
         self._outer: PETSc.KSP | None = None
         self._dyads: Array = np.zeros(0)
         self.shift: Array = np.zeros(0)
@@ -128,8 +123,6 @@ class InitialHessian:
             self._membrane.destroy()
         if self._augmented is not None:
             self._augmented.destroy()
-        if self._stretched is not None:
-            self._stretched.destroy()
         self.pc.destroy()
         self._stiffness.destroy()
 
@@ -141,44 +134,33 @@ class InitialHessian:
             self._membrane.assemble(held)
         elif not self._exact:
             set_near_null_space(self.matrix, self.potential)
-        dyads, columns, of_cables = self.potential.dyad_columns(held)
-        augmented = self._augmented if len(dyads) else None
-        self._is_augmented = augmented is not None and self.pc.getFactorSolverType() == "mumps"
-        if not self._is_augmented:
-            done = 0 if self._stretched is None else of_cables
-            if self._stretched is not None and self._stretched.assemble(
-                dyads[:done], columns[:, :done]
-            ):
-                self._renew_pc(self._stretched.petsc)
-            if self._set_up():
-                self._add_dyads(dyads[done:], columns[:, done:])
-                return True
-            # The other dyads may make up for what makes the matrix indefinite.
-            self._is_augmented = augmented is not None and done < len(dyads)
-        if augmented is None or not self._is_augmented:
+        self._dyads, columns = self.potential.dyad_columns(held)
+        augmentable = self._augmented is not None and len(self._dyads) > 0
+        self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
+        if not self._is_augmented and self._set_up():
+            self._add_dyads(columns)
+            return True
+        self._is_augmented = augmentable
+        if self._augmented is None or not augmentable:
             return False
-        return augmented.factorize(columns * np.sqrt(dyads))
+        return self._augmented.factorize(columns * np.sqrt(self._dyads))
 
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid, and return whether K is definite."""
         if self._exact and self.pc.getFactorSolverType() == "cholmod":
-            set_defaults(self.pc.getOptionsPrefix(), CHOLMOD)
+            set_defaults(self.pc.getOptionsPrefix(), QUIET)
         try:
             self.pc.setUp()
         except PETSc.Error as error:
             if error.ierr not in INDEFINITE:
                 raise
-            self._renew_pc(self.pc.getOperators()[0])
+            kind, library = self.pc.getType(), self.pc.getFactorSolverType()
+            self.pc.reset()
+            self.pc.setOperators(self.matrix)
+            self.pc.setType(kind)
+            self.pc.setFactorSolverType(library)
             return False
         return True
-
-    def _renew_pc(self, matrix: PETSc.Mat) -> None:
-        """Forget factors, and factorise this matrix next."""
-        kind, library = self.pc.getType(), self.pc.getFactorSolverType()
-        self.pc.reset()
-        self.pc.setOperators(matrix)
-        self.pc.setType(kind)
-        self.pc.setFactorSolverType(library)
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
         """Only assemble K at the potential's state, and return owned held components, (n, 3)."""
@@ -202,30 +184,39 @@ class InitialHessian:
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
 
-    def _add_dyads(self, dyads: Array, columns: Array) -> None:
-        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1. Several columns at once
-        crash multigrid on several processes (PETSc 3.25)."""
-        self._dyads, self._columns, self._shares = dyads, columns, np.empty(len(dyads))
-        self._solved = np.empty_like(columns)
-        b, y = self.matrix.createVecs()
-        for k in range(len(dyads)):
-            b.array[:] = columns[:, k]
-            self._apply(b, y)
-            self._solved[:, k] = y.array_r
-        b.destroy()
-        y.destroy()
+    def _add_dyads(self, columns: Array) -> None:
+        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
+        self._columns, self._shares = columns, np.empty(len(self._dyads))
+        if not len(self._dyads):
+            return
+        self._solved = self._apply_to_all(columns)
         products = columns.T @ self._solved
         self.potential.comm.Allreduce(MPI.IN_PLACE, products)
-        self._inner = np.linalg.inv(np.diag(1 / dyads) + products)
+        self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
 
-    def _apply(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the preconditioner of K."""
-        if self._stretched is not None:
-            self._stretched.apply(self.pc, b, y)
-            return
-        self.pc.apply(b, y)
+    def _apply_to_all(self, columns: Array) -> Array:
+        """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
+        multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
+        solved = np.empty_like(columns)
         if not self._exact:
-            self._take_out(y.array)
+            b, y = self.matrix.createVecs()
+            for k in range(columns.shape[1]):
+                b.array[:] = columns[:, k]
+                self.pc.apply(b, y)
+                self._take_out(y.array)
+                solved[:, k] = y.array
+            b.destroy()
+            y.destroy()
+            return solved
+        size = ((len(columns), 3 * self.potential.unknowns.n_global), (None, columns.shape[1]))
+        B, Y = (
+            PETSc.Mat().createDense(size, array=array, comm=self.potential.comm)
+            for array in (columns, solved)
+        )
+        self.pc.matApply(B, Y)
+        B.destroy()
+        Y.destroy()
+        return solved
 
     def _sums_over_ranks(self, rows: Array, vector: PETSc.Vec) -> Array:
         """``rows^T vector`` by one reduction; valid until the next call."""
@@ -254,7 +245,9 @@ class InitialHessian:
 
     def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply H0^-1 with K's preconditioner in place of K^-1; exact if K is factorised."""
-        self._apply(b, y)
+        self.pc.apply(b, y)
+        if not self._exact:
+            self._take_out(y.array)
         if len(self._dyads):
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 

@@ -163,18 +163,16 @@ class Potential:
                 if value > 0.0:
                     yield term, k, float(value)
 
-    def dyad_columns(self, held: Booleans) -> tuple[Array, Array, int]:
-        """Values (m,) of all dyads, this rank's rows of their columns, (3 n_owned, m), zero at
-        `held` components (n_owned, 3), and how many of cables come first. Collective."""
-        dyads = sorted(self.dyads(), key=lambda dyad: not dyad[0].of_cables)
-        n = self.unknowns.n_owned
+    def dyad_columns(self, held: Booleans) -> tuple[Array, Array]:
+        """Values (m,) of all dyads and this rank's rows of their columns, (3 n_owned, m), zero at
+        `held` components (n_owned, 3). Collective."""
+        dyads, n = list(self.dyads()), self.unknowns.n_owned
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             self.dyad_column(term, k)
-            np.copyto(self.g[:n], 0.0, where=held)
+            self.g[:n][held] = 0.0
             column[:] = self.g[:n].ravel()
-        values = np.array([value for _, _, value in dyads])
-        return values, columns, sum(term.of_cables for term, _, _ in dyads)
+        return np.array([value for _, _, value in dyads]), columns
 
     def dyad_column(self, term: EnergyTerm, k: int) -> None:
         """Set `g` to the column of a term's dyad at the current state."""

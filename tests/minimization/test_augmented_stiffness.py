@@ -50,6 +50,19 @@ def test_several_processes_solve_with_tensions_as_unknowns(comm: MPI.Comm) -> No
     h0.destroy()
 
 
+def test_one_process_does_where_the_sparse_part_is_not_definite(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    h0 = at_some_state(MPI.COMM_SELF)
+    monkeypatch.setattr(h0, "_set_up", lambda: False)
+    assert h0.rebuild() and h0._is_augmented
+    assert_solved(h0)
+    monkeypatch.undo()
+    assert h0.rebuild() and not h0._is_augmented
+    assert_solved(h0)
+    h0.destroy()
+
+
 def of_diagonal(comm: MPI.Comm, diagonal: list[float]) -> tuple[PETSc.Mat, AugmentedStiffness]:
     """A diagonal matrix with the same entries on each rank."""
     n = len(diagonal)
