@@ -233,7 +233,7 @@ class CapstanTension(EnergyTerm):
                     runs.append(_StuckRun(own.start, own.stop - 1, ends, EA / unstressed, stretch))
         return runs
 
-    def dyads(self, sums: Array) -> Array:
+    def dyads(self, sums: Array, exact: bool) -> Array:
         """Axial stiffness of the longest runs of spans (force/length)."""
         return np.array([run.stiffness for run in self._longest_runs(sums)])
 

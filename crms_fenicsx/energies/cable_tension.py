@@ -112,6 +112,13 @@ class CableTension(EnergyTerm):
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness, and the axial one of cables `alone`."""
+        self._add_stiffness(x, sums, A, exact=False)
+
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """The same, without axial stiffness of slack cables."""
+        self._add_stiffness(x, sums, A, exact=True)
+
+    def _add_stiffness(self, x: Array, sums: Array, A: BlockSink, exact: bool) -> None:
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
         (single,) = np.nonzero(self.alone[self.cable])
@@ -120,19 +127,21 @@ class CableTension(EnergyTerm):
             ways = self.unknowns.X[ends] + x[ends]
             ways = ways[:, 1] - ways[:, 0]
             squares = np.maximum(np.sum(ways**2, axis=1), self.eps[single] ** 2)
-            axial = self.stiffnesses(sums)[self.cable[single]] / squares
+            axial = self.stiffnesses(sums, exact)[self.cable[single]] / squares
             self.pattern.values[single] += (
                 axial[:, None, None] * ways[:, :, None] * ways[:, None, :]
             )
         self.pattern.add(A)
 
-    def stiffnesses(self, sums: Array) -> Array:
-        """Axial stiffness EA/L0 of taut and nearly taut cables, else 0 (force/length)."""
-        return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
+    def stiffnesses(self, sums: Array, exact: bool = False) -> Array:
+        """Axial stiffness EA/L0 of taut cables, else 0 (force/length). Unless `exact`, nearly taut
+        ones count as taut, which a step may make them."""
+        taut = self.L0 if exact else (1 - NEARLY_TAUT) * self.L0
+        return np.where(sums > taut, self.EA / self.L0, 0.0)
 
-    def dyads(self, sums: Array) -> Array:
+    def dyads(self, sums: Array, exact: bool) -> Array:
         """Axial stiffnesses of the cables of several segments."""
-        return self.stiffnesses(sums)[self._shared]
+        return self.stiffnesses(sums, exact)[self._shared]
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
         """Add the gradient of such a cable's length."""
@@ -179,11 +188,11 @@ class CableTension(EnergyTerm):
         some.columns = ColumnPattern(ends // stride, (ends % stride).astype(np.int32))
         return some
 
-    def dyad_columns(self, x: Array, sums: Array) -> None:
+    def dyad_columns(self, x: Array, sums: Array, exact: bool) -> None:
         """Put ``(EA/L0)^(1/2) grad(L)`` of each taut piece into `columns`."""
         assert self.columns is not None
         blocks, values = self.columns.blocks, self.columns.values
-        shared = np.where(self.alone, 0.0, self.stiffnesses(sums))
+        shared = np.where(self.alone, 0.0, self.stiffnesses(sums, exact))
         points, self._forces[:] = self.unknowns.X[blocks] + x[blocks], shared[self.cable]
         values[:] = 0.0
         add_segment_forces(

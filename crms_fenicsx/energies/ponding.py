@@ -274,7 +274,7 @@ class Ponding(EnergyTerm):
         )  # fmt: skip
         self._pattern.add(A)
 
-    def dyads(self, sums: Array) -> Sequence[float]:
+    def dyads(self, sums: Array, exact: bool) -> Sequence[float]:
         """Stiffness of a given volume beyond that of a given level (force / length^5)."""
         if self.pond.given == "level" or not sums[2] > 0.0:
             return ()

@@ -96,7 +96,7 @@ class SealedPressure(EnergyTerm):
         finally:
             self._unit.value = 1.0
 
-    def dyads(self, sums: Array) -> Sequence[float]:
+    def dyads(self, sums: Array, exact: bool) -> Sequence[float]:
         """Stiffness of the air (force / length^5)."""
         return (self.air.stiffness(float(sums.sum())),)
 

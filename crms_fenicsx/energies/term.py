@@ -168,9 +168,9 @@ class EnergyTerm(ABC):
         if not self.of_cables:
             self.add_stiffness(x, sums, A)
 
-    def dyads(self, sums: Array) -> Sequence[float] | Array:
+    def dyads(self, sums: Array, exact: bool) -> Sequence[float] | Array:
         """Values (force/length) of the stiffness ``value * column column^T`` that couples many
-        points.
+        points, to be added to `add_hessian` if `exact`, else to `add_stiffness`.
 
         Values that are not positive are skipped.
         """
@@ -211,8 +211,8 @@ class EnergyTerm(ABC):
         assert self.elementwise is not None, f"{type(self).__name__} is not made of elements"
         return self.elementwise.of_elements(table)
 
-    def dyad_columns(self, x: Array, sums: Array) -> None:
-        """Put the dyads of a term that was `split` into its `columns`."""
+    def dyad_columns(self, x: Array, sums: Array, exact: bool) -> None:
+        """Put the dyads of a term that was `split` into its `columns`; `exact` as in `dyads`."""
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the elements at the last `sums`, (n,) (force x length)."""

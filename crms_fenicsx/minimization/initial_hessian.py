@@ -129,12 +129,13 @@ class InitialHessian:
     def rebuild(self, exact: bool = False) -> bool:
         """Assemble at the potential's current state, whose sums and `g` (unbalanced forces) must be
         up to date. Returns whether H0 is definite, as far as is known; otherwise it is unusable."""
-        held = self.assemble(exact and self._exact)
+        exact &= self._exact
+        held = self.assemble(exact)
         if self._membrane is not None:
             self._membrane.assemble(held)
         elif not self._exact:
             set_near_null_space(self.matrix, self.potential)
-        self._dyads, columns = self.potential.dyad_columns(held)
+        self._dyads, columns = self.potential.dyad_columns(held, exact)
         augmentable = self._augmented is not None and len(self._dyads) > 0
         self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
         if not self._is_augmented and self._set_up():

@@ -183,6 +183,6 @@ class LocalPotential:
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
             if term.columns is not None:
-                term.dyad_columns(self.x, sums)
+                term.dyad_columns(self.x, sums, exact)
                 A.take_columns(term.columns)
         A.close(exact)

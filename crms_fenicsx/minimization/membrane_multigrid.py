@@ -58,7 +58,7 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     diagonal.destroy()
     rows = np.flatnonzero(held | idle[:, None]) + 3 * unknowns.start
     A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
-    stiffnesses, columns = potential.dyad_columns(held)
+    stiffnesses, columns = potential.dyad_columns(held, exact=True)
     if not len(stiffnesses):
         return A, A
     size = ((3 * n, 3 * unknowns.n_global), (None, len(stiffnesses)))

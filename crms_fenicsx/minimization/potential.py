@@ -156,17 +156,18 @@ class Potential:
         for term, part in zip(self.terms, self._slices, strict=True):
             term.add_stiffness_without_cables(self.x, self._sums[part], A)
 
-    def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:
-        """Positive stiffness dyads of all terms from the last sums: term, number, value."""
+    def dyads(self, exact: bool = False) -> Iterator[tuple[EnergyTerm, int, float]]:
+        """Positive dyads of all terms from the last sums: term, number, value. `exact`: those of
+        the second derivatives instead of the stiffness."""
         for term, part in zip(self.terms, self._slices, strict=True):
-            for k, value in enumerate(term.dyads(self._sums[part])):
+            for k, value in enumerate(term.dyads(self._sums[part], exact)):
                 if value > 0.0:
                     yield term, k, float(value)
 
-    def dyad_columns(self, held: Booleans) -> tuple[Array, Array]:
+    def dyad_columns(self, held: Booleans, exact: bool) -> tuple[Array, Array]:
         """Values (m,) of all dyads and this rank's rows of their columns, (3 n_owned, m), zero at
         `held` components (n_owned, 3). Collective."""
-        dyads, n = list(self.dyads()), self.unknowns.n_owned
+        dyads, n = list(self.dyads(exact)), self.unknowns.n_owned
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             self.dyad_column(term, k)

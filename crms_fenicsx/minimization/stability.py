@@ -65,7 +65,7 @@ class ExactTangent:
             diagonal.destroy()
         self._b, self._y = A.createVecs()
         self._factors = AugmentedStiffness(A, "crms_tangent_", pivoting=True)
-        stiffness, columns = potential.dyad_columns(self._held)
+        stiffness, columns = potential.dyad_columns(self._held, exact=True)
         self._factors.factorize(columns * np.sqrt(stiffness))
         self.negative = self._factors.negative
 

@@ -128,7 +128,7 @@ class TermsWithDyads(TermsOnLayout):
 
     def times(self, x: Array, d: Array) -> Array:
         product, n = super().times(x, d), self.unknowns.n_owned
-        for term, k, value in list(self.potential.dyads()):
+        for term, k, value in list(self.potential.dyads(self.exact)):
             self.potential.dyad_column(term, k)
             column = self.potential.g[:n].copy()
             product += value * self.dot(column, d) * column

@@ -23,9 +23,11 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.energies.held_line import HeldLine
 from crms_fenicsx.form_finding import FormCable, FoundForm, find_form
 from crms_fenicsx.minimization.taylor import TermsWithDyads
+from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
@@ -105,6 +107,54 @@ def test_a_bonded_cable_anywhere_tends_to_the_one_on_mesh_lines(comm: MPI.Intrac
             energies[structured, n] = scene.energy
     off = [energies[True, n] / energies[False, n] - 1 for n in (8, 16, 32)]
     assert abs(off[2]) < 1.5e-3 and abs(off[2]) < 0.4 * abs(off[1]) < 0.4 * abs(off[0])
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("n", [8, 16])
+@pytest.mark.parametrize("structured", [True, False], ids=["on lines", "across cells"])
+def test_newton_steps_converge_where_a_bonded_cable_turns_slack(
+    comm: MPI.Intracomm, structured: bool, n: int
+) -> None:
+    """Its strain then is within 1e-3 below that of a taut one. The energy is the sheet's alone."""
+    sheet = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
+    energies = []
+    for bonded in (True, False):
+        scene = square(comm, n, structured)
+        scene = Scene(scene.mesh, sheet)
+        scene.fix("boundary")
+        if bonded:
+            cable = scene.lay_cable(Cable(30000.0), [(0, 50), (100, 50)], hold="bonded", L0=100.1)
+        solver = Solver(scene)
+        solver.advance(pressure=0.008)
+        if bonded:
+            assert cable.tension > 20.0
+        outcome = solver.advance(pressure=0.002).outcome
+        energies.append(scene.energy)
+        if bonded:
+            assert cable.tension == 0.0
+            assert outcome.factorizations < (18 if structured and n == 16 else 8)
+    assert energies[0] == pytest.approx(energies[1], rel=1e-8)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("hold", ["bonded", "outside"])
+def test_a_slack_cable_has_no_second_derivatives(comm: MPI.Intracomm, hold: Hold) -> None:
+    """However near to taut; others have theirs."""
+    scene = square(comm)
+    for y in (30.0, 50.0, 70.0):
+        scene.lay_cable(Cable(3000.0), [(0.0, y), (100.0, y)], hold=hold, tension=1.0)
+    system = inflated(scene).system
+    (term,) = [t for t in system.potential.terms if isinstance(t, CableTension)]
+    f = TermsWithDyads(system.unknowns, scene.u, [term], exact=True)
+    x = displaced(f.unknowns, 1.0)
+    f.value(x)
+    assert term.alone.any() == (hold == "bonded") and not term.alone.all()
+    lengths = f.potential.sums_of(term)
+    term.L0[:] = lengths * np.where(np.arange(len(lengths)) % 2, 0.99, 1 + 1e-3)
+    d = np.random.default_rng(3).normal(size=x.shape)
+    assert stiffness_error(f, x, d, h=1e-5) < 2e-6
+    f.exact = False  # H0 counts them as taut
+    assert stiffness_error(f, x, d, h=1e-5) > 0.1
 
 
 def test_taylor(comm: MPI.Intracomm) -> None:

@@ -341,7 +341,7 @@ def test_stiffness_is_positive_semidefinite_and_has_few_dyads(comm, bound, eps) 
     K = dense(f.assembled(x))
     assert is_semidefinite(K)
     term = term_of(f)
-    values = term.dyads(f.potential.sums_of(term))
+    values = term.dyads(f.potential.sums_of(term), exact=False)
     assert np.all(values > 0)
     assert len(values) <= 8 * 2
     if bound == 1e-3:  # all slides, each cable as one

@@ -139,7 +139,7 @@ def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | 
         _, h0 = at_some_state(MPI.COMM_SELF)
         with_tensions = h0._augmented.factor.getFactorMatrix()
         assert with_tensions.getMumpsIcntl(14) == (own or WORKSPACE)
-        h0.potential.dyads = lambda: iter(())
+        h0.potential.dyads = lambda exact: iter(())
         h0.rebuild()
         assert h0.pc.getFactorMatrix().getMumpsIcntl(14) == (own or WORKSPACE)
     finally:

@@ -109,9 +109,9 @@ class StepCableTension(CableTension):
         grown = self._tension_n + self.EA / self._length_n * (lengths - self._length_n)
         return np.where(self._stepwise, grown, super().tensions(lengths))
 
-    def stiffnesses(self, sums: Array) -> Array:
+    def stiffnesses(self, sums: Array, exact: bool = False) -> Array:
         """Stiffness against the elongation of each cable (force/length)."""
-        return np.where(self._stepwise, self.EA / self._length_n, super().stiffnesses(sums))
+        return np.where(self._stepwise, self.EA / self._length_n, super().stiffnesses(sums, exact))
 
     def energies(self, lengths: Array) -> Array:
         """Strain energy of each cable, over all steps (force x length)."""
