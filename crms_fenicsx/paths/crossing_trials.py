@@ -68,9 +68,9 @@ class CrossingTrials:
         self._contacts = set(self.tried.released), set(self.tried.settled)
         for way in ways:
             known = self.tried.ways.setdefault(self.net.cables[way.cable].name, set())
-            if self._left > 0 and way.key not in known:
-                known.add(way.key)
-                if way.take():
+            if way.key not in known:
+                known.add(way.key)  # also beyond the limit: repeating the load starts no others
+                if self._left > 0 and way.take():
                     self._left -= 1
                     return True
         return False
