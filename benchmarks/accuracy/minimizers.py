@@ -90,7 +90,8 @@ class ExactHessian(InitialHessian):
         """Factorise, and solve for the cables' dyads."""
         self.count += 1
         self.pc.setUp()
-        self._add_dyads(self._held)
+        self._dyads, columns = self.potential.dyad_columns(self._held, exact=True)
+        self._add_dyads(columns)
 
 
 class _Factors:

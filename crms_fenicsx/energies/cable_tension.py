@@ -119,6 +119,7 @@ class CableTension(EnergyTerm):
         self._add_stiffness(x, sums, A, exact=True)
 
     def _add_stiffness(self, x: Array, sums: Array, A: BlockSink, exact: bool) -> None:
+        """Add the geometric stiffness, and the axial one of cables `alone` as in `stiffnesses`."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
         (single,) = np.nonzero(self.alone[self.cable])

@@ -35,10 +35,12 @@ ACROSS = [(0.0, 37.0), (100.0, 62.0)]
 CORNERS = ["front left", "front right", "back right", "back left"]
 
 
-def square(comm: MPI.Intracomm, n: int = 8, structured: bool = False) -> Scene:
-    """A stress-free foil, held all around."""
+def square(
+    comm: MPI.Intracomm, n: int = 8, structured: bool = False, sheet: IsotropicMembrane = FOIL
+) -> Scene:
+    """A sheet, by default a stress-free foil, held all around."""
     mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / n, structured=structured)
-    scene = Scene(mesh, FOIL)
+    scene = Scene(mesh, sheet)
     scene.fix("boundary")
     return scene
 
@@ -119,9 +121,7 @@ def test_newton_steps_converge_where_a_bonded_cable_turns_slack(
     sheet = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
     energies = []
     for bonded in (True, False):
-        scene = square(comm, n, structured)
-        scene = Scene(scene.mesh, sheet)
-        scene.fix("boundary")
+        scene = square(comm, n, structured, sheet)
         if bonded:
             cable = scene.lay_cable(Cable(30000.0), [(0, 50), (100, 50)], hold="bonded", L0=100.1)
         solver = Solver(scene)
