@@ -74,7 +74,8 @@ def direct_solver(comm: MPI.Comm) -> str:
 class InitialHessian:
     """Positive definite H0 of a potential, decoupled from held and across-slider components.
 
-    Attributes: `matrix`: K; `shift` (n_owned,): last shift of K's diagonal blocks (force/length).
+    Attributes: `matrix`: K; `shift` (n_owned,): last shift of K's diagonal blocks (force/length);
+    `slackened`: whether it counts nearly taut cables as slack.
     """
 
     def __init__(self, potential: Potential, prefix: str) -> None:
@@ -113,6 +114,7 @@ class InitialHessian:
         self._outer: PETSc.KSP | None = None
         self._dyads: Array = np.zeros(0)
         self.shift: Array = np.zeros(0)
+        self.slackened = False
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -136,6 +138,7 @@ class InitialHessian:
         elif not self._exact:
             set_near_null_space(self.matrix, self.potential)
         self._dyads, columns = self.potential.dyad_columns(held, exact)
+        self.slackened = exact and len(self._dyads) < sum(1 for _ in self.potential.dyads())
         augmentable = self._augmented is not None and len(self._dyads) > 0
         self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
         if not self._is_augmented and self._set_up():

@@ -56,9 +56,6 @@ CLOSE, NEAR = 1e-6, 100
 """Residual below which energy is measured from the stage's start: relative to the force scale, or
 to a tolerance set by rounding or `atol`. Farther away the rule's error would matter."""
 
-EXACT = 1e-2
-"""Relative residual below which H0 under cables is the energy's second derivative, if definite."""
-
 LONGEST = 15
 """Evaluations of a line search; longer ones almost always fail."""
 
@@ -237,8 +234,9 @@ class Minimizer:
                 stiffening.floor.value = self._newton_method.wrinkle_stiffness
         self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
         self._most_h0_iterations = 2 * REBUILD if least > FLOOR else math.inf
-        near = self._residual0 < EXACT * self._scale and self._newton_method.trusts_exact
-        if not self.h0.rebuild(exact=near and prestress == 0.0 and failures == 0):
+        exact = prestress == 0.0 and failures == 0
+        exact = exact and self._newton_method.wants_exact(self._residual0, self._scale)
+        if not self.h0.rebuild(exact):
             self.h0.rebuild()
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)

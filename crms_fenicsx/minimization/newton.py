@@ -2,7 +2,8 @@
 
 Under cables it uses the exact second derivatives where definite. Nearly all force sits at a handful
 of cable points, each nonlinear over its own tiny distance, which updates from a few gradients
-cannot represent. These are relaxed alone, also where a step has raised the energy.
+cannot represent. These are relaxed alone, also where a step has raised the energy: after a full
+step as long as that helps, since a shortened step of all unknowns gains little.
 
 Where much of a membrane is wrinkled or slack, quasi-Newton updates are outdated as soon as more
 cells wrinkle. Then H0 without updates is rebuilt in each iteration: Newton's method on an energy
@@ -36,6 +37,10 @@ NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
 """Residual, relative to the force scale, down to which steps use the second derivatives where cable
 points can be relaxed; and the required reduction within how many such steps."""
 
+EXACT, SLOW = 1e-2, 0.7
+"""Residual, relative to the force scale, below which H0 is the second derivatives; and reduction of
+the residual by a quick step with another H0 above which the next step tries them earlier."""
+
 NEWTON_STAGES = 20
 """Newton iterations within which the residual must fall by the factor `STUBBORN`."""
 
@@ -45,6 +50,10 @@ rise up to which it does: both are rounding."""
 
 DESCENT, SHORTEST = 1e-4, 1e-3
 """Fraction of the predicted descent that a step must achieve (Armijo), and the shortest step."""
+
+FULL_ROUNDS, GAINS = 6, 0.9
+"""Most relaxations of the points after a full step, and change of the energy by the step, relative
+to that before a relaxation, above which there are no more."""
 
 Stopped = tuple[Indices, Array]
 """Blocks of stopped points (m,), and the correction of each, (m, 3) (length)."""
@@ -67,9 +76,10 @@ class NewtonMethod:
     def begin(self) -> None:
         """Begin a solve, inactive."""
         self.active, self.wrinkle_stiffness = False, WRINKLE_STIFFNESS
-        self.trusts_exact = self.relaxation is not None
+        self.trusts_exact = self._tries_early = self.relaxation is not None
         self._quick, self._failed = False, 0
-        self._count, self._mark = 0, 0.0
+        self._exact = self._is_early = False
+        self._count, self._mark, self._last = 0, 0.0, np.inf
 
     def is_quick(self, residual: float, scale: float) -> bool:
         """Whether the next step uses the second derivatives, with points relaxed: on the way to
@@ -84,12 +94,22 @@ class NewtonMethod:
         afar = 0.0 if self.relaxation is None else self.relaxation.afar
         if self.trusts_exact and NEAR * scale < residual < afar * scale:
             if not self._quick:
-                self._count, self._mark = 0, residual
+                self._count, self._mark, self._last = 0, residual, np.inf
             self.active = self._quick = True
             self.wrinkle_stiffness = FLOOR
         elif self._quick:
             self.active = self._quick = False
         return self._quick
+
+    def wants_exact(self, residual: float, scale: float) -> bool:
+        """Whether the next H0 is to be the second derivatives: near the minimum, and earlier where
+        a quick step with another H0 made little progress. Units: residual (force)."""
+        near = residual < EXACT * scale
+        slow = self._quick and not self._exact and residual > SLOW * self._last
+        self._last = residual
+        self._exact = self.trusts_exact and (near or (slow and self._tries_early))
+        self._is_early = self._exact and not near
+        return self._exact
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
@@ -101,6 +121,9 @@ class NewtonMethod:
         self._count += 1
         if self._count == NEWTON_STAGES:
             self.active = residual <= STUBBORN * self._mark
+            if not self.active and self.relaxation is not None:
+                # H0 does no better than the second derivatives: use these until a step fails again.
+                self.trusts_exact, self._failed = True, 1
             self._count, self._mark = 0, residual
 
     def step(
@@ -121,8 +144,10 @@ class NewtonMethod:
             if -STEADY * abs(energy) <= change <= RISE * abs(energy):
                 change = 0.5 * (work - part * g.dot(d) + self._work(g, stopped))
             fallen = change <= DESCENT * work < 0.0
-            if not fallen and self.relaxation is not None and self.relaxation.relax_points(0.0):
-                change = self.potential.energy() - energy0
+            if not fallen and self.h0.slackened:
+                break  # relaxed or shortened, it ends where cables just turn taut: count these so
+            if not fallen and self.relaxation is not None:
+                change = self._relax(change, energy0, DESCENT * work, part)
                 fallen = change <= DESCENT * work < 0.0
             kept = change / (part * (1 - part / 2) * slope)  # relative to H0's prediction
         if not fallen:
@@ -136,7 +161,20 @@ class NewtonMethod:
             factor = factor if part == 1.0 else 1.0
         self.wrinkle_stiffness = min(factor * self.wrinkle_stiffness, 1.0)
         self._failed = 0 if fallen else self._failed + 1
+        self._tries_early &= not self._is_early or (fallen and part == 1.0)
         return fallen
+
+    def _relax(self, change: float, energy0: float, needed: float, part: float) -> float:
+        """Relax the points after a trial step that has changed the energy by `change` from energy0,
+        until it has changed by `needed` or falls no more; return its change (force x length)."""
+        assert self.relaxation is not None
+        for _ in range(FULL_ROUNDS if part == 1.0 else 1):
+            if not self.relaxation.relax_points(0.0):
+                break
+            last, change = change, self.potential.energy() - energy0
+            if change <= needed or change > GAINS * last:
+                break
+        return change
 
     def _stop_points(self, x0: PETSc.Vec, x: PETSc.Vec) -> Stopped | None:
         """Stop cable points in `x` short of the ends of their edges; None without such points."""

@@ -137,6 +137,34 @@ def test_newton_steps_converge_where_a_bonded_cable_turns_slack(
 
 
 @pytest.mark.ranks
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+@pytest.mark.parametrize("hold", ["bonded", "outside", "pocket"])
+def test_cables_turn_slack_on_a_nearly_flat_sheet(
+    comm: MPI.Intracomm, hold: Hold, unit: float
+) -> None:
+    """There the points of a slack cable hardly resist. The energy is the sheet's alone."""
+    energies = []
+    for with_cable in (True, False):
+        mesh = meshes.rectangle(comm, 7.3 * unit, 5.1 * unit, 0.7 * unit)
+        scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 1.0, prestress=1.0))
+        scene.fix("boundary")
+        if with_cable:
+            ends = [(0.0, 2.3 * unit), (7.3 * unit, 2.9 * unit)]
+            L0 = 1.0005 * unit * float(np.hypot(7.3, 0.6))
+            cable = scene.lay_cable(Cable(3e4 * unit), ends, hold=hold, L0=L0)
+        solver = Solver(scene)
+        for taut, slack in ((0.05, 0.004), (0.1, 0.001)):
+            solver.advance(pressure=taut / unit)
+            assert not with_cable or cable.tension > 0.2 * unit
+            outcome = solver.advance(pressure=slack / unit).outcome
+            if with_cable:
+                assert cable.tension == 0.0
+                assert outcome.factorizations < 10
+            energies.append(scene.energy)
+    assert energies[:2] == pytest.approx(energies[2:], rel=1e-6)
+
+
+@pytest.mark.ranks
 @pytest.mark.parametrize("hold", ["bonded", "outside"])
 def test_a_slack_cable_has_no_second_derivatives(comm: MPI.Intracomm, hold: Hold) -> None:
     """However near to taut; others have theirs."""

@@ -15,7 +15,7 @@ from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.node_positions import NodePositions
-from crms_fenicsx.minimization import minimizer
+from crms_fenicsx.minimization import newton
 from crms_fenicsx.minimization.initial_hessian import WORKSPACE, InitialHessian, direct_solver
 from crms_fenicsx.minimization.membrane_multigrid import SHIFT
 from crms_fenicsx.model.laid_cable import polyline_length
@@ -195,7 +195,8 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
 @pytest.mark.ranks
 def test_multigrid_leads_to_the_same_equilibrium(comm, multigrid, monkeypatch) -> None:
     """By the same H0: the second derivatives, which may be indefinite, are for factorisations."""
-    monkeypatch.setattr(minimizer, "EXACT", 0.0)
+    monkeypatch.setattr(newton, "EXACT", 0.0)
+    monkeypatch.setattr(newton, "SLOW", np.inf)
     database = PETSc.Options("crms_h0_")
     database["pc_type"] = "cholesky"
     solver, cables = cabled(comm)
