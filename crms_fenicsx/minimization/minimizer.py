@@ -34,7 +34,7 @@ from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, garbage_kept
 
 if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
@@ -205,7 +205,8 @@ class Minimizer:
         self._evaluations0 = self.potential.evaluations
         self.tao.setTolerances(gatol=self._tolerance, grtol=0.0, gttol=0.0)
         try:
-            self.tao.solve()
+            with garbage_kept():
+                self.tao.solve()
             ended = int(self.tao.getConvergedReason())
         except PETSc.Error as error:
             # Raised where a trial step has a slope of the wrong sign: the line search has failed.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import gc
 import logging
 import pickle
 import sys
@@ -139,6 +140,20 @@ def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
     except Exception:  # the class exists on this rank only, such as one local to a function
         return RuntimeError, f"{kind.__name__}: {text}"
     return kind, text
+
+
+@contextmanager
+def garbage_kept() -> Iterator[None]:
+    """Collect no garbage in a block where an exception of a callback may pass through PETSc: Python
+    may start a collection while petsc4py formats its traceback, and crashes in a destructor that
+    runs with the exception set."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def collective(method: Method) -> Method:
