@@ -100,15 +100,15 @@ class PathLoop:
             self.system.rebuild()
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
-            least = CLEAR * self._scale() if other else 0.0
-            if new.outcome.converged and new.energy < best.energy - least:
+            excess = new.energy - best.energy if new.outcome.converged else math.inf
+            if excess < (-CLEAR * self._scale() if other else 0.0):
                 best, flips, settled = new, new.flips, True
                 if moved or other:
                     laid_again.clear()
-                    others.accept()
+                    others.accept(-excess)
                 continue
             if other:
-                others.reject()
+                others.reject(excess)
             elif not moved:
                 tried.count_misled()
             elif trials.halve(moved):

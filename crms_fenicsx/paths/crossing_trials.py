@@ -28,7 +28,7 @@ from crms_fenicsx.surface.points import Edge
 
 FEW = 4
 """Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
-of energy far below the mesh error."""
+of energy far below the mesh error; to take some of them makes tensions jump between loads."""
 
 MOST = 12
 """Limit of trials in one load step."""
@@ -58,6 +58,8 @@ class CrossingTrials:
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
         self._left = MOST
+        self._last: tuple[str, WayKey]  # trial
+        self._excess: dict[tuple[str, WayKey], float] = {}  # of rejected trials (force x length)
         self._contacts = set(tried.released), set(tried.settled)
 
     def next(self) -> bool:
@@ -72,16 +74,21 @@ class CrossingTrials:
                 known.add(way.key)  # also beyond the limit: repeating the load starts no others
                 if self._left > 0 and way.take():
                     self._left -= 1
+                    self._last = self.net.cables[way.cable].name, way.key
                     return True
         return False
 
-    def accept(self) -> None:
-        """Accept the trial; from there all others may give another result."""
-        for known in self.tried.ways.values():
-            known.clear()
+    def accept(self, gain: float) -> None:
+        """Accept a trial, perhaps another's, that lowers the energy by `gain` (force x length). Of
+        those before, only the ones whose energy was too high by less may be worth another try."""
+        self._excess = {way: excess - gain for way, excess in self._excess.items() if excess > gain}
+        for name in self.tried.ways:
+            self.tried.ways[name] = {key for one, key in self._excess if one == name}
 
-    def reject(self) -> None:
-        """Restore the contact history before the trial."""
+    def reject(self, excess: float) -> None:
+        """Reject the trial, whose energy is too high by `excess` (force x length), and restore the
+        contact history before it."""
+        self._excess[self._last] = excess
         tried = self.tried
         for now, before in zip((tried.released, tried.settled), self._contacts, strict=True):
             now.clear()

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.paths import crossing_trials
+from crms_fenicsx.paths.crossing_trials import CrossingTrials, Way
+from crms_fenicsx.paths.tried_paths import TriedPaths
 
 
 def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -74,3 +80,45 @@ def test_repeating_a_load_starts_none_of_the_trials_beyond_the_limit(
     outcome = solver.advance(pressure=0.01).outcome
     assert outcome.solves == 1
     assert solver.scene.energy == pytest.approx(energy, rel=1e-12)
+
+
+class Listed(CrossingTrials):
+    """Trials of given keys, which move nothing; records those that are started."""
+
+    keys: tuple[str, ...] = ("a", "b", "c")
+
+    def _sides(self) -> Iterator[Way]:
+        for key in self.keys:
+            yield Way(0, ("side", key, (0,), False), lambda key=key: not self.started.append(key))
+
+    def _exchanges(self) -> Iterator[Way]:
+        yield from ()
+
+    _open = _closed = _exchanges
+
+
+def listed() -> Any:
+    """Such trials of two crossing cables."""
+    net = SimpleNamespace(cables=[SimpleNamespace(name="cable")], crossings=[None], clamps=[])
+    trials = Listed(SimpleNamespace(net=net), TriedPaths())  # type: ignore[arg-type]
+    trials.started = []
+    return trials
+
+
+def test_a_rejected_trial_comes_again_once_the_energy_has_fallen_by_more() -> None:
+    trials = listed()
+    for excess in (2.0, 5.0):
+        assert trials.next()
+        trials.reject(excess)
+    assert trials.next()
+    trials.accept(3.0)  # of "c"; "a" may pay from here
+    assert trials.next()
+    assert trials.started == ["a", "b", "c", "a"]
+    trials.reject(1.0)
+    assert trials.next()  # "c" the other way
+    trials.reject(4.0)
+    assert not trials.next()
+    trials.accept(2.5)  # of others: 5.5 > 5, and 2.5 < 4
+    assert trials.next() and trials.next()
+    assert trials.started[4:] == ["c", "a", "b"]
+    assert not trials.next()
