@@ -28,7 +28,7 @@ from crms_fenicsx.surface.points import Edge
 
 FEW = 4
 """Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
-of energy far below the mesh error; to take some of them makes tensions jump between loads."""
+of energy far below the mesh error; taking some of them makes tensions jump between loads."""
 
 MOST = 12
 """Limit of trials in one load step."""
@@ -58,7 +58,7 @@ class CrossingTrials:
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
         self._left = MOST
-        self._last: tuple[str, WayKey]  # trial
+        self._last: tuple[str, WayKey]  # trial to accept or to reject
         self._excess: dict[tuple[str, WayKey], float] = {}  # of rejected trials (force x length)
         self._contacts = set(tried.released), set(tried.settled)
 
