@@ -10,7 +10,7 @@ from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE, SMOOTHING
 from crms_fenicsx.paths.held_vertices import UNEVEN, Pulls, held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.scene import Scene
@@ -118,11 +118,14 @@ def _held(
     cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
 ) -> dict[str, float]:
     """Lateral forces that vertices exert on a cable, relative to its contact force."""
+    # Smoothed lengths keep a cable off the vertices by `SMOOTHING` cells, even where a straight one
+    # runs through them: it turns by as much at both ends of a run.
+    own = 2 * SMOOTHING * cable.tension
     runs = held_runs(cable, shape, others)
-    lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
+    held = [(len(run.vertices), max(run.excess - own, 0.0) / press) for run in runs]
     return {
-        "held by a line of the mesh": max(lines, default=0.0),
-        "held by vertices": sum(run.excess for run in runs) / press,
+        "held by a line of the mesh": max((f for n, f in held if n >= IN_LINE), default=0.0),
+        "held by vertices": sum(f for _, f in held),
     }
 
 

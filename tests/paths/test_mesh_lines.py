@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cabled_square import CABLE, PRESSURE, order, place, sheet
 
-from crms_fenicsx import Cable, ConvergenceError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.contact.contact_force import contact_forces, directions, turns
 from crms_fenicsx.paths import held_vertices as held
 from crms_fenicsx.paths.held_vertices import held_runs, held_vertices
@@ -124,12 +124,49 @@ def test_a_tie_stays_one(comm) -> None:
 
 
 @pytest.mark.ranks
-def test_a_cable_that_a_line_holds_is_refused(comm, monkeypatch) -> None:
-    """Kept from leaving the line it is not verified, though nothing is out of balance."""
+def test_a_cable_that_a_line_holds_is_doubtful(comm, monkeypatch) -> None:
+    """Kept from leaving the line, though nothing is out of balance; it ends no run."""
     monkeypatch.setattr(VertexTrials, "next", lambda *_: [])
     mesh = lined(comm, "structured", 20)
-    with pytest.raises(ConvergenceError, match="held by a line of the mesh of 'cable 1'"):
-        laid(comm, mesh, [(0, 30), (100, 30)], 100.0, "straight")
+    _, solver = laid(comm, mesh, [(0, 30), (100, 30)], 100.0, "straight")
+    (step,) = solver.steps
+    assert step.halvings == 0 and step.verification is not None
+    assert "held by a line of the mesh of 'cable 1'" in str(step.verification.doubtful[0])
+
+
+FLAT = {
+    "rigid": ((0, 50), (40, 57), (100, 50)),
+    "rigid, below": ((0, 50), (40, 43), (100, 50)),
+    "rigid, diagonal": ((0, 0), (40, 52), (100, 100)),
+    "rigid, beside lines": ((0, 47), (40, 60), (100, 47)),
+    "free inside": ((0, 50), (40, 57), (100, 50)),
+    "two that cross": ((0, 50), (40, 57), (100, 50)),
+}
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+@pytest.mark.parametrize("case", FLAT)
+def test_on_a_flat_sheet_a_cable_is_straight(comm, case: str, unit: float) -> None:
+    """Laid askew and tightened, it has T = EA (d / L0 - 1) and presses on nothing."""
+    mesh = meshes.rectangle(comm, 100.0 * unit, 100.0 * unit, 10.0 * unit, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=1e6, nu=0.3, thickness=0.08 * unit))
+    scene.fix("boundary" if case == "free inside" else lambda x: np.full(x.shape[1], True))
+    path = unit * np.array(FLAT[case], float)
+    d = float(np.linalg.norm(path[-1] - path[0]))
+    cables = [scene.lay_cable(Cable(EA=1.0), path)]
+    if case == "two that cross":
+        across = unit * np.array([(50.0, 0.0), (43.0, 70.0), (50.0, 100.0)])
+        cables.append(scene.lay_cable(Cable(EA=1.0), across))
+    solver = Solver(scene)
+    for shorter, rtol in ((0.005, 3e-4), (0.03, 5e-5)):
+        solver.advance(L0={cable: (1 - shorter) * d for cable in cables})
+        for cable in cables:
+            assert cable.tension == pytest.approx(1 / (1 - shorter) - 1, rel=rtol)
+            assert cable.length == pytest.approx(d, rel=2e-6)
+        last = solver.steps[-1]
+        assert last.halvings == 0
+        assert last.verification is not None and not last.verification.doubtful
 
 
 @pytest.mark.ranks
