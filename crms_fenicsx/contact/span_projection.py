@@ -6,6 +6,8 @@ membrane's normal, traced from cell to cell by the vertices' signed distances fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Set
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,10 +18,20 @@ from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingCells
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
+from crms_fenicsx.surface.points import (
+    CellPoint,
+    Edge,
+    EdgePoint,
+    Support,
+    SurfacePoint,
+    edge_of,
+)
 
 FARTHEST = 10000
 """Limit of cells under a span."""
+
+Cell = tuple[int, int, int]
+"""Vertices of a cell of the membrane, by id."""
 
 
 class _Plane:
@@ -77,11 +89,9 @@ def project_span(
     return None
 
 
-def _first_edge(
-    plane: _Plane, support: tuple[int, ...]
-) -> tuple[Edge, tuple[int, int, int]] | None:
+def _first_edge(plane: _Plane, support: tuple[int, ...]) -> tuple[Edge, Cell] | None:
     """First edge that the plane crosses beyond a support, and the cell before it."""
-    best: tuple[float, Edge, tuple[int, int, int]] | None = None
+    best: tuple[float, Edge, Cell] | None = None
     for cell in _cells(plane.shape, support):
         for k in range(3):
             a, b = edge_of(cell[k], cell[k - 1])
@@ -94,7 +104,7 @@ def _first_edge(
     return None if best is None else best[1:]
 
 
-def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, int]]:
+def _cells(shape: StripShape, support: tuple[int, ...]) -> list[Cell]:
     missing = [v for v in support if v not in shape.strip.complete]
     if len(missing) == len(support):
         raise MissingCells(missing)
@@ -102,27 +112,57 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, 
     return [(a, b, c) for a, b, c in cells]
 
 
-def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPoint:
+def anchor_foot(shape: StripShape, cell: Cell, place: Array) -> CellPoint:
     """Cell point below an anchor."""
-    a, b, c = (shape.at(v) for v in cell)
-    u, v = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)[0]
-    weights = np.clip([1 - u - v, u, v], 0.0, 1.0)
+    weights = np.clip(_weights(shape, cell, place), 0.0, 1.0)
     x, y, z = (float(w) for w in weights / weights.sum())
     return CellPoint(cell, (x, y, z))
+
+
+def _weights(shape: StripShape, cell: Cell, place: Array) -> Array:
+    """Barycentric weights (3,) of a position in a cell's plane."""
+    a, b, c = (shape.at(v) for v in cell)
+    u, v = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)[0]
+    return np.array([1 - u - v, u, v])
 
 
 Projected = tuple[list[SurfacePoint], list[bool]]
 """Points of a path, and whether each is lifted."""
 
 
-def with_span_projections(cable: LaidCable, shape: StripShape) -> Projected | None:
-    """Path of a cable with updated span projections; None if unchanged."""
-    nodes, contacts = cable.nodes, cable.contacts()
+def loose_crossings(cables: Sequence[LaidCable]) -> set[int]:
+    """Numbers of the crossings beside lifted nodes of either cable: nothing keeps them in their
+    cells."""
+    return {
+        node.crossing
+        for cable in cables
+        if cable.taut and cable.lifted.any()
+        for k, node in enumerate(cable.nodes)
+        if node.kind == "crossing" and node.crossing is not None
+        if np.any(cable.lifted[k - 1 : k + 2])
+    }
+
+
+def with_span_projections(
+    cable: LaidCable, shape: StripShape, loose: Set[int] = frozenset()
+) -> Projected | None:
+    """Path of a cable with updated span projections; None if unchanged. Crossings that are `loose`,
+    by number, may have slid into other cells."""
+    nodes, contacts = [*cable.nodes], cable.contacts()
+    moved = {k for k in contacts if nodes[k].kind == "crossing" and nodes[k].crossing in loose}
+    for k in sorted(moved):
+        cell = cell_under(shape, nodes[k].support, cable.positions[k])
+        if cell is None or set(cell) == set(nodes[k].support):
+            moved.discard(k)
+        else:
+            nodes[k] = replace(nodes[k], point=anchor_foot(shape, cell, cable.positions[k]))
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):
         old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
-        new = _renewed(cable, a, b, shape) if old else None
+        new = _renewed(cable, nodes, a, b, shape) if old or {a, b} & moved else None
+        if new is None and {a, b} & moved:
+            return None
         if new is not None:
             renewed[a] = new
             changed |= [point.support for point in new] != old
@@ -140,13 +180,37 @@ def with_span_projections(cable: LaidCable, shape: StripShape) -> Projected | No
     return points, lifted
 
 
+OUTSIDE = 0.02
+"""Weight by which a crossing must have left its cell to be in another."""
+
+
+def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None:
+    """The cell under a position, found from a cell nearby; None beyond the membrane's boundary."""
+    if len(support) != 3:
+        return None
+    (cell,) = _cells(shape, support)
+    for _ in range(FARTHEST):
+        weights = _weights(shape, cell, place)
+        if weights.min() >= -OUTSIDE:
+            return cell
+        corner = cell[int(np.argmin(weights))]
+        a, b = (v for v in cell if v != corner)
+        beyond = [c for c in _cells(shape, (a, b)) if corner not in c]
+        if not beyond:
+            return None
+        cell = beyond[0]
+    return None
+
+
 def _is_on_path(node: CableNode) -> bool:
     return node.point is not None and node.kind != "crossing"
 
 
-def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[SurfacePoint] | None:
+def _renewed(
+    cable: LaidCable, nodes: Sequence[CableNode], a: int, b: int, shape: StripShape
+) -> list[SurfacePoint] | None:
     """Projection of the span between two contacts."""
-    ends = [(cable.nodes[k], cable.positions[k]) for k in (a, b)]
+    ends = [(nodes[k], cable.positions[k]) for k in (a, b)]
     if ends[0][0].point is not None:
         return project_span(shape, *ends[0], *ends[1])
     if ends[1][0].point is not None:

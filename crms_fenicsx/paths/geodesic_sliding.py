@@ -17,7 +17,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import drape
-from crms_fenicsx.contact.span_projection import Projected, with_span_projections
+from crms_fenicsx.contact.span_projection import Projected, loose_crossings, with_span_projections
 from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
@@ -30,11 +30,12 @@ from crms_fenicsx.paths.path_change import (
     vertices_near,
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import FlippedPath, shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
+from crms_fenicsx.surface.path import without_backtracking
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
 
 Result = TypeVar("Result")
@@ -97,10 +98,17 @@ class GeodesicSliding:
     def renew_projections(self, shape: StripShape) -> list[str]:
         """Move paths of lifted parts below their spans; return the changes in words. Collective."""
         changes: list[str] = []
-        off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
+        loose = loose_crossings(self.net.cables)
+        crossing = (self.net.crossings[n] for n in loose)
+        crossed = {c for one in crossing for c in (one.lower, one.upper)}
+        off = [
+            cable
+            for c, cable in enumerate(self.net.cables)
+            if c in crossed or (cable.taut and cable.lifted.any())
+        ]
 
         def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:
-            return lambda cable: with_span_projections(cable, on)
+            return lambda cable: with_span_projections(cable, on, loose)
 
         for cable, found in zip(off, self._for_each(off, projected, shape), strict=True):
             if found is None:
@@ -108,7 +116,12 @@ class GeodesicSliding:
             points, lifted = found
             surface = self.change.surface([v for point in points for v in point.support])
             # A span that folds back over its own touchdown keeps its old projection.
-            if why_invalid(corridor(points), surface.opposite_vertices) is None:
+            invalid = why_invalid(corridor(points), surface.opposite_vertices)
+            if invalid and self.net.cables.index(cable) in crossed:
+                # Beside a crossing that has slid into another cell this touchdown is off the path.
+                points, lifted = _shortened(points, lifted, surface.strip.outer_cells)
+                invalid = why_invalid(corridor(points), surface.opposite_vertices)
+            if not invalid:
                 self.change.replace(cable, points, lifted, surface)
                 changes.append(f"{cable.name} hangs over other cells")
         return changes
@@ -285,6 +298,15 @@ def _old_points(
 def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
     """The points of a path without its first and last ones."""
     return path.points[first : len(path.points) - last]
+
+
+def _shortened(
+    points: Sequence[SurfacePoint], lifted: Sequence[bool], cells: Integers
+) -> tuple[list[SurfacePoint], list[bool]]:
+    """A path without points where it turns back; and whether each is lifted."""
+    off = {point.support for point, is_off in zip(points, lifted, strict=True) if is_off}
+    kept = list(without_backtracking(points, cells))
+    return kept, [point.support in off for point in kept]
 
 
 def _leaves_cells(cable: LaidCable) -> bool:

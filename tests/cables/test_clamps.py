@@ -553,3 +553,31 @@ def test_clamps_and_bonds_in_all_that_is_written(comm, tmp_path) -> None:
         np.testing.assert_allclose([shown[0], shown[-1]], a.tensions[[0, -1]])
         assert np.ptp(lines.cell_data["tension"][lines.cell_data["line"] == 2]) > 1e-3  # bonded
     comm.barrier()
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("size", [5.0, 4.5, 4.0])
+def test_a_clamp_slides_from_cell_to_cell(comm, size) -> None:
+    """One cable is laid askew, so that its clamp pulls it back as soon as the other tightens, from
+    cells that the cable alone has reached; on every mesh to the place that it has on cells of 3."""
+    scene = Scene(
+        meshes.rectangle(comm, 100.0, 100.0, size),
+        IsotropicMembrane(E=3500.0, nu=0.3, thickness=0.08, prestress=0.05),
+    )
+    scene.fix("boundary")
+    paths = ((0, 67), (100, 67)), ((34, 0), (31, 40), (34, 100))
+    cables = [
+        scene.lay_cable(Cable(14e3), path, L0=100.0, layer=layer)
+        for layer, path in enumerate(paths)
+    ]
+    scene.clamp(*cables)
+    solver = Solver(scene)
+    for pressure, W, T in (
+        (0.001, -5.4151, (7.258, 14.379)),
+        (0.002, -14.8974, (12.055, 19.042)),
+    ):
+        solver.advance(pressure=pressure)
+        verification = solver.steps[-1].verification
+        assert verification is not None and not verification.doubtful
+        assert scene.energy == pytest.approx(W, rel=4e-3)
+        assert [cable.tension for cable in cables] == pytest.approx(T, rel=3e-3)

@@ -9,7 +9,7 @@ from reference_meshes import square
 
 from crms_fenicsx import Scene
 from crms_fenicsx.cables.strip import StripShape, cells_near
-from crms_fenicsx.contact.span_projection import project_span
+from crms_fenicsx.contact.span_projection import cell_under, project_span
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface, FoldPoints
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -107,3 +107,19 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
     away = np.linalg.norm(shape.at(rim[0]) - np.array([-20.0, 13.0, 4.0]))
     assert joined.length((rim[0], anchor)) == pytest.approx(away)
     assert isinstance(points[0], EdgePoint)
+
+
+@pytest.mark.parametrize("kind", ["structured", "unstructured", "rotated"])
+def test_a_crossing_beyond_its_cell_is_found_from_cell_to_cell(comm, kind: str) -> None:
+    """From a cell to the one under a place, near or far, or none beyond the boundary; barely out of
+    its cell it stays in it."""
+    _, shape = whole(comm, kind)
+    cells = [tuple(cell) for cell in shape.strip.corners]
+    middles = [np.mean([shape.at(v) for v in cell], axis=0) for cell in cells]
+    first = cells[0]
+    for cell, middle in zip(cells[1::7], middles[1::7], strict=True):
+        found = cell_under(shape, first, middle + 2 * UP)
+        assert found is not None and set(found) == set(cell)
+    a, b, c = (shape.at(v) for v in first)
+    assert cell_under(shape, first, 0.505 * (a + b) - 0.01 * c) == first
+    assert cell_under(shape, first, np.array([500.0, 50.0, 0.0])) is None
