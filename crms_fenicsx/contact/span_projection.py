@@ -185,11 +185,14 @@ OUTSIDE = 0.02
 
 
 def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None:
-    """The cell under a position, found from a cell nearby; None beyond the membrane's boundary."""
+    """The cell under a position, found from a cell nearby; None beyond the membrane's boundary, and
+    above a ridge, where each cell has the position beyond the other."""
     if len(support) != 3:
         return None
     (cell,) = _cells(shape, support)
-    for _ in range(FARTHEST):
+    passed = set[Cell]()
+    while cell not in passed:
+        passed.add(cell)
         weights = _weights(shape, cell, place)
         if weights.min() >= -OUTSIDE:
             return cell

@@ -7,7 +7,7 @@ import pytest
 from cabled_square import clamped
 from reference_meshes import square
 
-from crms_fenicsx import Scene
+from crms_fenicsx import IsotropicMembrane, Scene, meshes
 from crms_fenicsx.cables.strip import StripShape, cells_near
 from crms_fenicsx.contact.span_projection import cell_under, project_span
 from crms_fenicsx.model.cable_state import CableNode
@@ -22,11 +22,15 @@ UP = np.array([0.0, 0.0, 1.0])
 def whole(comm, kind: str) -> tuple[Scene, StripShape]:
     """A flat square, all of whose cells are known."""
     scene = clamped(square(comm, 7, kind))
-    line = np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)])
+    return scene, whole_shape(scene, np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)]))
+
+
+def whole_shape(scene: Scene, line: np.ndarray) -> StripShape:
+    """All cells of a membrane, found from those near a line."""
     ids = cells_near(scene.membrane, line, along_legs=False)
     scene.net.grow_strip(ids.vertices, rings=12)
     assert scene.net.strip is not None
-    return scene, StripShape.of(scene.membrane, scene.net.strip)
+    return StripShape.of(scene.membrane, scene.net.strip)
 
 
 def route(shape: StripShape, start, end) -> tuple:
@@ -123,3 +127,18 @@ def test_a_crossing_beyond_its_cell_is_found_from_cell_to_cell(comm, kind: str) 
     a, b, c = (shape.at(v) for v in first)
     assert cell_under(shape, first, 0.505 * (a + b) - 0.01 * c) == first
     assert cell_under(shape, first, np.array([500.0, 50.0, 0.0])) is None
+
+
+def test_a_crossing_above_a_ridge_keeps_its_cell(comm) -> None:
+    """High above it each of the two cells has the place beyond the other."""
+    corners = [(0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0), (-1.0, 0.0, -1.0)]
+    mesh = meshes.from_arrays(comm, np.array(corners), np.array([(0, 2, 1), (0, 1, 3)]))
+    scene = Scene(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
+    shape = whole_shape(scene, np.array([(-1.0, 0.0, -1.0), (1.0, 0.0, -1.0)]))
+    for cell in map(tuple, shape.strip.corners):
+        assert cell_under(shape, cell, np.array([0.0, 0.0, 3.0])) is None
+        for side in (-0.3, 0.3):
+            found = cell_under(shape, cell, np.array([side, 0.0, -0.2]))
+            assert found is not None and (np.mean([shape.at(v)[0] for v in found]) > 0) == (
+                side > 0
+            )
