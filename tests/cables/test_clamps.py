@@ -555,13 +555,26 @@ def test_clamps_and_bonds_in_all_that_is_written(comm, tmp_path) -> None:
     comm.barrier()
 
 
+def shaken(comm, n: int, seed: int) -> meshes.MembraneMesh:
+    """A square of n cells a side, inner vertices moved at random; the same with any gmsh."""
+    x = np.linspace(0.0, 100.0, n + 1)
+    points = np.array([(a, b, 0.0) for b in x for a in x])
+    inner = np.all((points[:, :2] > 0.0) & (points[:, :2] < 100.0), axis=1)
+    moved = np.random.default_rng(seed).uniform(-0.2, 0.2, (inner.sum(), 2))
+    points[inner, :2] += 100.0 / n * moved
+    first = np.array([k // n * (n + 1) + k % n for k in range(n * n)])
+    cells = [first + np.array([[0], [1], [n + 2]]), first + np.array([[0], [n + 2], [n + 1]])]
+    return meshes.from_arrays(comm, points, np.stack(cells, axis=-1).reshape(3, -1).T)
+
+
 @pytest.mark.ranks
-@pytest.mark.parametrize("size", [5.0, 4.5, 4.0])
-def test_a_clamp_slides_from_cell_to_cell(comm, size) -> None:
+@pytest.mark.parametrize(("n", "seed"), [(18, 0), (18, 1), (24, 1)])
+def test_a_clamp_slides_from_cell_to_cell(comm, n, seed) -> None:
     """One cable is laid askew, so that its clamp pulls it back as soon as the other tightens, from
-    cells that the cable alone has reached; on every mesh to the place that it has on cells of 3."""
+    cells that the cable alone has reached; on every mesh to the place that it has on gmsh's cells
+    of 3."""
     scene = Scene(
-        meshes.rectangle(comm, 100.0, 100.0, size),
+        shaken(comm, n, seed),
         IsotropicMembrane(E=3500.0, nu=0.3, thickness=0.08, prestress=0.05),
     )
     scene.fix("boundary")
@@ -579,5 +592,5 @@ def test_a_clamp_slides_from_cell_to_cell(comm, size) -> None:
         solver.advance(pressure=pressure)
         verification = solver.steps[-1].verification
         assert verification is not None and not verification.doubtful
-        assert scene.energy == pytest.approx(W, rel=4e-3)
-        assert [cable.tension for cable in cables] == pytest.approx(T, rel=3e-3)
+        assert scene.energy == pytest.approx(W, rel=0.011)
+        assert [cable.tension for cable in cables] == pytest.approx(T, rel=5e-3)
