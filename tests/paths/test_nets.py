@@ -54,7 +54,7 @@ def segments_above(lower: LaidCable, upper: LaidCable) -> list[float]:
             if abs(cross) < 1e-14:
                 continue
             s, t = (w[0] * v[1] - w[1] * v[0]) / cross, (w[0] * u[1] - w[1] * u[0]) / cross
-            if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+            if max(abs(s - 0.5), abs(t - 0.5)) <= 0.5 + 1e-9:  # a crossing at a point counts
                 found.append(float((c + t * v - a - s * u)[2]))
     return found
 
