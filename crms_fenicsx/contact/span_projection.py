@@ -143,9 +143,7 @@ def loose_crossings(cables: Sequence[LaidCable]) -> set[int]:
     }
 
 
-def with_span_projections(
-    cable: LaidCable, shape: StripShape, loose: Set[int] = frozenset()
-) -> Projected | None:
+def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) -> Projected | None:
     """Path of a cable with updated span projections; None if unchanged. Crossings that are `loose`,
     by number, may have slid into other cells."""
     nodes, contacts = [*cable.nodes], cable.contacts()
@@ -214,11 +212,14 @@ def _renewed(
 ) -> list[SurfacePoint] | None:
     """Projection of the span between two contacts."""
     ends = [(nodes[k], cable.positions[k]) for k in (a, b)]
-    if ends[0][0].point is not None:
-        return project_span(shape, *ends[0], *ends[1])
-    if ends[1][0].point is not None:
-        back = project_span(shape, *ends[1], *ends[0])
-        return None if back is None else back[::-1]
+    # From one end a section may pass a vertex on the side that misses the other end's support.
+    for start, end in (ends, ends[::-1]):
+        if start[0].point is not None:
+            found = project_span(shape, *start, *end)
+            if found is not None:
+                return found if start is ends[0] else found[::-1]
+    if any(node.point is not None for node, _ in ends):
+        return None
     # Neither end is on the membrane: trace both ways from the middle of the old projection.
     own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
     middle = own[len(own) // 2]

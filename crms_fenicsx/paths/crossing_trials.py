@@ -8,12 +8,14 @@ has folded the membrane there, or open. The load path picks one; the energies te
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
+from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.contact.free_spans import Gap
 from crms_fenicsx.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
 from crms_fenicsx.model.cable_state import Crossing
@@ -42,6 +44,9 @@ LOW = 0.125
 LIGHT = 0.04
 """Turn of the cable (rad) at a contact up to which this may be open instead."""
 
+BENT = 0.1
+"""Turn of a cable within the membrane (rad) above which a kink of an edge holds it."""
+
 
 @dataclass(frozen=True)
 class Way:
@@ -64,7 +69,7 @@ class CrossingTrials:
 
     def next(self) -> bool:
         """Move cables to an untried configuration; return whether there is one. Collective."""
-        ways = [*self._clamps()] if self.net.clamps else []
+        ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
         if 0 < len(self.net.crossings) <= FEW:
             ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
@@ -137,36 +142,58 @@ class CrossingTrials:
 
     def _exchanges(self) -> Iterator[Way]:
         """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
+        for crossing, edge, nodes in self._shared_edges():
+            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            apart = BEYOND / 2 if first > second else -BEYOND / 2
+            middle = (first + second) / 2
+            take = partial(self._put, nodes, edge, (middle - apart, middle + apart))
+            yield Way(crossing.lower, ("exchange", nodes[1][0].name, edge, first > second), take)
+
+    def _apart(self) -> Iterator[Way]:
+        """Edges that both cables of a clamp cross nearly at one point, which the penalty lets kink,
+        made straight again, with both points where straight cables would cross them."""
+        shape = self.net.strip_shape()
+        for crossing, edge, nodes in self._shared_edges():
+            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            if crossing.clamp is None or abs(first - second) > NEAR:
+                continue
+            pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
+            if all(abs(lateral) > BENT * tension for lateral, tension in pulls):
+                take = partial(self._put, nodes, edge, [self._straight(edge, *n) for n in nodes])
+                yield Way(crossing.lower, ("apart", nodes[1][0].name, edge, first > second), take)
+
+    def _shared_edges(self) -> Iterator[tuple[Crossing, Edge, list[tuple[LaidCable, int]]]]:
+        """Edges next to crossings that both cables cross, with both nodes."""
         for crossing in self.net.crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
             if crossing.separated or not all(map(self._is_free, pair)):
                 continue
-            for edge in _shared_edges(crossing):
+            lower, upper = crossing.between[:2], crossing.between[2:]
+            for edge in ((e[0], e[1]) for e in lower if len(e) == 2 and e in upper):
                 at = [_node_on(cable, edge) for cable in pair]
                 nodes = [(cable, k) for cable, k in zip(pair, at, strict=True) if k is not None]
-                if len(nodes) < 2:
-                    continue
-                first, second = (float(cable.fractions[k]) for cable, k in nodes)
-                apart = BEYOND / 2 if first > second else -BEYOND / 2
-                middle = (first + second) / 2
+                if len(nodes) == 2:
+                    yield crossing, edge, nodes
 
-                def take(
-                    nodes: list[tuple[LaidCable, int]] = nodes, edge: Edge = edge,
-                    places: tuple[float, float] = (middle - apart, middle + apart),
-                ) -> bool:  # fmt: skip
-                    for (cable, k), place in zip(nodes, places, strict=True):
-                        self._put(cable, k, edge, place)
-                    return True
+    def _straight(self, edge: Edge, cable: LaidCable, k: int) -> float:
+        """Fraction of an unkinked edge at which the cable would be straight."""
+        first, last = (self.change.surface(edge).shape.at(vertex) for vertex in edge)
+        along = last - first
+        sides = cable.positions[[k - 1, k + 1]] - first
+        s = sides @ along / (along @ along)
+        away = np.linalg.norm(sides - s[:, None] * along, axis=1)
+        return float(np.clip(s @ away[::-1] / away.sum(), NEAR, 1 - NEAR))
 
-                key = ("exchange", pair[1].name, edge, first > second)
-                yield Way(crossing.lower, key, take)
-
-    def _put(self, cable: LaidCable, k: int, edge: Edge, fraction: float) -> None:
-        """Move a node along its edge."""
-        positions, fractions = cable.positions.copy(), cable.fractions.copy()
-        positions[k] = self.change.surface(edge).place(edge, fraction)
-        fractions[k] = fraction
-        cable.update(positions=positions, fractions=fractions)
+    def _put(
+        self, nodes: Sequence[tuple[LaidCable, int]], edge: Edge, places: Sequence[float]
+    ) -> bool:
+        """Move nodes along their edge, to fractions."""
+        surface = self.change.surface(edge)
+        for (cable, k), fraction in zip(nodes, places, strict=True):
+            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            positions[k], fractions[k] = surface.place(edge, fraction), fraction
+            cable.update(positions=positions, fractions=fractions)
+        return True
 
     def _open(self) -> Iterator[Way]:
         """Contacts beside spans, opened, those of least pressure first."""
@@ -216,12 +243,6 @@ class CrossingTrials:
                 return True
 
             yield Way(c, ("closed", *key, False), take)
-
-
-def _shared_edges(crossing: Crossing) -> list[Edge]:
-    """Edges next to a crossing that both cables cross."""
-    lower, upper = crossing.between[:2], crossing.between[2:]
-    return [(e[0], e[1]) for e in lower if len(e) == 2 and e in upper]
 
 
 def _node_on(cable: LaidCable, edge: Edge) -> int | None:

@@ -8,7 +8,7 @@ it is kept if the energy falls, else half of the flips are tried. No path is tri
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -26,16 +26,16 @@ from crms_fenicsx.paths.path_change import (
     PathChange,
     is_crossed,
     lifted_runs,
+    shortened,
     slid_off,
     vertices_near,
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.work_sharing import share_out
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import FlippedPath, shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
-from crms_fenicsx.surface.path import without_backtracking
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
 
 Result = TypeVar("Result")
@@ -97,19 +97,38 @@ class GeodesicSliding:
 
     def renew_projections(self, shape: StripShape) -> list[str]:
         """Move paths of lifted parts below their spans; return the changes in words. Collective."""
-        changes: list[str] = []
         loose = loose_crossings(self.net.cables)
-        crossing = (self.net.crossings[n] for n in loose)
-        crossed = {c for one in crossing for c in (one.lower, one.upper)}
+        while True:
+            renewed = self._projections(shape, loose)
+            # A crossing moves to another cell with both of its cables, or with none.
+            stuck = {n for n in loose if len(self._crossed((n,)) & renewed.keys()) == 1}
+            if not stuck:
+                break
+            loose -= stuck
+        for cable, (points, lifted, surface) in renewed.items():
+            self.change.replace(cable, points, lifted, surface)
+        return [f"{cable.name} hangs over other cells" for cable in renewed]
+
+    def _crossed(self, crossings: Iterable[int]) -> set[LaidCable]:
+        """Cables of crossings, given by number."""
+        some = (self.net.crossings[n] for n in crossings)
+        return {self.net.cables[c] for one in some for c in (one.lower, one.upper)}
+
+    def _projections(
+        self, shape: StripShape, loose: Set[int]
+    ) -> dict[LaidCable, tuple[list[SurfacePoint], list[bool], CreasedSurface]]:
+        """Updated paths with their surfaces, of cables whose projections change. Collective."""
+        crossed = self._crossed(loose)
         off = [
             cable
-            for c, cable in enumerate(self.net.cables)
-            if c in crossed or (cable.taut and cable.lifted.any())
+            for cable in self.net.cables
+            if cable in crossed or (cable.taut and cable.lifted.any())
         ]
 
         def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:
             return lambda cable: with_span_projections(cable, on, loose)
 
+        renewed = {}
         for cable, found in zip(off, self._for_each(off, projected, shape), strict=True):
             if found is None:
                 continue
@@ -117,14 +136,14 @@ class GeodesicSliding:
             surface = self.change.surface([v for point in points for v in point.support])
             # A span that folds back over its own touchdown keeps its old projection.
             invalid = why_invalid(corridor(points), surface.opposite_vertices)
-            if invalid and self.net.cables.index(cable) in crossed:
+            if invalid and cable in crossed:
                 # Beside a crossing that has slid into another cell this touchdown is off the path.
-                points, lifted = _shortened(points, lifted, surface.strip.outer_cells)
+                high = {p.support for p, is_off in zip(points, lifted, strict=True) if is_off}
+                points, lifted = shortened(points, high, surface.strip.outer_cells)
                 invalid = why_invalid(corridor(points), surface.opposite_vertices)
             if not invalid:
-                self.change.replace(cable, points, lifted, surface)
-                changes.append(f"{cable.name} hangs over other cells")
-        return changes
+                renewed[cable] = points, lifted, surface
+        return renewed
 
     def check_on_membrane(self) -> None:
         """Raise an error if a cable has slid off the membrane. Collective."""
@@ -298,15 +317,6 @@ def _old_points(
 def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
     """The points of a path without its first and last ones."""
     return path.points[first : len(path.points) - last]
-
-
-def _shortened(
-    points: Sequence[SurfacePoint], lifted: Sequence[bool], cells: Integers
-) -> tuple[list[SurfacePoint], list[bool]]:
-    """A path without points where it turns back; and whether each is lifted."""
-    off = {point.support for point, is_off in zip(points, lifted, strict=True) if is_off}
-    kept = list(without_backtracking(points, cells))
-    return kept, [point.support in off for point in kept]
 
 
 def _leaves_cells(cable: LaidCable) -> bool:

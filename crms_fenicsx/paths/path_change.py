@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
 from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints
-from crms_fenicsx.runtime.arrays import Array, flags
+from crms_fenicsx.runtime.arrays import Array, Integers, flags
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, Support, SurfacePoint, VertexPoint
 
 
 def nodes_of(
@@ -161,11 +161,11 @@ class PathChange:
         surface = self.surface([v for point in points for v in point.support])
         off = {
             node.point.support
-            for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
-            if lifted and node.point is not None
+            for node, is_off in zip(cable.nodes, cable.lifted, strict=True)
+            if is_off and node.point is not None
         }
-        way = without_backtracking(points, surface.strip.outer_cells)
-        self.replace(cable, way, [point.support in off for point in way], surface, ends)
+        way, lifted = shortened(points, off, surface.strip.outer_cells)
+        self.replace(cable, way, lifted, surface, ends)
         cable.update(path_is_geodesic=False)
 
     def replace(
@@ -213,6 +213,14 @@ class PathChange:
             return point
         least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
         return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
+
+
+def shortened(
+    points: Sequence[SurfacePoint], off: Set[Support], cells: Integers
+) -> tuple[list[SurfacePoint], list[bool]]:
+    """A path without points where it turns back, and whether each is lifted: those `off`."""
+    kept = list(without_backtracking(points, cells))
+    return kept, [point.support in off for point in kept]
 
 
 def slid_off(cable: LaidCable, place: Array) -> PathError:

@@ -568,7 +568,7 @@ def shaken(comm, n: int, seed: int) -> meshes.MembraneMesh:
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize(("n", "seed"), [(18, 1), (20, 1)])
+@pytest.mark.parametrize(("n", "seed"), [(18, 1), (20, 1), (24, 7), (26, 5)])
 def test_a_clamp_slides_from_cell_to_cell(comm, n, seed) -> None:
     """One cable is laid askew, so that its clamp pulls it back as soon as the other tightens, from
     cells that the cable alone has reached; on every mesh to the place that it has on gmsh's cells
