@@ -160,7 +160,9 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
         old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
         new = _renewed(cable, nodes, a, b, shape) if old or {a, b} & moved else None
         if new is None and {a, b} & moved:
-            return None
+            new = _over_edge(cable, nodes, a, b, shape)
+            if new is None:
+                return None
         if new is not None:
             renewed[a] = new
             changed |= [point.support for point in new] != old
@@ -205,6 +207,26 @@ def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None
 
 def _is_on_path(node: CableNode) -> bool:
     return node.point is not None and node.kind != "crossing"
+
+
+def _over_edge(
+    cable: LaidCable, nodes: Sequence[CableNode], a: int, b: int, shape: StripShape
+) -> list[SurfacePoint] | None:
+    """The edge that a crossing has slid over, between its old cell and the contact on that cell,
+    which the section misses if the cable has pulled the contact's edge aside."""
+    (k, other), *more = [(k, a + b - k) for k in (a, b) if nodes[k] is not cable.nodes[k]]
+    if more or nodes[other].point is None:
+        return None
+    cell, last = set(nodes[k].support), set(cable.nodes[k].support)
+    edge = sorted(cell & last)
+    if len(edge) != 2 or not set(nodes[other].support) <= last:
+        return None
+    u, v = edge
+    start, end = cable.positions[[a, b]]
+    plane = _Plane(shape, start, end, shape.normal((u, v)))
+    p, q = plane.side(u), plane.side(v)
+    s = p / (p - q) if p * q < 0.0 else float(abs(p) > abs(q))
+    return [EdgePoint((u, v), min(max(s, 1e-9), 1 - 1e-9))]
 
 
 def _renewed(

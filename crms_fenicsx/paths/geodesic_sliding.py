@@ -100,8 +100,16 @@ class GeodesicSliding:
         loose = loose_crossings(self.net.cables)
         while True:
             renewed = self._projections(shape, loose)
-            # A crossing moves to another cell with both of its cables, or with none.
-            stuck = {n for n in loose if len(self._crossed((n,)) & renewed.keys()) == 1}
+            changed = {
+                cable
+                for cable, (points, lifted, _) in renewed.items()
+                if corridor(points) != corridor(cable.path.points)
+                or lifted != cable.lifted[cable.path_nodes()].tolist()
+            }
+            pairs = {n: self._crossed((n,)) for n in loose}
+            # Only with both of its cables does a crossing move to another cell.
+            moved = {n for n, pair in pairs.items() if pair <= renewed.keys() and pair & changed}
+            stuck = {n for n in loose - moved if pairs[n] & renewed.keys()}
             if not stuck:
                 break
             loose -= stuck
@@ -138,8 +146,9 @@ class GeodesicSliding:
             invalid = why_invalid(corridor(points), surface.opposite_vertices)
             if invalid and cable in crossed:
                 # Beside a crossing that has slid into another cell this touchdown is off the path.
-                high = {p.support for p, is_off in zip(points, lifted, strict=True) if is_off}
-                points, lifted = shortened(points, high, surface.strip.outer_cells)
+                high = {p.support: p for p, is_off in zip(points, lifted, strict=True) if is_off}
+                points, lifted = shortened(points, high.keys(), surface.strip.outer_cells)
+                points = [high.get(point.support, point) for point in points]
                 invalid = why_invalid(corridor(points), surface.opposite_vertices)
             if not invalid:
                 renewed[cable] = points, lifted, surface

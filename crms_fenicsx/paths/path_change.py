@@ -176,8 +176,9 @@ class PathChange:
         surface: CreasedSurface,
         ends: tuple[End, End] | None = None,
     ) -> None:
-        """Replace a cable's path, keeping points on edges that it crossed before. Before the first
-        equilibrium they move to the string: along its laid line the cable would not be taut."""
+        """Replace a cable's path, keeping points on edges that it crossed before, except those that
+        lift off now. Before the first equilibrium they move to the string: along its laid line the
+        cable would not be taut."""
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)
@@ -197,7 +198,7 @@ class PathChange:
             old = before.get(_key(node))
             if node.kind == "anchor":
                 positions[k] = cable.positions[0 if k == 0 else -1]
-            elif old is not None and _stays(cable, old, node):
+            elif old is not None and flags[k] <= cable.lifted[old] and _stays(cable, old, node):
                 positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)

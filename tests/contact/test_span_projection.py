@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cabled_square import clamped
@@ -9,7 +11,7 @@ from reference_meshes import square
 
 from crms_fenicsx import IsotropicMembrane, Scene, meshes
 from crms_fenicsx.cables.strip import StripShape, cells_near
-from crms_fenicsx.contact.span_projection import cell_under, project_span
+from crms_fenicsx.contact.span_projection import cell_under, project_span, with_span_projections
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.paths.creased_surface import NO_FOLDS, CreasedSurface, FoldPoints
 from crms_fenicsx.surface.intrinsic import MissingCells
@@ -142,3 +144,42 @@ def test_a_crossing_above_a_ridge_keeps_its_cell(comm) -> None:
             assert found is not None and (np.mean([shape.at(v)[0] for v in found]) > 0) == (
                 side > 0
             )
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_crossing_slides_over_an_edge_beside_a_contact_pulled_aside(comm, back: bool) -> None:
+    """The section from either end misses the edge that the cable has pulled aside."""
+    corners = [(0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (2.0, 3.0, 0.0), (2.0, -3.0, 0.0)]
+    mesh = meshes.from_arrays(comm, np.array(corners), np.array([(0, 1, 2), (0, 3, 1)]))
+    scene = Scene(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
+    shape = whole_shape(scene, np.array([(2.0, -1.0, 0.0), (2.0, 1.0, 0.0)]))
+    at = [next(i for i in shape.strip.vertices if np.allclose(shape.at(i), x)) for x in corners]
+    supports = [tuple(sorted(at[k] for k in ends)) for ends in ((0, 2), (0, 1, 2), (0, 1), (1, 3))]
+    before, cell, over, after = supports
+    nodes = [
+        CableNode("fold", EdgePoint(before, 0.2)),
+        CableNode("crossing", CellPoint(cell, (0.3, 0.3, 0.4)), crossing=0),
+        CableNode("fold", EdgePoint(over, 0.5)),
+        CableNode("fold", EdgePoint(after, 0.5)),
+    ]
+    places = np.array([(-0.5, -0.3, 0.0), (2.0, -0.6, 0.0), (2.5, -0.9, 0.0), (3.0, -1.5, 0.0)])
+    lifted = np.array([False, False, True, False])
+    order = slice(None, None, -1) if back else slice(None)
+    nodes, places, lifted = nodes[order], places[order], lifted[order]
+    cable = SimpleNamespace(
+        nodes=nodes,
+        positions=places,
+        lifted=lifted,
+        contacts=lambda: np.flatnonzero(~lifted),
+        point=lambda k: nodes[k].point,
+        points=lambda chosen: [nodes[k].point for k in chosen],
+    )
+    found = with_span_projections(cable, shape, {0})
+    assert found is not None
+    points, off = found
+    assert [point.support for point in points] == [before, over, after][order]
+    assert off == [False, True, False]
+    assert node_place(shape, CableNode("fold", points[1])) == pytest.approx(
+        [0.0, 0.0, 0.0], abs=1e-6
+    )
+    assert with_span_projections(cable, shape, set()) is None
