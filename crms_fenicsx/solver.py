@@ -192,7 +192,7 @@ class Solver:
         """Advance to new loads in equal increments, and write each state.
 
         An increment without equilibrium is halved, starting from the last good state; later
-        increments grow again. With ``pressure="step"`` and free edges an increment is repeated
+        increments grow again. With ``pressure="lagged"`` and free edges an increment is repeated
         until the pressure is normal to the final shape, an equilibrium of the follower pressure
         independent of the number of steps.
 

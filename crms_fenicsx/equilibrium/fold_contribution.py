@@ -121,7 +121,7 @@ class FoldContribution(Contribution):
         self._make_twins(unknowns)
         if self.pressure.sealed is not None:
             self.pressure.sealed.parts.append(self._pressure_term(self.tables))
-        elif self.pressure.term is not None:
+        elif self.pressure.term is not None and self.scene.pressure_law != "step":
             terms.append(self._pressure_term(self.tables))
         if any(load.suction is not None for load in self.scene.loads):
             one = fem.Constant(self.scene.mesh.mesh, PETSc.ScalarType(1.0))
@@ -164,9 +164,9 @@ class FoldContribution(Contribution):
         pressure = self.pressure
         if self.scene.pressure_law == "total":
             return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
-        from crms_fenicsx.energies.paper.step_folded_membrane import FoldedStepPressure
+        from crms_fenicsx.energies.paper.step_folded_membrane import FoldedLaggedPressure
 
-        return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
+        return FoldedLaggedPressure(tables.facets, pressure.value, pressure.folded_volume)
 
     def kinked_nodes(self, limit: float) -> set[NodeId]:
         """As `Contribution`, at the last evaluated state; empty with the literal penalty."""

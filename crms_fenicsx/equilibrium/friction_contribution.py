@@ -38,9 +38,10 @@ class FrictionContribution(Contribution):
         laws = {cable.cable.sideways.law for cable in self.cables.taut if cable.cable.sideways}
         if not laws:
             return []
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
         for cable in self.cables.taut:
             lateral.remap(cable)
-        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+            lateral.place_elements(cable, shape)
         terms: list[EnergyTerm] = []
         if "coulomb" in laws:
             self.stick_slip = LateralFriction(slip_table(numbering, shape))
@@ -66,6 +67,8 @@ class FrictionContribution(Contribution):
         energies = self.scene.energies
         if "friction" in energies:  # the state knows the stored part; the rest is heat
             shape = self.scene.net.strip_shape()
+            for cable in self.scene.cables:
+                lateral.note_sliding(cable, shape)
             stored = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
             self.scene.record(energies={**energies, "friction": stored})
         if self.cables.capstan is not None:

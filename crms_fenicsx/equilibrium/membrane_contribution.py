@@ -117,10 +117,10 @@ def tiny_force(scene: Scene) -> float:
 class PressureContribution(Contribution):
     """Pressure on the plain cells, and on the closure of the volume where the rim slides in planes.
 
-    Attributes: `cells`: 1 in plain cells under pressure, else 0; `value`: the pressure (force per
+    Attributes: `cells`: 1 in the cells of `term`, else 0; `value`: the pressure (force per
     area), or 1 if the air is sealed (`sealed` then has it); `term`: pressure on these cells, None
     until there is any; `sealed`: pressure of sealed air, which includes `term`, or None;
-    `folded_volume` (1,): the paper's volume gained under folded cells before (length cubed).
+    `folded_volume` (1,): volume gained under folded cells before, if lagged (length cubed).
     """
 
     def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
@@ -141,10 +141,12 @@ class PressureContribution(Contribution):
 
     @property
     def has_history(self) -> bool:
-        return self.scene.pressure_law == "step"
+        return self.scene.pressure_law != "total"
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
+        self.cells.x.array[:] = self.scene.membrane.pressed
+        if self.scene.pressure_law != "step":  # which acts on corners of folded cells, too
+            self.cells.x.array[:] *= self.membrane.energy.plain.x.array
         if self.term is None:
             idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
             if idle and self.scene.air.sealed is None:

@@ -1,7 +1,8 @@
 """Lateral friction: bounds and slips of a load step, and their tables.
 
 The bound F = mu N (3.2-3) depends on the unknown state. It is constant during a minimisation, then
-updated from the result, until it settles.
+updated from the result, until it settles. In the paper's friction element it is that of the state
+at the step's start, as are its vertex and its direction (assumption 7).
 
 While bounds are constant the path may change. Persisting nodes keep their bounds; those of
 vanishing nodes are shared among their successors, so that the sum, and with it the energies of the
@@ -10,6 +11,7 @@ compared paths, do not change for another reason.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -36,13 +38,17 @@ from crms_fenicsx.friction.slip import (
     slip_forces,
     succession,
 )
-from crms_fenicsx.meshes.triangles import norm
-from crms_fenicsx.model.friction import Friction, LateralFrictionState, LateralLaw
+from crms_fenicsx.meshes.triangles import dot, norm
+from crms_fenicsx.model.friction import (
+    ElementSlips,
+    Friction,
+    LateralFrictionState,
+    LateralLaw,
+    MaterialCurve,
+)
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
-NOISE = 1e-6
-"""Negligible lateral force, relative to the tension."""
 LEAST_STRAIN = 1e-4
 """Least strain for the force by which a cable first sticks."""
 
@@ -61,14 +67,14 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
         cable.update(
             lateral=LateralFrictionState(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
         )
-    remap(cable)
-    grip, friction = cable.lateral, cable.cable.sideways
-    assert grip is not None
-    if friction.law == "step":
-        bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
-        ways = _ways(cable, grip, shape)
-        cable.update(lateral=replace(grip, bounds=bounds, moving=ways, known=True))
+    grip = cable.lateral
+    if grip is not None and grip.elements is not None:
+        cable.update(lateral=replace(grip, bounds=grip.elements.bound))
+        remap(cable)
         return
+    remap(cable)
+    grip = cable.lateral
+    assert grip is not None
     expected = _tension_in_place(cable)
     rises = expected > (1 + LEAST_RISE) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
@@ -89,15 +95,58 @@ def _tension_in_place(cable: LaidCable) -> float:
     return cable.cable.EA * (length / cable.L0 - 1)
 
 
-def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Sliding directions of nodes: that of the cable's pull, or that of the last step."""
-    numbers = held_nodes(cable)
-    pull = contact_forces(cable, shape).lateral[numbers]
-    ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
-    slips = node_slips(cable, grip.curve, shape)
-    rows = grip.rows(slips.supports)
-    ways[rows] = np.where(ways[rows] != 0.0, ways[rows], slips.moving)
-    return ways
+def start_elements(
+    cable: LaidCable, curve: MaterialCurve, shape: StripShape,
+    last: LateralFrictionState | None = None,
+) -> None:  # fmt: skip
+    """Make the friction elements of the load step that starts from the current state."""
+    friction, nodes, supports = cable.cable.sideways, held_nodes(cable), tuple(supports_of(cable))
+    assert friction is not None
+    if last is None or last.supports != supports:
+        nothing = np.zeros(len(nodes))
+        last = LateralFrictionState(curve, supports, nothing, nothing, known=True)
+    elements = ElementSlips.missing(friction.mu * paper_forces(cable)[nodes])
+    cable.update(lateral=replace(last, curve=curve, elements=elements))
+    place_elements(cable, shape)
+
+
+def place_elements(cable: LaidCable, shape: StripShape) -> None:
+    """Place the friction elements that nodes do not have yet: at the nearer end of the edge, in the
+    direction to the cable's left. Their slip starts with that of the node."""
+    grip = cable.lateral
+    if grip is None or grip.elements is None:
+        return
+    slips, old = node_slips(cable, grip.curve, shape), grip.elements
+    rows = np.array(grip.rows(slips.supports), dtype=np.int64)
+    new = np.isnan(old.offset[rows])
+    if not new.any():
+        return
+    nodes, edges = np.array(slips.nodes, dtype=np.int64)[new], np.array(slips.supports)[new]
+    rows = rows[new]
+    vertices, left, offset = old.vertices.copy(), old.left.copy(), old.offset.copy()
+    vertices[rows] = np.where(cable.fractions[nodes] > 0.5, edges[:, 1], edges[:, 0])
+    ways = turns(cable)
+    turned = np.isin(nodes, list(ways))  # a point that coincides with others has no direction
+    before, after = np.array([ways[k] for k in nodes[turned]]).reshape(-1, 2, 3).swapaxes(0, 1)
+    left[rows[turned]] = directions(cable, nodes[turned], shape, before, after)[1]
+    to_node = cable.positions[nodes] - np.array([shape.at(v) for v in vertices[rows]])
+    offset[rows] = slips.slip[new] - dot(left[rows], to_node)
+    placed = replace(old, vertices=vertices, left=left, offset=offset)
+    cable.update(lateral=replace(grip, elements=placed))
+
+
+def slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> NodeSlips:
+    """Slips of a cable's sliding nodes: from the material curve, or of its friction elements."""
+    slips, own = node_slips(cable, grip.curve, shape), grip.elements
+    if own is None:
+        return slips
+    rows = np.array(grip.rows(slips.supports), dtype=np.int64)
+    placed = ~np.isnan(own.offset[rows])
+    nodes, rows = np.array(slips.nodes, dtype=np.int64)[placed], rows[placed]
+    slip = slips.slip.copy()
+    vertices = np.array([shape.at(v) for v in own.vertices[rows]]).reshape(-1, 3)
+    slip[placed] = dot(own.left[rows], cable.positions[nodes] - vertices) + own.offset[rows]
+    return replace(slips, slip=slip)
 
 
 def remap(cable: LaidCable) -> None:
@@ -128,7 +177,10 @@ def remap(cable: LaidCable) -> None:
             if gone.stop > gone.start and not set(new) & set(stays):
                 law[:, new] = old[:, gone].mean(axis=1, keepdims=True)
         cone = LateralLaw(*law)
-    cable.update(lateral=replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone))
+    old_elements = grip.elements
+    elements = None if old_elements is None else old_elements.remapped(bounds, stays, rows)
+    changed = replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone)
+    cable.update(lateral=replace(changed, elements=elements))
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
@@ -136,10 +188,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
-    slips = node_slips(cable, grip.curve, shape)
-    if friction.law == "step":
-        rows = grip.rows(slips.supports)
-        return 0.0, float(np.sum(grip.bounds[rows] * grip.moving[rows] * slips.slip))
+    slips = slips_now(cable, grip, shape)
     law = grip.law(slips.supports, friction.tolerance * slips.size)
     return stored_and_lost(slips.slip, *law)
 
@@ -151,13 +200,21 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     # a node on a vertex cannot slip: friction balances the pull, up to the bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
-    slips = node_slips(cable, grip.curve, shape)
-    rows = grip.rows(slips.supports)
-    if friction.law == "step":
-        forces[rows] = grip.bounds[rows] * grip.moving[rows]
-    else:
-        forces[rows] = slip_forces(friction, grip, slips)
+    slips = slips_now(cable, grip, shape)
+    forces[grip.rows(slips.supports)] = slip_forces(friction, grip, slips)
     return np.asarray(forces)
+
+
+def note_sliding(cable: LaidCable, shape: StripShape) -> None:
+    """Note in which directions the nodes of the paper's friction elements slide in this step."""
+    friction, grip = cable.cable.sideways, cable.lateral
+    if friction is None or grip is None or grip.elements is None or not cable.taut:
+        return
+    slips, moving = slips_now(cable, grip, shape), np.zeros(len(grip.supports))
+    bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
+    slid = (np.abs(slips.slip) >= eps) | (bounds == 0.0)
+    moving[grip.rows(slips.supports)] = np.copysign(1.0, slips.slip) * slid
+    cable.update(lateral=replace(grip, moving=moving))
 
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
@@ -165,23 +222,26 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None:
         return
-    _, dissipated = energies(cable, shape)
+    dissipated = grip.dissipated + energies(cable, shape)[1]
     elastic: dict[int, float] = {}
     moving: dict[int, float] = {}
     if cable.taut:
-        slips = node_slips(cable, grip.curve, shape)
+        slips = slips_now(cable, grip, shape)
         most = grip.law(slips.supports, friction.tolerance * slips.size)[2]
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -most, most), strict=True))
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
+    if grip.elements is not None:
+        start_elements(cable, curve, shape, replace(grip, dissipated=dissipated))
+        return
     ended = replace(
         grip,
         curve=curve,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
         cone=None,  # the remaining elastic slip has the same force in the uncoupled law
-        dissipated=grip.dissipated + dissipated,
+        dissipated=dissipated,
     )
     cable.update(lateral=ended)
 
@@ -204,24 +264,26 @@ def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
 
 def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionElements:
     """The paper's friction elements."""
-    blocks, forces, offsets, owner = [], [], [], numbering.strip.simplices.owner
-    for c, cable, _, grip, slips in _slips(numbering, shape, "step"):
-        direction = turns(cable)
-        for k, edge, slip in zip(slips.nodes, slips.supports, slips.slip, strict=True):
-            if owner[numbering.on[numbering.row(c, k)]] != numbering.rank:
-                continue
-            vertex = edge[int(cable.fractions[k] > 0.5)]
-            work = grip.at(edge) * grip.moving[grip.row_of[edge]]
-            force = work * directions(cable, [k], shape, *(way[None] for way in direction[k]))[1][0]
-            blocks.append((numbering.vertex(vertex), numbering.block(c, k)))
-            forces.append(force)
-            # The work of a node added in this step starts with its slip.
-            offsets.append(work * slip - float(force @ (cable.positions[k] - shape.at(vertex))))
-    return FrictionElements(
-        np.array(blocks, dtype=np.int32).reshape(-1, 2),
-        np.array(forces, dtype=float).reshape(-1, 3),
-        np.array(offsets, dtype=float),
-    )
+    blocks: list[tuple[int, int, int]] = []
+    slopes: list[Array] = [np.zeros((0, 3, 3))]
+    laws: list[Array] = [np.zeros((3, 0))]
+    owner = numbering.strip.simplices.owner
+    for c, _, friction, grip, slips in _slips(numbering, shape, "step"):
+        own = [owner[numbering.on[numbering.row(c, k)]] == numbering.rank for k in slips.nodes]
+        for k, edge in itertools.compress(zip(slips.nodes, slips.supports, strict=True), own):
+            first, last = (numbering.vertex(v) for v in edge)
+            blocks.append((first, numbering.block(c, k), last))
+        elements, rows = grip.elements, grip.rows(slips.supports)
+        assert elements is not None
+        bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
+        laws.append(np.array([elements.offset[rows], bounds, eps])[:, own])
+        ends = np.array(slips.supports).reshape(-1, 2)
+        at_last = (elements.vertices[rows] == ends[:, 1]).astype(float)
+        weights = np.stack([at_last - 1, np.ones_like(at_last), -at_last], axis=1)
+        slopes.append((weights[:, :, None] * elements.left[rows][:, None])[own])
+    offset, bound, eps = np.concatenate(laws, axis=1).copy()
+    table = np.array(blocks, dtype=np.int32).reshape(-1, 3)
+    return FrictionElements(table, np.concatenate(slopes), offset, bound, eps)
 
 
 def _slips(

@@ -1,10 +1,11 @@
 """Minimisation of the potential by TAO's BLMVM with a positive definite initial Hessian.
 
-The paper minimises each step's potential by a quasi-Newton method (section 2.7). Plain BLMVM needs
-hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is a
-stiffness, positive definite by construction. The solve runs in *stages*: one ends, and H0 is
-rebuilt, once finishing would take longer than with a new H0, or its line searches have cost as
-much. The next solve of the same potential, at other loads, starts with the last H0.
+The paper minimises each step's potential by a quasi-Newton method (section 2.7). Plain BLMVM, the
+option ``-crms_h0 false``, needs hundreds of iterations on a membrane and thousands with a cable.
+Here its initial Hessian H0 is a stiffness, positive definite by construction. The solve runs in
+*stages*: one ends, and H0 is rebuilt, once finishing would take longer than with a new H0, or its
+line searches have cost as much. The next solve of the same potential, at other loads, starts with
+the last H0.
 
 Newton's method, with H0 rebuilt in each iteration, takes over where a stage makes little progress,
 as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum where
@@ -60,7 +61,8 @@ LONGEST = 15
 """Evaluations of a line search; longer ones almost always fail."""
 
 ROUNDED = 1e-6
-"""Residual, relative to the force scale, up to which one of pure rounding is accepted."""
+"""Residual, relative to the force scale, up to which one of pure rounding is accepted, and to which
+a solve without H0 goes: the last digits would take it a hundred times as many iterations."""
 
 COARSE, LOOKS = (1e-5,), (1e-2, 1e-3, 1e-4)
 """Residuals, relative to the force scale, at which `solve` asks whether to go on; the second where
@@ -77,9 +79,9 @@ BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 
 
 class Minimizer:
-    """TAO's BLMVM on a potential, in stages with a fresh H0 each. PETSc options with the prefix
-    override every choice, for example ``-crms_tao_type``, ``-crms_tao_monitor``,
-    ``-crms_h0_pc_type``, ``-crms_h0_pc_factor_mat_solver_type``. Units: atol (force)."""
+    """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
+    the prefix override every choice, for example ``-crms_tao_type``, ``-crms_tao_monitor``,
+    ``-crms_h0 false``, ``-crms_h0_pc_type``. Units: atol (force)."""
 
     def __init__(
         self,
@@ -132,7 +134,7 @@ class Minimizer:
             raise InputError(
                 f"option -{prefix}tao_type {kind} {why}; choose one of {', '.join(usable)}."
             )
-        self._uses_h0 = kind in ("blmvm", "lmvm")
+        self._uses_h0 = kind in ("blmvm", "lmvm") and options.getBool("h0", True)
         if self._uses_h0 and any(term.of_cables for term in potential.terms):
             from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
@@ -348,7 +350,8 @@ class Minimizer:
         self._energy0, self._scale = potential.evaluate_terms()
         potential.free_gradient(self._g0)
         rounding = potential.rounding()
-        tolerance = max(self.rtol * self._scale, self.atol, rounding)
+        rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
+        tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding

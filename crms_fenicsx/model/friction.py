@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
@@ -40,9 +40,11 @@ class Friction:
         up to 1.41. True: an ellipse (Coulomb's cone if `along` equals `mu`), and the cable slides
         in the direction of greatest dissipation. It takes more passes.
     law
-        "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
-        keeps direction and size during a load step (assumption 7); it cannot stick, so a cable that
-        should stay is pushed back.
+        "coulomb": stick and slip. "step": the paper's friction element (section 3.3) between the
+        cable and a membrane node, whose force has the size ``mu N`` and the direction of the load
+        step's start (assumption 7), (3.2-1 ... 3.3-2), against the slip of the step. Where neither
+        sense of this force lets the cable slide, it holds the cable with less than ``mu N``, and a
+        warning tells so: the paper does not treat sticking.
     tolerance
         Elastic slip at which the friction force is fully mobilised, the width over which its jump
         is smoothed: sideways relative to the cell size, along the cable to the elongation that a
@@ -177,6 +179,30 @@ class LateralLaw:
 
 
 @dataclass(frozen=True)
+class ElementSlips:
+    """Slips of the paper's friction elements of n nodes, ``left . (x_p - x_v) + offset``, from the
+    positions of node and vertex. Elements not placed yet have an offset of NaN."""
+
+    vertices: Annotated[Integers, "n"]  # membrane node v of each element
+    left: Annotated[Array, "n", 3]  # direction of positive slip, as the step began
+    offset: Annotated[Array, "n"]  # (length)
+    bound: Annotated[Array, "n"]  # mu N as the step began (force)
+
+    @classmethod
+    def missing(cls, bound: Array) -> ElementSlips:
+        """Elements of nodes with these bounds, none placed yet."""
+        n = len(bound)
+        return cls(np.full(n, -1), np.zeros((n, 3)), np.full(n, np.nan), bound)
+
+    def remapped(self, bound: Array, stays: Sequence[int], rows: Sequence[int]) -> ElementSlips:
+        """Elements of nodes with these bounds, of which `stays` have been `rows`."""
+        new = ElementSlips.missing(bound)
+        new.vertices[stays], new.left[stays] = self.vertices[rows], self.left[rows]
+        new.offset[stays] = self.offset[rows]
+        return new
+
+
+@dataclass(frozen=True)
 class LateralFrictionState:
     """Sideways friction of a laid cable in a load step."""
 
@@ -187,6 +213,7 @@ class LateralFrictionState:
     dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)
     known: bool = False  # whether the bounds come from a solved state, not from a first guess
     cone: LateralLaw | None = None  # reduction by friction along the cable; None: none
+    elements: ElementSlips | None = None  # of the paper's law; None: of another law
 
     def rows(self, supports: Iterable[Support]) -> list[int]:
         """Rows of nodes in the arrays."""
@@ -203,6 +230,14 @@ class LateralFrictionState:
     def at(self, support: Support) -> float:
         """Bound of a node (force)."""
         return float(self.bounds[self.row_of[support]])
+
+    @property
+    def held(self) -> int:
+        """Number of nodes that friction elements hold in place."""
+        if self.elements is None:
+            return 0
+        placed = ~np.isnan(self.elements.offset)
+        return int(np.sum(placed & (self.moving == 0.0) & (self.bounds > 0.0)))
 
     @cached_property
     def row_of(self) -> dict[Support, int]:

@@ -154,6 +154,11 @@ def lay(
         from crms_fenicsx.friction.axial import initial_state
 
         laid.update(axial=initial_state(laid, shape))
+    if laid.cable.sideways is not None and laid.cable.sideways.law == "step":
+        from crms_fenicsx.friction.lateral import start_elements
+        from crms_fenicsx.friction.slip import material_curve
+
+        start_elements(laid, material_curve(laid, shape), shape)
     net.add(laid, strip)
     return laid
 

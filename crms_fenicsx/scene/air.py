@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import gained_volume
@@ -25,7 +24,7 @@ class AirState:
 class Air(Stateful[AirState]):
     """The air under the membrane: ``scene.sealed``."""
 
-    def __init__(self, net: CableNet, versions: Versions, law: Literal["total", "step"]) -> None:
+    def __init__(self, net: CableNet, versions: Versions, law: str) -> None:
         self.membrane, self.comm, self.versions = net.membrane, net.membrane.comm, versions
         self._net, self._law = net, law
         self.state = AirState()
@@ -69,7 +68,7 @@ class Air(Stateful[AirState]):
         Raises
         ------
         InputError
-            On all ranks: air already sealed, the paper's pressure law, a volume or atmosphere that
+            On all ranks: air already sealed, a step-wise pressure law, a volume or atmosphere that
             is not positive, an exponent below 1, or a current pressure below vacuum.
 
         Examples

@@ -39,6 +39,7 @@ ANOTHER = "make another Scene(...)"
 """Remedy named when a property fixed at construction is assigned."""
 
 Law = Literal["total", "step"]
+PressureLaw = Literal["total", "lagged", "step"]
 
 
 Part = TypeVar("Part")
@@ -78,9 +79,11 @@ class Scene:
     pressure
         "total": the exact follower pressure. The rim of the pressurised surface must be held, or
         slide in planes x, y or z = constant that are held in their normal direction, as planes of
-        symmetry. "step": the paper's nodal forces, which keep direction and size in a step, (2.4-1,
-        2). The rim may be free; steps are then repeated until the forces equal the follower
-        pressure.
+        symmetry. "lagged": the nodal forces that the follower pressure has at a step's start. The
+        rim may be free; steps are then repeated until these forces are those of the step's end.
+        "step": the paper's nodal forces, (2.4-1, 2), which also keep direction and size in a step,
+        but leave fold points unloaded: corners of a folded cell carry the pressure on the triangle
+        between them.
     pressure_on
         The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
         roof, which has the same air on both sides.
@@ -149,7 +152,9 @@ class Scene:
     """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
-    pressure_law: ReadOnly[Law] = ReadOnly("_pressure_law", "give it to Scene(..., pressure=...)")
+    pressure_law: ReadOnly[PressureLaw] = ReadOnly(
+        "_pressure_law", "give it to Scene(..., pressure=...)"
+    )
     penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
@@ -185,7 +190,7 @@ class Scene:
         material: MembraneMaterial | Mapping[str, MembraneMaterial],
         *,
         strain: Law = "total",
-        pressure: Law = "total",
+        pressure: PressureLaw = "total",
         pressure_on: Sequence[str] | None = None,
         penalty: float = 0.1,
         literal_penalty: float | None = None,
@@ -196,8 +201,8 @@ class Scene:
             mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
             penalty=penalty, literal_penalty=literal_penalty,
         )  # fmt: skip
-        for name, value in (("strain", strain), ("pressure", pressure)):
-            checks.one_of(f"Scene: {name}", value, ("total", "step"))
+        checks.one_of("Scene: strain", strain, ("total", "step"))
+        checks.one_of("Scene: pressure", pressure, ("total", "lagged", "step"))
         self._strain_law, self._pressure_law = strain, pressure
         self._penalty = checks.positive("Scene: penalty", penalty)
         if literal_penalty is not None:

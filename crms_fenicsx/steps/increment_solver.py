@@ -79,7 +79,7 @@ class Increment:
 
 
 MAX_FOLLOWER_SOLVES = 50
-"""Limit of solves per increment under wind, or under the paper's pressure with free edges."""
+"""Limit of solves per increment under wind, or under lagged pressure with free edges."""
 
 
 class IncrementSolver:
@@ -196,7 +196,7 @@ class IncrementSolver:
         return tuple(found)
 
     def _iterate_pressure(self, outcome: Outcome) -> Outcome:
-        """Solve again under the paper's pressure until its forces are normal to the final shape."""
+        """Solve again under lagged pressure until its forces are normal to the final shape."""
         for _ in range(MAX_FOLLOWER_SOLVES):
             self.system.commit()
             more = self.search.find((0.0,))

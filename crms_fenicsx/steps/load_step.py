@@ -87,7 +87,7 @@ def _warn(number: int, text: str, category: type[UserWarning]) -> None:
 
 
 def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:
-    """Warn of friction forces that have not settled, or that have done positive work."""
+    """Warn of friction forces that have not settled, and of friction elements that hold a cable."""
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
@@ -95,15 +95,14 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
         remedy = "of their sum only; make the mesh finer along the cables."
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
-        gained = 0.0 if was.lateral is None else was.lateral.dissipated
-        if cable.lateral is None or cable.has_coulomb or cable.lateral.dissipated >= gained:
-            continue
-        text = (
-            f"the friction elements of {cable.name!r} have pushed it back and given "
-            f"{gained - cable.lateral.dissipated:.3g} of work, as their force does not know of "
-            'sticking; use Friction(law="coulomb") or more steps.'
-        )
-        _warn(number, text, FrictionWarning)
+        held, before_it = (0 if g is None else g.held for g in (cable.lateral, was.lateral))
+        if held > 0 == before_it:
+            text = (
+                f"the friction elements of {cable.name!r} hold it at {counted(held, 'point')}, "
+                "where a force mu N of neither sense lets it slide against that force. There the "
+                "force is smaller, although the paper's element has no sticking."
+            )
+            _warn(number, text, FrictionWarning)
 
 
 def warn_of_blocked(number: int, scene: Scene) -> None:

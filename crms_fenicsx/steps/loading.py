@@ -223,21 +223,21 @@ def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple
 
 
 def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:
-    """Refuse wind with the paper's pressure, which is integrated step by step."""
+    """Refuse wind with a pressure that is integrated step by step."""
     for load in scene.loads:
-        if load.suction is not None and scene.pressure_law == "step":
+        if load.suction is not None and scene.pressure_law != "total":
             _, factor = factors.get(load.name, (0.0, load.factor))
             if factor != 0.0:
                 raise InputError(
                     f"advance: load of {load.name!r} = {factor:g}, a wind that follows the "
-                    'surface, with Scene(..., pressure="step"); use pressure="total", or put the '
-                    "wind in a fixed direction with scene.put_load."
+                    f'surface, with pressure="{scene.pressure_law}"; use pressure="total", or put '
+                    "the wind in a fixed direction with scene.put_load."
                 )
 
 
 def has_free_rim(scene: Scene) -> bool:
-    """Whether the paper's pressure acts on a membrane with free edges. Collective."""
-    if scene.pressure_law == "total" or scene.pressure == 0.0:
+    """Whether lagged pressure acts on a membrane with free edges. Collective."""
+    if scene.pressure_law != "lagged" or scene.pressure == 0.0:
         return False
     return bool(scene.comm.allreduce(len(rim_of(scene.membrane).free)))
 
@@ -265,7 +265,7 @@ def _check_rim(scene: Scene) -> None:
             )
             raise InputError(
                 f"advance: pressure on a membrane {what} {as_text(place)}: the follower pressure "
-                f'needs it held ({remedy}); with free edges use Scene(..., pressure="step").'
+                f'needs it held ({remedy}); with free edges use Scene(..., pressure="lagged").'
             )
         edges = scene.membrane.open_edges
         sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}

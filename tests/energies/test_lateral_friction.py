@@ -13,7 +13,6 @@ from crms_fenicsx.energies.lateral_friction import LateralFriction, Slips
 from crms_fenicsx.energies.paper.cable_elements import FrictionElementEnergy, FrictionElements
 from crms_fenicsx.energies.segments import edge_fractions
 from crms_fenicsx.energies.smooth_coulomb import friction_energy, friction_potentials
-from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.friction import Friction
 
@@ -284,46 +283,90 @@ def test_term_of_a_scene(comm):
     assert is_semidefinite(f.matrix(x))
 
 
-def test_paper_element_is_linear():
-    """w = F d . (x_p - x_v), and no stiffness."""
-    rng = np.random.default_rng(0)
-    X = rng.normal(size=(6, 3))
-    blocks = np.array([(0, 1), (0, 2), (5, 3)], dtype=np.int32)
-    forces, offsets = rng.normal(size=(3, 3)), rng.normal(size=3)
-    term = FrictionElementEnergy(FrictionElements(blocks, forces, offsets))
-    assert type(term).add_stiffness is EnergyTerm.add_stiffness
-    f = TermOnPoints(term, X)
-    for seed in range(3):
-        x = np.random.default_rng(seed).normal(size=X.shape)
+def random_elements(seed=0):
+    """Three friction elements, one at the last end of its edge; slips around eps."""
+    rng = np.random.default_rng(seed)
+    X, left, slips = rng.normal(size=(9, 3)), rng.normal(size=(3, 3)), np.array([0.03, -0.5, 0.08])
+    left /= np.linalg.norm(left, axis=1)[:, None]
+    blocks = np.arange(9, dtype=np.int32).reshape(3, 3)
+    weights = np.array([(-1, 1, 0), (0, 1, -1), (-1, 1, 0)])
+    way = np.einsum("nq,nqi->ni", weights, X[blocks])
+    slopes = weights[:, :, None] * left[:, None]
+    offset = slips - np.sum(left * way, axis=1)
+    table = FrictionElements(blocks, slopes, offset, np.array([2.0, 1.0, 3.0]), np.full(3, 0.1))
+    return X, weights, left, table
+
+
+def test_paper_element():
+    """w = F |s|, smoothed over eps, with s = d . (x_p - x_v) from the step's start."""
+    X, weights, left, table = random_elements()
+    f = TermOnPoints(FrictionElementEnergy(table), X)
+    for seed in range(5):
+        x, d = 0.03 * np.random.default_rng(seed).normal(size=(2, *X.shape))
         energy, g = f.value(x)
-        twin = sum(
-            float(force @ (X[p] + x[p] - X[v] - x[v])) + offset
-            for (v, p), force, offset in zip(blocks, forces, offsets, strict=True)
-        )
-        assert energy == pytest.approx(twin, rel=1e-13)
-        expected = np.zeros_like(X)
-        for (v, p), force in zip(blocks, forces, strict=True):
-            expected[p] += force
-            expected[v] -= force
-        np.testing.assert_allclose(g, expected, atol=1e-15)
+        twin, forces = 0.0, np.zeros_like(X)
+        for k, (first, point, last) in enumerate(table.blocks):
+            vertex = last if weights[k, 2] else first
+            slip = left[k] @ (X[point] + x[point] - X[vertex] - x[vertex]) + table.offset[k]
+            w, force = potential(slip, table.bound[k], 0.1)
+            twin += w
+            forces[point] += force * left[k]
+            forces[vertex] -= force * left[k]
+        assert energy == pytest.approx(twin, rel=1e-12)
+        np.testing.assert_allclose(g, forces, rtol=0, atol=1e-12)
+        assert gradient_order(f, x, d) == pytest.approx(2, abs=0.1)
+        assert is_semidefinite(f.matrix(x))
+
+
+def test_hessian_of_paper_elements():
+    """Of nodes that stick and that slide: against differences of gradients."""
+    X, _, _, table = random_elements()
+    f = TermOnPoints(FrictionElementEnergy(table), X)
+    f.term.add_stiffness = f.term.add_hessian
+    x, d = 0.01 * np.random.default_rng(1).normal(size=(2, *X.shape))
+    up, down = (f.value(x + s * 1e-5 * d)[1] for s in (1, -1))
+    size = np.abs(up - down).max() / 2e-5
+    np.testing.assert_allclose(f.times(x, d), (up - down) / 2e-5, rtol=0, atol=1e-6 * size)
+    sticks = np.abs(f.term.slips) < table.eps
+    assert sticks.any() and not sticks.all()
+
+
+def test_some_paper_elements():
+    """A term of the elements at chosen blocks, as local relaxation makes it."""
+    X, _, _, table = random_elements()
+    term = TermOnPoints(FrictionElementEnergy(table), X).term
+    some = term.elements_on(np.arange(9) == 4)
+    np.testing.assert_array_equal(some.blocks, table.blocks[1:2])
+    f = TermOnPoints(term.of_elements(some, np.zeros(1)), X)
+    assert f.value(0 * X)[0] == pytest.approx(potential(-0.5, 1.0, 0.1)[0], rel=1e-12)
+    assert f.term.element_energies(np.zeros(1)) == pytest.approx(f.value(0 * X)[0], rel=1e-14)
+    assert term.elements_on(np.zeros(9, dtype=bool)) is None
 
 
 @pytest.mark.ranks
 def test_paper_elements_of_a_scene(comm):
-    """Their work begins at zero, and grows with the slip to the side to which a node slides."""
-    system = friction_square(comm, Friction(0.4, law="step"))
-    for cable in system.scene.cables:
-        cable.lateral.moving[:] = 1.0
-    system.rebuild()
-    system.read_scene()
+    """Their work begins at zero, and its gradient pulls points and nearer vertices together."""
+    system = friction_square(comm, Friction(0.4, law="step", tolerance=0.01))
     f = on_mesh(system, "FrictionElementEnergy")
-    table = f.potential.terms[0].table
-    assert comm.allreduce(len(table.blocks)) > 15
-    energy, g = f.value(np.zeros((system.unknowns.n_owned, 3)))
-    bounds = sum(float(cable.lateral.bounds.sum()) for cable in system.scene.cables)
-    scale = bounds * 100.0  # all the force through the square's side
-    assert abs(energy) < 1e-14 * scale
-    assert np.sqrt(f.dot(g, g)) > 0.1 * np.abs(table.forces).max(initial=0.0)
+    term = f.potential.terms[0]
+    assert comm.allreduce(len(term.table.blocks)) > 15
+    energy, _ = f.value(np.zeros((system.unknowns.n_owned, 3)))
+    assert abs(energy) < 1e-20
+    x = slid(system, 0.02)
+    energy, _ = f.value(x)
+    y = np.abs(term.slips) / term.table.eps
+    assert comm.allreduce(int(np.sum(y > 1))) > 3 < comm.allreduce(int(np.sum(y < 0.9)))
     d = noise(system.unknowns.X[: system.unknowns.n_owned], 99)
-    slope = f.dot(g, d)
-    assert f.value(d)[0] == pytest.approx(slope, rel=1e-10, abs=1e-13 * scale)
+    assert gradient_order(f, x, d, 0.002 * 0.25 ** np.arange(6)) == pytest.approx(2, abs=0.05)
+    assert is_semidefinite(f.matrix(x))
+    NodePositions(system.cables.numbering, system.unknowns).gather(f.potential.x)
+    shape, twin = system.scene.net.strip_shape(), 0.0
+    for cable in system.scene.cables:
+        slips, own = node_slips(cable, cable.lateral.curve, shape), cable.lateral.elements
+        for k, support, size in zip(slips.nodes, slips.supports, slips.size, strict=True):
+            row = cable.lateral.row_of[support]
+            assert own.vertices[row] in support
+            way = cable.positions[k] - shape.at(own.vertices[row])
+            slip = own.left[row] @ way + own.offset[row]
+            twin += potential(slip, cable.lateral.bounds[row], 0.01 * size)[0]
+    assert energy == pytest.approx(twin, rel=1e-10)

@@ -357,11 +357,11 @@ def test_straight_folds_have_the_volume_of_plain_cells(comm):
 
 
 @pytest.mark.ranks
-def test_folded_step_pressure(comm):
+def test_folded_lagged_pressure(comm):
     """Linear in a step with the forces of the step's start, which are a third of each facet's
     area vector; steps add up."""
-    system = cable_square(comm, pressure="step")
-    f = on_mesh(system, "FoldedStepPressure")
+    system = cable_square(comm, pressure="lagged")
+    f = on_mesh(system, "FoldedLaggedPressure")
     unknowns, facets = f.unknowns, system.cables.tables.facets
     start, d = displaced(unknowns, 2.0), noise(unknowns.X[: unknowns.n_owned], 8)
     before = f.value(start)[0]
@@ -392,8 +392,8 @@ def test_folded_step_pressure(comm):
 
 def test_step_forces_on_plain_and_folded_cells_add_up(comm):
     """With straight folds all nodal forces balance those of plain cells."""
-    system = cable_square(comm, pressure="step")
-    f = on_mesh(system, "StepPressure", "FoldedStepPressure")
+    system = cable_square(comm, pressure="lagged")
+    f = on_mesh(system, "StepPressure", "FoldedLaggedPressure")
     f.value(straight(system))
     f.potential.begin_step()
     _, g = f.value(straight(system))

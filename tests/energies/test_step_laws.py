@@ -39,14 +39,14 @@ def tightened(
     return solver, cable
 
 
-def test_step_pressure_converges_with_order_one(comm) -> None:
+def test_lagged_pressure_converges_with_order_one(comm) -> None:
 
     def tension(steps: int, law: str) -> float:
         scene = clamped(square(comm, 9), LINEAR, pressure=law)
         return tightened(scene, steps, 0.01, 0.5)[1].tension
 
     exact = tension(4, "total")
-    errors = [tension(n, "step") / exact - 1 for n in (5, 10, 20, 40)]
+    errors = [tension(n, "lagged") / exact - 1 for n in (5, 10, 20, 40)]
     rate = np.polyfit(np.log([5, 10, 20, 40]), np.log(np.abs(errors)), 1)[0]
     assert rate == pytest.approx(-1.0, abs=0.15)
     assert abs(errors[-1]) < 5e-3

@@ -325,7 +325,7 @@ def test_something_is_held(square) -> None:
 @pytest.mark.parametrize("directions", ["x", "y"])
 @pytest.mark.usefixtures("idle")
 def test_follower_pressure_needs_a_held_boundary(square, directions: str) -> None:
-    words = "boundary is free", 'scene.fix("boundary")', 'pressure="step"'
+    words = "boundary is free", 'scene.fix("boundary")', 'pressure="lagged"'
     scene = Scene(square, MATERIAL)
     scene.fix("left")
     refused_load(scene, *words, pressure=0.01)

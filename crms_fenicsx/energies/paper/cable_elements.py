@@ -1,38 +1,56 @@
-"""Tension of a cable from the strains of the load steps.
+"""The paper's friction element (3.3), and its step-wise law of a cable (2.2).
 
-It sits between a membrane node v and the point p where the cable passes it, and holds back the
-cable's movement over the node in this load step (3.3-1, 2):
+A friction element sits between a membrane node v and the point p where the cable passes it. Its
+work is that of the force F against the slip s of cable and membrane in a load step (3.3-1, 2):
 
-    w = F d . (x_p - x_v),   F and the direction d as the step began (assumption 7).
+    w = F |s|,   s = d . ((x_p - x_v) - (x_p - x_v at the step's start)),
 
-The force acts at the node and not at the true contact point; by Saint-Venant's principle the error
-stays local. As its direction does not depend on the movement, a cable that should stay is pushed
-back: this potential has no stick. See `crms_fenicsx.energies.lateral_friction` for one that has.
+with F and the direction d of the step's start (assumption 7). The force acts at the node and not at
+the true contact point; by Saint-Venant's principle the error stays local. The paper takes the sense
+of the slip as known. Here the minimisation finds it: |s| is smoothed over a small elastic slip eps,
+as by `crms_fenicsx.energies.lateral_friction`. A node that slides farther has exactly the paper's
+force, and a node that would slide against the force of either sense, elastically, less.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, rows_of
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
+from crms_fenicsx.energies.segments import slip_stiffness
+from crms_fenicsx.energies.smooth_coulomb import (
+    friction_energy,
+    friction_potentials,
+    secant_stiffness,
+    tangent_stiffness,
+)
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
-class FrictionElements:
+class FrictionElements(ElementTable):
     """This rank's friction elements."""
 
-    blocks: Indices  # (n, 2) membrane node and cable point
-    forces: Array  # (n, 3) F d, the direction that of the sliding that is resisted (force)
-    offsets: Array  # (n,) energy at zero displacements (force x length)
+    blocks: Indices  # (n, 3) ends of the edge that the cable crosses, its point between them
+    slopes: Array  # (n, 3, 3) derivatives of the slip by them: d at p, -d at v, and zero
+    offset: Array  # (n,) slip where p lies on v (length)
+    bound: Array  # (n,) friction force F of a sliding node (force)
+    eps: Array  # (n,) slip at which it is reached (length)
+    addresses = ("blocks",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the elements."""
+        return rows_of(self.blocks)
 
 
 class FrictionElementEnergy(EnergyTerm):
@@ -43,37 +61,66 @@ class FrictionElementEnergy(EnergyTerm):
 
     def __init__(self, table: FrictionElements) -> None:
         self.table = table
+        self.slips, self._force = np.zeros((2, len(table.blocks)))
+        self.pattern = ElementPattern(*table.element_blocks)
+        self.patterns = (self.pattern,)
 
     def renew(self, table: FrictionElements) -> None:
-        """Take the elements of another load step."""
+        """Use the elements of another load step at the same nodes."""
         self.table = table
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the work."""
+        """This rank's part of the work; keeps slips and forces for the gradient."""
         t = self.table
-        out[0] = _work(self.unknowns.X, x, t.blocks, t.forces) + t.offsets.sum()
+        _find_slips(self.unknowns.X, x, t.blocks, t.slopes, t.offset, self.slips)
+        out[0] = friction_energy(self.slips, t.bound, t.eps, self._force)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the friction forces."""
-        _add_forces(self.table.blocks, self.table.forces, g)
+        _add_forces(self.table.blocks, self.table.slopes, self._force, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the secant stiffness ``force / slip``."""
+        self._add(secant_stiffness(self.slips, self.table.bound, self.table.eps), A)
+
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the second derivatives; sliding nodes have none."""
+        self._add(tangent_stiffness(self.slips, self.table.bound, self.table.eps), A)
+
+    def _add(self, stiffness: Array, A: BlockSink) -> None:
+        pointers, blocks = self.table.element_blocks
+        slopes = self.table.slopes.reshape(-1, 3)
+        slip_stiffness(pointers, blocks, slopes, stiffness, self.pattern.values)
+        self.pattern.add(A)
+
+    def elements_on(self, chosen: Booleans) -> FrictionElements | None:
+        """Elements with chosen blocks."""
+        rows = self.table.rows_on(chosen)
+        own = (getattr(self.table, field.name)[rows] for field in fields(self.table))
+        return FrictionElements(*own) if len(rows) else None
+
+    def of_elements(self, table: FrictionElements, sums: Array) -> FrictionElementEnergy:
+        return FrictionElementEnergy(table)
+
+    def element_energies(self, sums: Array) -> Array:
+        return friction_potentials(self.slips, self.table.bound, self.table.eps)
 
 
 @numba.njit(cache=True)
-def _work(X, x, blocks, forces):  # type: ignore[no-untyped-def]
-    work = 0.0
+def _find_slips(X, x, blocks, slopes, offset, slips):  # type: ignore[no-untyped-def]
     for k in range(blocks.shape[0]):
-        v, p = blocks[k, 0], blocks[k, 1]
-        for i in range(3):
-            work += forces[k, i] * (X[p, i] - X[v, i] + (x[p, i] - x[v, i]))
-    return work
+        slips[k] = offset[k]
+        for q in range(3):
+            for i in range(3):
+                slips[k] += slopes[k, q, i] * (X[blocks[k, q], i] + x[blocks[k, q], i])
 
 
 @numba.njit(cache=True)
-def _add_forces(blocks, forces, g):  # type: ignore[no-untyped-def]
+def _add_forces(blocks, slopes, force, g):  # type: ignore[no-untyped-def]
     for k in range(blocks.shape[0]):
-        for i in range(3):
-            g[blocks[k, 1], i] += forces[k, i]
-            g[blocks[k, 0], i] -= forces[k, i]
+        for q in range(3):
+            for i in range(3):
+                g[blocks[k, q], i] += force[k] * slopes[k, q, i]
 
 
 class StepCableTension(CableTension):

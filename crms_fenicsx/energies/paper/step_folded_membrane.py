@@ -179,8 +179,11 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         self._read()
 
 
-class FoldedStepPressure(EnergyTerm):
-    """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`."""
+class FoldedLaggedPressure(EnergyTerm):
+    """Nodal forces of the facets of folded cells that are constant in a step; see `StepPressure`.
+
+    The paper loads the corners of a folded element only, (2.4-1).
+    """
 
     name = "pressure"
     of_cables = True

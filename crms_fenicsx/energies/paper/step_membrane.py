@@ -25,12 +25,13 @@ from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
 
 
 class StepPressure(EnergyTerm):
-    """The paper's pressure: nodal forces that keep direction and size in a step (2.4-1, 2)."""
+    """The paper's pressure: nodal forces that keep direction and size in a step (2.4-1, 2). Each
+    corner of a cell, folded or not, carries a third of the area of the triangle between them."""
 
     name = "pressure"
     has_history = True
@@ -182,6 +183,11 @@ class StepMembraneEnergy(MembraneEnergy):
     def energy(self, sums: Array) -> float:
         """Strain energy over all steps (force x length)."""
         return self.energy_n + float(sums[0])
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """As `MembraneEnergy.rounding`, of section forces at a strain of 1: increments of strain
+        are differences of lengths, and the total strain is one of displacements."""
+        return self._area * (4 * EPSILON * (self._prestress + self._modulus)) ** 2
 
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: its stresses and shapes are the next step's start."""
