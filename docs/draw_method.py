@@ -399,8 +399,7 @@ def on_fabric(scene: Scene, cable: LaidCable) -> Array:
 
 def cells_of(scene: Scene) -> Array:
     """Corners of the cells on the flat stress-free fabric, (n, 3, 2)."""
-    geometry = scene.mesh.mesh.geometry
-    return np.asarray(geometry.x[geometry.dofmap][..., :2])
+    return np.asarray(scene.membrane.stress_free[scene.V.dofmap.list][..., :2])
 
 
 def twice_area(u: Array, v: Array) -> Array:
