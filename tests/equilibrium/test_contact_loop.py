@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dome import STADIUM_HEIGHT, STADIUM_RADIUS, stadium
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
 from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 
 
 def roof(comm: MPI.Comm) -> Scene:
     """A flat roof under two families of cables, some of which lift off as it is inflated."""
-    mesh = meshes.spherical_cap(comm, radius=100.0, height=28.0, size=5.1)
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene = Scene(stadium(comm, size=5.1), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
     scene.fix("boundary")
     for angle in np.radians([45.0, -45.0]):
         for offset in 8.5 * np.arange(-6.5, 7.0):
-            path = nets.great_circle(100.0, 28.0, angle, offset)
+            path = nets.great_circle(STADIUM_RADIUS, STADIUM_HEIGHT, angle, offset)
             scene.lay_cable(Cable(EA=600e3), path=path)
     return scene
 

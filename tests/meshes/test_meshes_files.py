@@ -10,7 +10,7 @@ import gmsh
 import meshio
 import numpy as np
 import pytest
-from mesh_measures import area, edge_ends, length, point_places, total_area_vector
+from mesh_measures import area, cell_corners, edge_ends, length, point_places, total_area_vector
 from scipy.integrate import dblquad
 
 from crms_fenicsx import meshes
@@ -159,6 +159,34 @@ def test_geo_script(comm):
         return side**2 * np.sqrt(1.0 + slope @ slope)
 
     assert area(tent) == pytest.approx(dblquad(density, 0.0, 1.0, 0.0, 1.0)[0], rel=2e-3)
+
+
+def hall_plan(comm, size):
+    return meshes.rectangle(comm, 36.0, 36.0, size, corner=(-18.0, -18.0))
+
+
+def tent_plan(comm, size):
+    corners = [(0.0, -7.0), (8.0, 0.0), (0.0, 7.0), (-8.0, 0.0)]
+    names = ["south east", "north east", "north west", "south west"]
+    return meshes.polygon(comm, corners, size, names=names)
+
+
+@pytest.mark.parametrize(
+    ("name", "made", "sizes"),
+    [("hall", hall_plan, (2.4, 6.0)), ("tent", tent_plan, (0.6, 1.2))],
+)
+def test_plans_of_the_demos(comm, name, made, sizes):
+    """They have the cells of the generators, at the size that gmsh is given."""
+    gmsh = pytest.importorskip("gmsh")
+    for size in sizes:
+        gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+        plan = meshes.from_file(comm, ROOT / "meshes" / f"{name}.geo")
+        gmsh.finalize()
+        twin = made(comm, size)
+        np.testing.assert_array_equal(cell_corners(plan), cell_corners(twin))
+        assert list(plan.edges) == list(twin.edges) and len(plan.points) == len(twin.points) == 4
+        for edge in plan.edges:
+            assert length(plan, edge) == pytest.approx(length(twin, edge), rel=1e-12)
 
 
 @pytest.mark.ranks

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dome import HEIGHT, RADIUS
+from dome import dome as cap
 from numpy.testing import assert_allclose
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes, nets
 
-RIM, HEIGHT, EA = 20.0, 10.0, 30e3
+EA = 30e3
 TENSION = 13.743
 """Of a cable over the crown, just taut, at 0.4 kPa: `benchmarks/cable_convergence.py`."""
 
 
 def dome(comm, size: float) -> Scene:
     """The cap of demos/cable_net.py."""
-    mesh = meshes.spherical_cap(comm, RIM, HEIGHT, size)
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene = Scene(cap(comm, size), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
     scene.fix("boundary")
     return scene
 
 
 def over(scene: Scene, **how):
     """A cable over the crown, or beside it."""
-    return scene.lay_cable(Cable(EA), nets.great_circle(RIM, HEIGHT, 0.3, 0.0), **how)
+    return scene.lay_cable(Cable(EA), nets.great_circle(RADIUS, HEIGHT, 0.3, 0.0), **how)
 
 
 def arc_between(start: np.ndarray, end: np.ndarray) -> float:
@@ -105,7 +106,7 @@ def test_laid_again_before_there_is_a_fold(comm) -> None:
 def test_the_papers_law_knows_the_facets(comm) -> None:
     scene = dome(comm, 3.0)
     cable = scene.lay_cable(
-        Cable(EA, law="step"), nets.great_circle(RIM, HEIGHT, 0.3, 0.0), tension=5.0
+        Cable(EA, law="step"), nets.great_circle(RADIUS, HEIGHT, 0.3, 0.0), tension=5.0
     )
     assert cable.tension == pytest.approx(5.0, rel=1e-9)
     assert cable.L0 * (1 + 5.0 / EA) == pytest.approx(cable.length, rel=1e-13)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dome import HEIGHT, RADIUS
+from dome import dome as cap
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
 
 pytestmark = pytest.mark.usefixtures("comm")
-RADIUS, HEIGHT, SPHERE = 20.0, 10.0, 25.0
+SPHERE = 25.0
 CIRCLE = nets.great_circle(RADIUS, HEIGHT, 0.3, 9.0)
 
 
 def dome(comm, size: float) -> Scene:
     """A cap on which a straight path in plan is longer than the great circle."""
-    mesh = meshes.spherical_cap(comm, RADIUS, HEIGHT, size)
-    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    scene = Scene(cap(comm, size), IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
     scene.fix("boundary")
     return scene
 

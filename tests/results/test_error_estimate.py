@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dome import HEIGHT, RADIUS, dome
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 
@@ -58,9 +59,9 @@ def test_cable_on_lines_and_across_cells(comm, y):
 def test_cap_with_a_cable(comm):
     """The finest of its levels gives -31.102, with 0.01."""
     material = IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3)
-    scene = Scene(meshes.spherical_cap(comm, 20.0, 10.0, 3.0), material)
+    scene = Scene(dome(comm, 3.0), material)
     scene.fix("boundary")
-    scene.lay_cable(Cable(EA=30e3), nets.great_circle(20.0, 10.0, 0.3, 0.0))
+    scene.lay_cable(Cable(EA=30e3), nets.great_circle(RADIUS, HEIGHT, 0.3, 0.0))
     solver = Solver(scene)
     solver.advance(pressure=0.4)
     assert 0.3 < effectivity(solver, -31.102) < 3.0

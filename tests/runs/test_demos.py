@@ -66,8 +66,9 @@ def test_demo(
     pictures, runs, arguments = PROMISED[demo]
     folder = Path(comm.bcast(str(tmp_path)))
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", [f"{demo}.py", *arguments])
-    left = runpy.run_path(str(ROOT / "demos" / f"{demo}.py"), run_name="__main__")
+    script = str(ROOT / "demos" / f"{demo}.py")
+    monkeypatch.setattr(sys, "argv", [script, *arguments])
+    left = runpy.run_path(script, run_name="__main__")
     for solver in (one for one in left.values() if isinstance(one, Solver)):
         groups = {name: dofs for name, (_, dofs) in held_groups(solver.scene.membrane).items()}
         assert foundations(solver.system, groups).unbalanced < 1e-8
