@@ -176,7 +176,7 @@ def raised(
             return rope.work(y) + element.work(y) + penalty(y, mu)
 
         x[[P, Q], 2] += lift / steps / 2
-        free = minimize(work, x[[P, Q]].ravel(), jac=lambda q: slope(work, q), tol=1e-10).x
+        free = minimize(work, x[[P, Q]].ravel(), jac=lambda q: slope(work, q), tol=1e-7).x
         x = placed(x, free)
         total += work(free)
         element.end(x)

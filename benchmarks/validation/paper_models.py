@@ -18,7 +18,18 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from accuracy.cases import CASES, QUANTITIES, Laws
 from accuracy.references import reference
 from validation.paper_by_hand import Element, Rope, Step, isotropic, orthotropic, raised
-from validation.table import COMM, OURS, PUBLISHED, THIRD, Row, labels, over_sizes, panels, report, save
+from validation.table import (
+    COMM,
+    OURS,
+    PUBLISHED,
+    THIRD,
+    Row,
+    labels,
+    over_sizes,
+    panels,
+    report,
+    save,
+)
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
@@ -56,7 +67,9 @@ def single_element(
     return found
 
 
-def by_hand(mu: float, start: Step, steps: int = 6, material: MembraneMaterial = SHEET) -> list[Step]:
+def by_hand(
+    mu: float, start: Step, steps: int = 6, material: MembraneMaterial = SHEET
+) -> list[Step]:
     """Model 1 by the paper's equations, from the same sliding nodes."""
     corners = np.column_stack([CORNERS, np.zeros(3)])
     element = Element(BY_HAND[material], 0.08)  # type: ignore[index]

@@ -61,7 +61,9 @@ def wrapped(n: int) -> tuple[float, np.ndarray, np.ndarray]:
     scene = Scene(drum(n, 0.0, 2.4), STIFF)
     scene.fix("drum")
     t = np.linspace(-1.1, 1.1, 23)[:: int(np.sign(ends[1, 0] - ends[0, 0]))]
-    over = np.column_stack([0.25 * np.cos(np.linspace(-np.pi / 2, np.pi / 2, 23)), np.sin(t), np.cos(t)])
+    over = np.column_stack(
+        [0.25 * np.cos(np.linspace(-np.pi / 2, np.pi / 2, 23)), np.sin(t), np.cos(t)]
+    )
     path = np.vstack([(0.0, *ends[0]), over[5:-5], (0.0, *ends[1])])
     cable = scene.lay_cable(Cable(EA=1.0), path, tension=0.01)
     start = cable.line
@@ -104,7 +106,9 @@ def main() -> None:
     steps = [2.4 / n for n in sizes]
     right.plot(steps, [100 * abs(a / whole - 1) for a in lengths], "o-", color=OURS,
                label="length of the cable")  # fmt: skip
-    right.plot(steps, 0.5 * (np.array(steps) / steps[0]) ** 2, ":", color=PUBLISHED, label="order 2")
+    right.plot(
+        steps, 0.5 * (np.array(steps) / steps[0]) ** 2, ":", color=PUBLISHED, label="order 2"
+    )
     over_sizes(right, steps)
     labels(right, "size of the cells / radius", "error [%]", "against OpenSim")
     save(figure, "rigid_drums")
