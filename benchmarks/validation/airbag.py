@@ -1,8 +1,8 @@
 """The square airbag of R. Jarasjarungkiat, R. Wuechner and K.-U. Bletzinger (2009).
 
-A flat cushion of two square sheets, 1.2 m along the diagonal, is inflated to 5 kPa (E = 588 MPa, nu
-= 0.4, 0.6 mm). A quarter of one sheet is computed; its outer edges move in the plane of the seam. It
-wrinkles nearly everywhere but in its middle M. The published figures are second hand.
+A flat cushion of two square sheets, 1.2 m along the diagonal, is inflated to 5 kPa (E = 588 MPa,
+nu = 0.4, 0.6 mm). A quarter of one sheet is computed; its outer edges move in the plane of the
+seam. Much of it wrinkles, but not its middle M. The published figures are second hand.
 
 Under pressure the wrinkled cushion has more than one equilibrium in the plane of the seam: load
 histories, and meshes, end in states whose energies differ by 1e-4. Ours is the mean of six states,
@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
-
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 DIAGONAL, PRESSURE, THICKNESS = 1.2, 5.0, 0.6e-3
 HALF = DIAGONAL / np.sqrt(2) / 2

@@ -16,12 +16,11 @@ import numpy as np
 import ufl
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
-
 from crms_fenicsx import Scene, Solver, UflMembrane, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.study import convergence
 from crms_fenicsx.study.values import Quantity
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 C1, C2, THICKNESS, RADIUS = 3e5, 3e4, 1e-2, 1.0
 STRETCHES = (1.05, 1.2, 1.4)
@@ -87,7 +86,7 @@ def main() -> None:
     for stretch in STRETCHES:
         found[stretch] = one = limit(stretch)
         rows.append(Row(f"stretch at {rivlin(stretch):.2f} Pa", stretch, one.limit, one.bar,
-                        "closed form, first hand from SfePy's example; Rivlin 1952 is its source"))  # fmt: skip
+                        "closed form of Rivlin 1952, first hand from SfePy's example"))  # fmt: skip
     report("SfePy's balloon", rows)
     figure, (left, right) = panels()
     x = np.linspace(1.0, 1.5, 101)

@@ -19,12 +19,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from crms_fenicsx import Bar, IsotropicMembrane, Joint, Scene, Solver, meshes
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
-from crms_fenicsx import Bar, IsotropicMembrane, Joint, Scene, Solver, meshes
-
 EDGE, NODES, YOUNG, DIAMETER, HEIGHT = 2.0, 12, 200.0, 0.01, 1.0
-"""Saddle: edge (m), nodes of an edge, modulus (GN/m2), diameter of the links, raised corners (m)."""
+"""Saddle: edge (m), nodes of an edge, modulus (GN/m2), diameter of a link, raised corners (m)."""
 DENSITY = 785000 * 9.81 / 1e9
 AREA = np.pi * DIAMETER**2 / 4
 BAY, DEPTH, SECTION, MODULUS = 100.0, 30.0, 0.227, 12000.0
@@ -129,8 +128,8 @@ def saddle_by_programme() -> tuple[np.ndarray, np.ndarray]:
 def prestressed_net() -> tuple[float, float, float]:
     """Displacement of a crossing of the prestressed net.
 
-    Four cables in two directions, 3 bays long; their crossings lie at (+-50, +-50, -30) before. Each
-    cable is a horizontal link between two inclined ones. Links carry half of their weight at
+    Four cables in two directions, 3 bays long; their crossings lie at (+-50, +-50, -30) before.
+    Each cable is a horizontal link between two inclined ones. Links carry half of their weight at
     each end; their unstressed length is that at which the given shape has the given forces.
     """
     scene = empty_scene()
@@ -176,7 +175,7 @@ def main() -> None:
     moved = prestressed_net()
     for axis, a, b, c in zip("xyz", TIBERT, SAP2000, moved, strict=True):
         rows.append(Row(f"prestressed net: u_{axis} of the crossings (ft)", a, c, 0.0,
-                        "second hand: Tibert 1999, elastic catenaries, in SAP2000's manual"))  # fmt: skip
+                        "second hand: Tibert 1999, catenaries, in SAP2000's manual"))  # fmt: skip
         rows.append(Row(f"prestressed net: u_{axis} of the crossings (ft)", b, c, 0.0,
                         "first hand: SAP2000's manual, example 7-003"))  # fmt: skip
     report("cable nets", rows)

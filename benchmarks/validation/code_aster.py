@@ -19,12 +19,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.disks import by_ode, disk, inflated, limit, neo_hooke, rise, saint_venant
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
-
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, UflMembrane, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.study import Quantity, convergence
+from validation.disks import by_ode, disk, inflated, limit, neo_hooke, rise, saint_venant
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 RADIUS, E, NU, THICKNESS, PRESSURE = 1000.0, 2.0, 0.3, 1.0, 0.025
 """Of the disk (mm, MPa)."""
@@ -136,7 +135,7 @@ def main() -> None:
     own = by_ode(saint_venant(E * THICKNESS, NU), RADIUS, PRESSURE, 5.0)[0, 2]
     name = "SSNS115a to c, disk, rise (mm)"
     rows = [Row(name, REFERENCE, study.limit, study.bar,
-                f"first hand: another program's, by code_aster's file; our ODE {own:.2f}")]  # fmt: skip
+                f"first hand: another program's; our ODE {own:.2f}")]  # fmt: skip
     for letter, value in zip("abc", RISES, strict=True):
         rows.append(Row(f"SSNS115{letter}, disk, rise (mm)", value, study.limit, study.bar,
                         "first hand: code_aster on its mesh"))  # fmt: skip
@@ -145,7 +144,8 @@ def main() -> None:
         own = by_ode(neo_hooke(E, NU, THICKNESS), RADIUS, pressure * 1e-6, 2.6)[0, 2]
         one = found[pressure]
         rows.append(Row(f"SSNS115d, rubber disk, rise (mm) at {pressure:.2f} Pa", height,
-                        one.limit, one.bar, f"first hand: code_aster's pressure; our ODE {own:.2f}"))  # fmt: skip
+                        one.limit, one.bar,
+                        f"first hand: code_aster's pressure; our ODE {own:.2f}"))  # fmt: skip
     hanging = convergence(strip, strip_mesh(16), 4, quantities={"sag": sag})["sag"]
     remark = f"first hand; our integral {catenary():.6f}"
     rows.append(Row("SSNS116, strip, sag (m)", ANALYTIC, hanging.limit, hanging.bar,

@@ -6,7 +6,8 @@ functions of the stress-free radius, obeys
     d(rho P1 cos(slope))/d rho = P2 - p r l1 sin(slope)
     d(rho P1 sin(slope))/d rho = p r l1 cos(slope)
 
-where P1, P2 are the section forces per stress-free width and p the pressure. It shares no code with the package.
+where P1, P2 are the section forces per stress-free width and p the pressure. It shares no code with
+the package.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lambertw
-from validation.table import COMM
 
 from crms_fenicsx import Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.study import convergence
 from crms_fenicsx.study.convergence import Convergence
+from validation.table import COMM
 
 Array = NDArray[np.float64]
 Law = Callable[[float, float], tuple[float, float]]
@@ -138,7 +139,7 @@ def meridian(law: Law, radius: float, pressure: float, stretch: float, n: int = 
 def by_ode(law: Law, radius: float, pressure: float, most: float) -> Array:
     """The meridian of a disk whose rim is held at z = 0, its centre stretched by less than `most`.
 
-    With little stretch in its centre a meridian curls up short of the rim, with much it ends beyond.
+    With little stretch in its centre a meridian curls up short of the rim; with much it goes on.
     """
 
     def gap(stretch: float) -> float:

@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.disks import disk, limit, rise
-from validation.table import OURS, PUBLISHED, Row, labels, panels, report, save
-
 from crms_fenicsx import IsotropicMembrane, Scene, Solver
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.study import Convergence
+from validation.disks import disk, limit, rise
+from validation.table import OURS, PUBLISHED, Row, labels, panels, report, save
 
 HENCKY = {0.2: 0.42068, 0.3: 0.43110, 0.4: 0.44423}
 """b0/4 by Poisson's ratio."""

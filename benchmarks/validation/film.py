@@ -1,8 +1,8 @@
 """Soap films between two rings: Kratos' validation example of a catenoid.
 
-Kratos' page `catenoid_formfinding` has rings of radius 10 m; 12 m apart a catenoid forms, 14 m apart
-two planes remain. It has no other number: neck and area are those of the closed form, which ends at
-13.25487 m. The page was read in a stored copy of kratosmultiphysics.github.io/Examples.
+Kratos' page `catenoid_formfinding` has rings of radius 10 m; 12 m apart a catenoid forms, 14 m
+apart two planes remain. It has no other number: neck and area are those of the closed form, which
+ends at 13.25487 m. The page was read in a stored copy of kratosmultiphysics.github.io/Examples.
 
     ./run python benchmarks/validation/film.py
 """
@@ -16,11 +16,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
-
 from crms_fenicsx import ConvergenceError, meshes
 from crms_fenicsx.form_finding import FoundForm, find_form
 from crms_fenicsx.meshes import MembraneMesh
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 RADIUS, FORMS, BREAKS = 10.0, 12.0, 14.0
 

@@ -11,15 +11,15 @@ fourth line, whose EA is 7.5e7 times its weight, no chain was found.
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from crms_fenicsx import Bar, Joint, Solver
 from validation.cable_nets import empty_scene
 from validation.table import OURS, PUBLISHED, THIRD, Row, labels, over_sizes, panels, report, save
-
-from crms_fenicsx import Bar, Joint, Solver
 
 LINE = 89.9, 59.2, 130.0, 7.51e8, 881.05
 """Span, rise, length (m), EA (N), weight (N/m)."""
@@ -40,7 +40,7 @@ def hung(bars: int) -> tuple[np.ndarray, np.ndarray]:
     ends: list[Joint | tuple[float, ...]] = [(0.0, 0.0, 0.0), *inner, (span, 0.0, rise)]
     soft = 10 * weight * length  # a stiff chain from a guessed shape has no way down
     made = [scene.add_bar(Bar(soft, tension_only=True), a, b, L0=part)
-            for a, b in zip(ends[:-1], ends[1:], strict=True)]  # fmt: skip
+            for a, b in pairwise(ends)]  # fmt: skip
     scene.put_joint_load({joint: (0.0, 0.0, -weight * part) for joint in inner}, name="weight")
     solver = Solver(scene)
     solver.advance(load=1.0)
@@ -67,7 +67,8 @@ def main() -> None:
     """Print the table and draw the picture."""
     forces, bars = limit()
     rows = [Row(f"{name} (N)", value, float(force), float(bar), "first hand, from MoorPy's test")
-            for name, value, force, bar in zip(NAMES, FORCES, forces, bars, strict=True)]  # fmt: skip
+            for name, value, force, bar in zip(NAMES, FORCES, forces, bars, strict=True)
+            ]  # fmt: skip
     report("MoorPy", rows)
     figure, (left, right) = panels()
     counts = (10, 20, 40, 80)

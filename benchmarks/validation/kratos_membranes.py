@@ -1,10 +1,10 @@
 """Membranes of Kratos Multiphysics' tests, on the same meshes in both programs.
 
-The arched strip of `test_patch_test_membrane.py`, whose mesh is made again here from its dimensions,
-and the square sheet of `membrane_test/` with an orthotropic fabric or a prestress, along an edge or
-along the diagonal. `KRATOS` holds what Kratos 10.4.4 computes, on the meshes below; with `kratos` as
-an argument the script runs it again (`sh benchmarks/kratos/install`). The square's mesh in Kratos'
-repository is another one, so that its reference files differ from both by what meshes make.
+The arched strip of `test_patch_test_membrane.py`, whose mesh is made again here from its
+dimensions, and the square sheet of `membrane_test/` with an orthotropic fabric or a prestress,
+along an edge or along the diagonal. `KRATOS` holds what Kratos 10.4.4 computes, on the meshes
+below; with `kratos` as an argument the script runs it again (`sh benchmarks/kratos/install`). The
+square's mesh in Kratos' repository is another one, so that its reference files differ from both.
 
     ./run python benchmarks/validation/kratos_membranes.py [kratos]
 """
@@ -22,12 +22,12 @@ from dolfinx import fem
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from accuracy.kratos import folder
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
-from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.compat import geometry_dofmap
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 STATIONS = (0.0, 0.3332937795, 0.6667065195, 1.0), (0.1666202255, 0.5000000746, 0.8333799236)
 """Places along the arch of the corners and of the middles of its cells; they are not even."""
@@ -58,7 +58,7 @@ KRATOS: dict[str, tuple[float, ...]] = {
 
 
 def arch() -> tuple[np.ndarray, np.ndarray]:
-    """Points and cells of the arched strip: squares cut by both diagonals; the 10th is its middle."""
+    """Points and cells of the arched strip: squares cut by both diagonals."""
     radius = (0.25 + SAGITTA**2) / (2 * SAGITTA)
 
     def points(x: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -147,7 +147,7 @@ def main() -> None:
                             zero=1.0))  # fmt: skip
             rows.append(Row(name + which, FILES[case][k], float(value), 0.0, "first hand, "
                             + ("reference of 2019, of an element since removed" if case == "patch"
-                               else "Kratos' reference file, on its own mesh"), zero=1.0))  # fmt: skip
+                               else "Kratos' file, on its own mesh"), zero=1.0))  # fmt: skip
             compared.append((theirs, float(value)))
     report("Kratos", rows)
     figure, (left, right) = panels()

@@ -17,6 +17,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from accuracy.cases import CASES, QUANTITIES, Laws
 from accuracy.references import reference
+
+from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.study import convergence
+from crms_fenicsx.study.convergence import Convergence
 from validation.paper_by_hand import Element, Rope, Step, isotropic, orthotropic, raised
 from validation.table import (
     COMM,
@@ -30,12 +36,6 @@ from validation.table import (
     report,
     save,
 )
-
-from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.study import convergence
-from crms_fenicsx.study.convergence import Convergence
 
 CORNERS = [(0.0, 0.0), (25.0, 60.0), (70.0, 0.0)]
 PATH = [(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)]

@@ -16,10 +16,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
-
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 ENDS = np.array([(2.0, -2.0), (-2.0, 2.1)])
 """Of the path, in the plane across the cylinder; both ends lie in it."""

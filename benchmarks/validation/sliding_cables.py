@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-BENCHMARKS = Path(__file__).parents[1]
-sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS.parent / "tests" / "scenes")]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "scenes"))
 from accuracy.cases import CASES, QUANTITIES, Laws, free_square, middle
 from friction import threshold
 from rigid_surfaces import band, curve, sphere
-from validation.table import OURS, PUBLISHED, THIRD, Row, labels, panels, report, save
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.study import Quantity, convergence
+from validation.table import OURS, PUBLISHED, THIRD, Row, labels, panels, report, save
 
 DATA = Path(__file__).with_suffix(".csv")
 CROSSING = (([(50, 0), (50, 100)], 100.3, 1), ([(0, 50), (100, 50)], 100.6, 0))

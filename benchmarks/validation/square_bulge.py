@@ -4,8 +4,8 @@ A clamped square membrane, 2 a wide, of thickness t and with the stress s rises 
 
     p = C1 s t w / a^2 + C2(nu) E t w^3 / ((1 - nu) a^4),  C1 = 3.393, C2 = (0.800 + 0.062 nu)^-3.
 
-The constants are quoted from memory. C1 is that of a linear membrane, which a series has exactly; C2
-was fitted to an approximate solution. The sheet resists compression here, as theirs does.
+The constants are quoted from memory. C1 is that of a linear membrane, which a series has exactly;
+C2 was fitted to an approximate solution. The sheet resists compression here, as theirs does.
 
     ./run python benchmarks/validation/square_bulge.py
 """
@@ -18,11 +18,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
-
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.study import Quantity, convergence
+from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 POISSONS = (0.0, 0.25, 0.4)
 C1, OWN = 3.393, {0.0: 2.038, 0.25: 1.8885, 0.4: 1.8020}
@@ -89,8 +88,8 @@ def main() -> None:
     found = {}
     for nu in POISSONS:
         found[nu] = one = constant(nu)
-        rows.append(Row(f"C2, nu = {nu}", round(c2(nu), 3), one.limit, one.bar, "from memory; a fit of "
-                        f"an approximate solution; own second-order elements {OWN[nu]}"))  # fmt: skip
+        rows.append(Row(f"C2, nu = {nu}", round(c2(nu), 3), one.limit, one.bar,
+                        f"from memory; a rough fit; own second order {OWN[nu]}"))  # fmt: skip
     report("square bulge", rows)
     figure, (left, right) = panels()
     solver = bulge(quarter(16), 0.25, 0.0)
