@@ -99,6 +99,7 @@ def main() -> None:
     for value in PUBLISHED_RISE.values():
         right.axhline(value, color=PUBLISHED, linewidth=1)
     right.set_xticks([HALF / n * 100 for n in sizes])
+    right.set_ylim(0.2160, 0.2180)  # room for the legend
     labels(right, "size of the cells [cm]", "rise of M [m]", "lines: published")
     save(figure, "airbag")
 

@@ -183,9 +183,10 @@ def main() -> None:
     _, links, _, _ = saddle()
     tight = forces / forces.max()
     for (a, b), force in zip(links, tight, strict=True):
-        left.plot(ours[[a, b], 0] - ours[[a, b], 1], ours[[a, b], 2], color=OURS if force > 1e-6
-                  else "0.8", linewidth=0.4 + 1.6 * force)  # fmt: skip
-    labels(left, "x - y [m]", "z [m]", "saddle; grey: slack links", legend=False)
+        if force > 1e-6:
+            left.plot(ours[[a, b], 0] - ours[[a, b], 1], ours[[a, b], 2], color=OURS,
+                      linewidth=0.4 + 1.6 * force)  # fmt: skip
+    labels(left, "x - y [m]", "z [m]", "saddle without its slack links", legend=False)
     right.plot(1e6 * others, 1e6 * forces, ".", color=OURS, markersize=4)
     right.plot([0, 1e6 * others.max()], [0, 1e6 * others.max()], color=PUBLISHED, linewidth=0.8)
     labels(right, "force by the convex programme [kN]", "force by the package [kN]",

@@ -20,7 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "scenes"))
-from accuracy.cases import CASES, QUANTITIES, Laws, free_square, middle
+from accuracy.cases import CASES, QUANTITIES, Laws, free_square, middle, with_cable
 from friction import threshold
 from rigid_surfaces import band, curve, sphere
 
@@ -138,19 +138,18 @@ def main() -> None:
 
 
 def draw() -> None:
-    """Plans of the cables at rest."""
+    """How far cables slide sideways, and their profiles."""
     figure, (left, right) = panels()
-    for case, n, colour in (("sliding cable", 17, OURS), ("cable anywhere", 17, THIRD)):
-        solver, _ = CASES[case].run(CASES[case].mesh(n), Laws())
-        line = solver.scene.cables[0].line
-        name = "ends (0, 30), (100, 30)" if case == "sliding cable" else "ends (0, 50), (100, 50)"
-        left.plot(line[:, 0], line[:, 1], color=colour, label=name)
-        right.plot(line[:, 0], line[:, 2], color=colour, label=name)
-    left.axhline(30.0, color="0.7", linewidth=0.8)
-    left.plot([50.0], [29.60632], "x", color=PUBLISHED, label="reference")
-    right.plot([50.0], [3.51323], "x", color=PUBLISHED, label="reference")
-    labels(left, "x [cm]", "y [cm]", "plan of the cables")
-    labels(right, "x [cm]", "z [cm]", "seen from the side")
+    for height, colour in ((12.0, PUBLISHED), (30.0, OURS), (50.0, THIRD)):
+        solver, _ = with_cable(height)(free_square(17), Laws())
+        x, y, z = solver.scene.cables[0].line.T
+        name = f"ends at y = {height:g}"
+        left.plot(x, y - height, color=colour, label=name)
+        right.plot(x, z, color=colour, label=name)
+    left.plot([50.0], [29.60632 - 30.0], "kx", label="reference")
+    right.plot([50.0], [3.51323], "kx", label="reference")
+    labels(left, "x [cm]", "way sideways [cm]", "plan", legend=False)
+    labels(right, "x [cm]", "z [cm]", "profiles")
     save(figure, "sliding_cables")
 
 

@@ -97,7 +97,7 @@ def labels(axes: Axes, x: str, y: str, title: str = "", legend: bool = True) -> 
 def save(figure: Figure, name: str) -> None:
     """Write a picture of the page."""
     FOLDER.mkdir(exist_ok=True)
-    figure.savefig(FOLDER / f"{name}.png", dpi=110)
+    figure.savefig(FOLDER / f"{name}.png", dpi=110, pil_kwargs={"optimize": True})
 
 
 def over_sizes(axes: Axes, sizes: Sequence[float]) -> None:
