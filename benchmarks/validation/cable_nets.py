@@ -156,7 +156,7 @@ def prestressed_net() -> tuple[float, float, float]:
                          name="load")  # fmt: skip
     Solver(scene).advance(load=1.0)
     moved = np.array(joints[-1, -1].position) - places[-1, -1]
-    return tuple(float(value) for value in moved)  # type: ignore[return-value]
+    return float(moved[0]), float(moved[1]), float(moved[2])
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ Law = Callable[[float, float], tuple[float, float]]
 
 def disk(radius: float, rings: int) -> MembraneMesh:
     """Mesh of a disk with a vertex in its centre; its k-th ring has 6 k vertices."""
-    points = [np.zeros((1, 2))]
+    points: list[Array] = [np.zeros((1, 2))]
     for k in range(1, rings + 1):
         turn = 2 * np.pi * np.arange(6 * k) / (6 * k)
         points.append(radius * k / rings * np.column_stack([np.cos(turn), np.sin(turn)]))
@@ -110,7 +110,8 @@ def neo_hooke(E: float, nu: float, thickness: float) -> Law:
         ratio = 2 * mu / lame
         thin = lambertw(ratio / plane * np.exp(ratio)).real / ratio
         bulk = lame * np.log(plane * thin) / 2
-        return tuple(thickness * (mu * (x - 1 / x) + bulk / x) for x in (l1, l2))  # type: ignore
+        P1, P2 = (thickness * (mu * (x - 1 / x) + bulk / x) for x in (l1, l2))
+        return P1, P2
 
     return law
 

@@ -83,8 +83,8 @@ def main() -> None:
     x = solver.scene.positions()
     left.plot(np.hypot(x[:, 0], x[:, 1]), x[:, 2], ".", color=OURS, markersize=3)
     labels(left, "radius / a", "height / a", "pressure, p a / E h = 0.01", legend=False)
-    q = np.geomspace(5e-4, 2e-2, 30)
-    right.loglog(q, HENCKY[0.3] * q ** (2 / 3), color="0.5", label="small loads (Hencky)")
+    loads = np.geomspace(5e-4, 2e-2, 30)
+    right.loglog(loads, HENCKY[0.3] * loads ** (2 / 3), color="0.5", label="small loads (Hencky)")
     for kind, mark in (("vertical load", "s"), ("pressure", "D")):
         ours = {one: force.limit for (of, one), force in forces.items() if of == kind}
         right.plot(list(ours), list(ours.values()), ".", color=OURS)

@@ -7,6 +7,7 @@ equations. What is lost in the scan is said where it counts: the pressure has no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -192,7 +193,7 @@ def placed(x: Array, free: Array) -> Array:
     return y
 
 
-def slope(work, q: Array, h: float = 1e-4) -> Array:  # type: ignore[no-untyped-def]
+def slope(work: Callable[[Array], float], q: Array, h: float = 1e-4) -> Array:
     """Gradient by differences of the fourth order."""
     steps = h * np.eye(len(q))
     near = np.array([work(q + d) - work(q - d) for d in steps])

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 COMM = MPI.COMM_SELF
 FOLDER = Path(__file__).parents[2] / "docs" / "benchmarks" / "validation"
@@ -100,7 +102,7 @@ def save(figure: Figure, name: str) -> None:
     figure.savefig(FOLDER / f"{name}.png", dpi=110, pil_kwargs={"optimize": True})
 
 
-def over_sizes(axes: Axes, sizes: Sequence[float]) -> None:
+def over_sizes(axes: Axes, sizes: Sequence[float] | NDArray[np.float64]) -> None:
     """Logarithmic axes whose lower one names the sizes and nothing else."""
     axes.set_xscale("log")
     axes.set_yscale("log")
