@@ -30,6 +30,8 @@ BAY, DEPTH, SECTION, MODULUS = 100.0, 30.0, 0.227, 12000.0
 """Prestressed net: bay, rise (ft), section (square inches), modulus (kips per square inch)."""
 HORIZONTAL, INCLINED, LOAD, SELF_WEIGHT = 5.459, 5.325, 8.0, 1e-4
 """Prestressing forces, load on each crossing (kips), weight (kips/ft)."""
+SIDE_VIEW = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
+"""Turns positions into x - y and z."""
 TIBERT, SAP2000 = (-0.1328, -0.1328, -1.4764), (-0.1328, -0.1328, -1.4745)
 """Displacements of the crossings (ft)."""
 
@@ -82,7 +84,7 @@ def saddle_by_bars() -> tuple[np.ndarray, np.ndarray]:
             for (a, b), L in zip(links, lengths, strict=True)]  # fmt: skip
     joints = {end: tuple(map(float, load)) for end, load in zip(ends, loads, strict=True)
               if isinstance(end, Joint)}  # fmt: skip
-    scene.put_joint_load(joints, name="weight")  # type: ignore[arg-type]
+    scene.put_joint_load(joints, name="weight")
     Solver(scene).advance(load=1.0)
     found = np.array([end.position if isinstance(end, Joint) else end for end in ends])
     return found, np.array([bar.force for bar in bars])
@@ -184,7 +186,7 @@ def main() -> None:
     tight = forces / forces.max()
     for (a, b), force in zip(links, tight, strict=True):
         if force > 1e-6:
-            left.plot(ours[[a, b], 0] - ours[[a, b], 1], ours[[a, b], 2], color=OURS,
+            left.plot(*(ours[[a, b]] @ SIDE_VIEW).T, color=OURS,
                       linewidth=0.4 + 1.6 * force)  # fmt: skip
     labels(left, "x - y [m]", "z [m]", "saddle without its slack links", legend=False)
     right.plot(1e6 * others, 1e6 * forces, ".", color=OURS, markersize=4)

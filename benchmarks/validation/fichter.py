@@ -75,7 +75,7 @@ def main() -> None:
     for (kind, q), value in TABLE.items():
         forces[kind, q] = one = computed(q, kind=kind)["force"]
         rows.append(Row(f"{kind}, p a / E h = {q:g}: force in the centre / E h", value, one.limit,
-                        one.bar, f"Fichter's table, second hand; {REASONS[q]}, and his law of "
+                        one.bar, f"Fichter's table, second hand; {REASONS[q]}, and probably his law of "
                         "small strain another one"))  # fmt: skip
     report("Fichter", rows)
     figure, (left, right) = panels()

@@ -72,7 +72,7 @@ def by_hand(
 ) -> list[Step]:
     """Model 1 by the paper's equations, from the same sliding nodes."""
     corners = np.column_stack([CORNERS, np.zeros(3)])
-    element = Element(BY_HAND[material], 0.08)  # type: ignore[index]
+    element = Element(BY_HAND[material], 0.08)
     return raised(element, Rope(32000.0), np.vstack([corners, start.line]), mu, LIFT, steps)
 
 

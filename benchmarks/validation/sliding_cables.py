@@ -89,7 +89,7 @@ def crossing_study(n: int = 9, levels: int = 3) -> dict[str, Quantity]:
     wanted: dict[str, Callable[[Solver], float]] = {
         f"tension of the {name}": lambda solver, k=k: float(solver.scene.cables[k].tension)
         for k, name in enumerate(("first", "second"))
-    }  # type: ignore[misc]
+    }
     found = convergence(crossing, free_square(n), levels, quantities=wanted)
     return {name: found[name] for name in wanted}
 

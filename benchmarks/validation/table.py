@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -102,7 +102,7 @@ def save(figure: Figure, name: str) -> None:
     figure.savefig(FOLDER / f"{name}.png", dpi=110, pil_kwargs={"optimize": True})
 
 
-def over_sizes(axes: Axes, sizes: Sequence[float] | NDArray[np.float64]) -> None:
+def over_sizes(axes: Axes, sizes: Sequence[float] | NDArray[Any]) -> None:
     """Logarithmic axes whose lower one names the sizes and nothing else."""
     axes.set_xscale("log")
     axes.set_yscale("log")
