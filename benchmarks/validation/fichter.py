@@ -75,8 +75,8 @@ def main() -> None:
     for (kind, q), value in TABLE.items():
         forces[kind, q] = one = computed(q, kind=kind)["force"]
         rows.append(Row(f"{kind}, p a / E h = {q:g}: force in the centre / E h", value, one.limit,
-                        one.bar, f"Fichter's table, second hand; {REASONS[q]}, and probably his law of "
-                        "small strain another one"))  # fmt: skip
+                        one.bar, f"Fichter's table, second hand; {REASONS[q]}, and his law of "
+                        "strain, probably, another one"))  # fmt: skip
     report("Fichter", rows)
     figure, (left, right) = panels()
     solver = loaded(disk(1.0, 16), 0.01, 0.3, "pressure")
