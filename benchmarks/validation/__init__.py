@@ -1,0 +1,1 @@
+"""Published figures of other people, computed again through the public interface."""
