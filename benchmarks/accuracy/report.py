@@ -13,7 +13,7 @@ from accuracy.cases import CASES, Case, Laws
 from accuracy.methods import METHODS
 from accuracy.references import Reference, reference
 
-LEVELS = (0.01, 0.001)
+LEVELS = (0.01, 0.001, 0.0001)
 """Errors to which the summary says the time."""
 
 
@@ -30,6 +30,9 @@ class Row:
         forms, tables), and of wall time.
     of_finest
         Of a study of convergence the wall time relative to that of its finest level; else 1.
+    reached
+        Largest residual of a load step, relative to the force scale; without convergence
+        that of the last evaluation.
     memory, base
         Peak memory of the process, and what it has before the first run (MiB).
     first, second
@@ -54,6 +57,7 @@ class Row:
     iterations: int
     evaluations: int
     factorizations: int
+    reached: float
     memory: float
     base: float
     first: float
@@ -100,7 +104,7 @@ def row(name: str, method: str, n: int, laws: Laws, figures: dict) -> Row:
         name, method, n, laws.steps or 0, int(figures.get("unknowns", 0)), figures["converged"],
         figures["reason"], number("seconds"), number("solving"),
         number("wall"), number("of_finest"), int(figures.get("runs", 0)),
-        *counts, number("memory"), number("base"), *values, *errors,
+        *counts, number("reached"), number("memory"), number("base"), *values, *errors,
     )  # fmt: skip
 
 
@@ -143,7 +147,8 @@ def seconds_to(rows: Iterable[Row], level: float) -> float:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Markdown: times to errors, then work on the default's second finest mesh."""
+    """Markdown: times to errors ("finer": on a finer mesh than those of the benchmark; "no": it has
+    not converged on a mesh as fine), then work on the default's second finest mesh."""
     methods = list(dict.fromkeys(r.method for r in rows if not METHODS[r.method].stepwise))
     titles = " | ".join(METHODS[m].title for m in methods)
     lines = [f"| seconds to an error | of | {titles} |", "|---" * (2 + len(methods)) + "|"]
@@ -154,10 +159,11 @@ def summary(rows: Sequence[Row]) -> str:
             for method in methods:
                 own = [r for r in rows if (r.case, r.method) == (name, method)]
                 t = seconds_to(own, level)
-                cells.append(f"{t:.2g}" if np.isfinite(t) else ("no" if own else ""))
-            if any(cell not in ("", "no") for cell in cells):
+                short = "no" if any(not r.converged for r in own) else "finer"
+                cells.append(f"{t:.2g}" if np.isfinite(t) else (short if own else ""))
+            if any(cell not in ("", "no", "finer") for cell in cells):
                 what = f"{case.title}, {case.quantities[0]}"
-                lines.append(f"| {what} | {level:.1%} | " + " | ".join(cells) + " |")
+                lines.append(f"| {what} | {100 * level:g} % | " + " | ".join(cells) + " |")
     lines += ["", f"| work: iterations, evaluations, factorisations | n | {titles} |"]
     lines.append("|---" * (2 + len(methods)) + "|")
     for name in dict.fromkeys(r.case for r in rows):
@@ -172,7 +178,20 @@ def summary(rows: Sequence[Row]) -> str:
             work = (own.iterations, own.evaluations, own.factorizations) if own else ()
             cells.append(", ".join(map(str, work)))
         lines.append(f"| {CASES[name].title} | {n} | " + " | ".join(cells) + " |")
-    return "\n".join([*lines, *_gains(rows)]) + "\n"
+    return "\n".join([*lines, *_tolerances(rows), *_gains(rows)]) + "\n"
+
+
+def _tolerances(rows: Sequence[Row]) -> list[str]:
+    """Work and residuals of the minimisers whose tolerance is larger than the package's."""
+    lines = ["", "| case | method | n | evaluations | s | residual | |", "|---" * 7 + "|"]
+    for r in rows:
+        if METHODS[r.method].rtol > 1e-9 and np.isfinite(r.reached):
+            what = "converged" if r.converged else r.reason
+            lines.append(
+                f"| {CASES[r.case].title} | {METHODS[r.method].title} | {r.n} | {r.evaluations} | "
+                f"{r.seconds:.2g} | {r.reached:.1e} | {what} |"
+            )
+    return lines
 
 
 def _gains(rows: Sequence[Row]) -> list[str]:
