@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from pictures import save
 
 from accuracy.cases import Case
@@ -44,6 +45,7 @@ def draw(path: Path, case: Case, rows: Sequence[Row]) -> None:
     for k, axis in enumerate(axes):
         axis.set_xscale("log")
         axis.set_yscale("log")
+        axis.margins(x=0.1)
         for method in dict.fromkeys(r.method for r in rows):
             known = references(case, method)[k]
             runs = [(r, (r.first_error, r.second_error)[k]) for r in rows if r.method == method]
@@ -54,10 +56,15 @@ def draw(path: Path, case: Case, rows: Sequence[Row]) -> None:
         for level in LEVELS:
             axis.axhline(level, color="0.6", linewidth=0.7, linestyle=(0, (1, 2)), zorder=1)
         axis.set_ylim(low, high)
-        axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
-        axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.xaxis.set_minor_formatter(lambda *_: "")
-        axis.yaxis.set_minor_formatter(lambda *_: "")
+        for scale, (least, most), text in (
+            (axis.xaxis, axis.get_xlim(), lambda value, _: f"{value:g}"),
+            (axis.yaxis, (low, high), lambda value, _: f"{100 * value:g} %"),
+        ):
+            scale.set_major_locator(
+                LogLocator(subs=(1.0, 2.0, 5.0) if most < 20 * least else (1.0,))
+            )
+            scale.set_major_formatter(text)
+            scale.set_minor_formatter(NullFormatter())
         axis.grid(True, which="major", color="0.92", zorder=0)
         axis.set_xlabel("processor time [s]")
         axis.set_ylabel(f"error of {NAMES[case.quantities[k]]}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from accuracy.references import Reference, reference
 
 LEVELS = (0.01, 0.001, 0.0001)
 """Errors to which the summary says the time."""
+
+ERRORS = ("first_error", "second_error")
 
 
 @dataclass(frozen=True)
@@ -129,41 +132,43 @@ def read_csv(path: Path) -> list[Row]:
         ]
 
 
-def seconds_to(rows: Iterable[Row], level: float) -> float:
-    """Time to an error of the first quantity, on the straight lines between log-log points.
+def seconds_to(rows: Iterable[Row], level: float, error: str) -> float:
+    """Time to an error, the row's `error`, on the straight lines between log-log points.
 
     Returns
     -------
     NaN if no run is as accurate; the coarsest run's time where that is accurate enough already.
     """
-    points = [(r.first_error, r.seconds) for r in rows if r.converged]
-    for k, (error, seconds) in enumerate(points):
-        if error <= level:
+    points = [(getattr(r, error), r.seconds) for r in rows if r.converged]
+    for k, (found, seconds) in enumerate(points):
+        if found <= level:
             if k == 0:
                 return seconds
-            x, y = np.log(np.array([points[k - 1], (error, seconds)])).T
+            x, y = np.log(np.array([points[k - 1], (found, seconds)])).T
             return float(np.exp(np.interp(np.log(level), x[::-1], y[::-1])))
     return float("nan")
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Markdown: times to errors ("finer": on a finer mesh than those of the benchmark; "no": it has
-    not converged on a mesh as fine), then work on the default's second finest mesh."""
+    """Markdown: times to errors below that of the coarsest mesh ("finer": on a finer mesh than
+    those of the benchmark; "no": it has not converged on a mesh as fine), then work on the
+    default's second finest mesh."""
     methods = list(dict.fromkeys(r.method for r in rows if not METHODS[r.method].stepwise))
     titles = " | ".join(METHODS[m].title for m in methods)
-    lines = [f"| seconds to an error | of | {titles} |", "|---" * (2 + len(methods)) + "|"]
+    lines = [f"| seconds to an error of | {titles} |", "|---" * (1 + len(methods)) + "|"]
     for name in dict.fromkeys(r.case for r in rows):
         case = CASES[name]
-        for level in LEVELS:
+        for (error, quantity), level in product(zip(ERRORS, case.quantities, strict=True), LEVELS):
             cells = []
             for method in methods:
                 own = [r for r in rows if (r.case, r.method) == (name, method)]
-                t = seconds_to(own, level)
+                t = seconds_to(own, level, error)
                 short = "no" if any(not r.converged for r in own) else "finer"
                 cells.append(f"{t:.2g}" if np.isfinite(t) else (short if own else ""))
-            if any(cell not in ("", "no", "finer") for cell in cells):
-                what = f"{case.title}, {case.quantities[0]}"
-                lines.append(f"| {what} | {100 * level:g} % | " + " | ".join(cells) + " |")
+            first = next(r for r in rows if r.case == name)
+            if getattr(first, error) > level and not {*cells} <= {"", "no", "finer"}:
+                what = f"{case.title}, {100 * level:g} % of {quantity}"
+                lines.append(f"| {what} | " + " | ".join(cells) + " |")
     lines += ["", f"| work: iterations, evaluations, factorisations | n | {titles} |"]
     lines.append("|---" * (2 + len(methods)) + "|")
     for name in dict.fromkeys(r.case for r in rows):
@@ -208,7 +213,7 @@ def _gains(rows: Sequence[Row]) -> list[str]:
         if method != "extrapolated" or mesh is None:
             continue
         spent = limit.seconds / mesh.seconds, limit.evaluations / mesh.evaluations
-        errors = zip(("first_error", "second_error"), CASES[name].quantities, strict=True)
+        errors = zip(ERRORS, CASES[name].quantities, strict=True)
         for error, quantity in errors:
             of_mesh, of_limit = getattr(mesh, error), getattr(limit, error)
             lines.append(
