@@ -14,7 +14,7 @@ methods, references and figures; Kratos is included once `benchmarks/kratos/inst
 
 The results folder (results/accuracy by default) then holds runs.csv and summary.md, the other one
 (the same by default) a figure CASE.png for each case; results of other cases stay. `--quick`, on
-coarse meshes, takes about two minutes, the complete benchmark up to 40.
+coarse meshes, takes about five minutes, the complete benchmark up to an hour.
 """
 
 from __future__ import annotations
