@@ -14,8 +14,9 @@ REFUSED     the same where an equilibrium exists, or should be found;
 WRONG       with a wrong result, or an error that names no remedy;
 HANG        after 20 000 evaluations or a minute.
 
-FOLDER (results/stability by default) then holds points.csv and summary.md. The exit code is 1 if a
-point is wrong or hangs. All sweeps take about 15 minutes of one core, `--quick` one.
+FOLDER (results/stability by default) then holds points.csv, summary.md and the picture points.png.
+The exit code is 1 if a point is wrong or hangs. All sweeps take about 15 minutes of one core,
+`--quick` one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 
+from sweeps.figure import draw
 from sweeps.judge import Row, Sweep, judged
 from sweeps.register import SWEEPS
 
@@ -87,6 +89,7 @@ def main() -> int:
     for name in given.sweeps or list(SWEEPS):
         rows += swept(name, SWEEPS[name], given.quick)
         write_csv(given.results / "points.csv", rows)
+    draw(given.results / "points.png", rows)
     text = summary(rows)
     (given.results / "summary.md").write_text(text)
     print(f"\n{text}")

@@ -205,11 +205,11 @@ EVEN, ODD = (8, 16, 32, 64), (9, 17, 33, 65)
 CASES: dict[str, Case] = {
     "circle": Case(
         "Inflated circle", "circle", lambda n: meshes.circle(COMM, 100.0, size=200.0 / n), inflated,
-        (*EVEN, 128), stepwise=32, outside=True, quantities=("W", "V"),
+        (*EVEN, 128, 192), stepwise=32, outside=True, quantities=("W", "V"),
     ),
     "square": Case(
         "Inflated square", "square", square, inflated,
-        (*EVEN, 128), stepwise=32, outside=True, quantities=("W", "w"),
+        (*EVEN, 128, 192), stepwise=32, outside=True, quantities=("W", "w"),
     ),
     "cable on lines": Case(
         "Square with a cable on a mesh line", "centre cable", square, with_cable(50.0),

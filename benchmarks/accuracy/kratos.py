@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -24,63 +25,65 @@ def folder() -> Path:
     return cache / "crms_fenicsx" / f"kratos-{version}"
 
 
-def solve_with_kratos(case: Case, n: int, limit: float, runs: int, enough: float) -> dict:
-    """The figures of Kratos on a case; as `worker.work`.
+class Kratos:
+    """Kratos on a case and a mesh, in a process that repeats its run on request.
 
     Kratos' cable has Green-Lagrange strain: it gets the EA that has the same tension as ours at
     the case's equilibrium, so that both have one continuum. It starts from a bump of about the
     height that the membrane will have in its first load step, without which Newton's method has no
     stiffness to begin.
     """
-    scene = clamped(case.mesh(n), Laws())
-    mesh = scene.mesh.mesh
-    points, triangles = mesh.geometry.x.copy(), geometry_dofmap(mesh)
-    cable = np.zeros(0, dtype=int)
-    if "T" in case.quantities:
-        cable = np.flatnonzero(np.abs(points[:, 1] - 50.0) < 1e-9)
-        cable = cable[np.argsort(points[cable, 0])]
-    strain = 112.60349 / ROPE
-    EA = ROPE / ((1 + strain) * (1 + strain / 2))
-    height = bump(points, len(cable) > 0) * case.steps ** (-1 / 3)  # as the pressure's root
-    given = {
-        "points": points, "triangles": triangles, "cable": cable, "held": _rim(triangles),
-        "start": points + height[:, None] * [0.0, 0.0, 1.0],
-        "E": E, "nu": NU, "thickness": THICKNESS, "pressure": PRESSURE, "EA": EA,
-        "steps": case.steps,
-    }  # fmt: skip
-    with tempfile.TemporaryDirectory() as place:
-        np.savez(f"{place}/scene.npz", **given)
-        command = [sys.executable, str(PROGRAM), f"{place}/scene.npz", f"{place}/result.npz"]
-        environment = os.environ | {"PYTHONPATH": str(folder())}
-        command += [str(runs), str(enough)]
-        failed = {"converged": False, "reason": f"no convergence in {limit:g} s", "found": {}}
-        failed |= {"seconds": limit, "wall": limit}
-        try:  # its wall time on a busy machine may be longer
-            subprocess.run(command, env=environment, timeout=3 * limit, capture_output=True,
-                           text=True, check=True)  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return failed
-        except subprocess.CalledProcessError as error:
-            return failed | {"reason": error.stderr.strip().splitlines()[-1]}
-        out = dict(np.load(f"{place}/result.npz"))
-    if out["seconds"] > limit:
-        return failed
-    x = out["places"]
-    found = {"w": float(x[:, 2].max()), "V": volume(x, triangles)}
-    found["W"] = membrane_energy(points, x, triangles) - PRESSURE * found["V"]
-    if len(cable):
-        length = float(np.linalg.norm(np.diff(x[cable], axis=0), axis=1).sum())
-        found["T"] = ROPE * (length / 100.0 - 1.0)
-        found["W"] += ROPE / 200.0 * max(length - 100.0, 0.0) ** 2
-    return {
-        "converged": bool(out["converged"]), "found": found,
-        "reason": "" if out["converged"] else "Newton's method has not converged",
-        "seconds": float(out["seconds"]), "solving": float(out["solving"]),
-        "wall": float(out["wall"]), "runs": int(out["runs"]),
-        "memory": float(out["memory"]), "base": float(out["base"]),
-        "iterations": int(out["iterations"]), "factorizations": int(out["iterations"]),
-        "unknowns": 3 * len(points),
-    }  # fmt: skip
+
+    def __init__(self, case: Case, n: int, limit: float) -> None:
+        scene = clamped(case.mesh(n), Laws())
+        mesh = scene.mesh.mesh
+        self.points, self.triangles = mesh.geometry.x.copy(), geometry_dofmap(mesh)
+        self.cable, self.limit = np.zeros(0, dtype=int), limit
+        if "T" in case.quantities:
+            self.cable = np.flatnonzero(np.abs(self.points[:, 1] - 50.0) < 1e-9)
+            self.cable = self.cable[np.argsort(self.points[self.cable, 0])]
+        strain = 112.60349 / ROPE
+        EA = ROPE / ((1 + strain) * (1 + strain / 2))
+        height = bump(self.points, len(self.cable) > 0) * case.steps ** (-1 / 3)
+        given = {  # the height is as the pressure's cube root
+            "points": self.points, "triangles": self.triangles, "cable": self.cable,
+            "held": _rim(self.triangles), "start": self.points + height[:, None] * [0.0, 0.0, 1.0],
+            "E": E, "nu": NU, "thickness": THICKNESS, "pressure": PRESSURE, "EA": EA,
+            "steps": case.steps,
+        }  # fmt: skip
+        self._place = tempfile.TemporaryDirectory()
+        np.savez(f"{self._place.name}/scene.npz", **given)
+        files = [f"{self._place.name}/{name}.npz" for name in ("scene", "result")]
+        self._process = subprocess.Popen(
+            [sys.executable, str(PROGRAM), *files, str(limit)], text=True,
+            env=os.environ | {"PYTHONPATH": str(folder())},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def run(self) -> dict:
+        """The figures of a run; as those of the package's."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        print(file=self._process.stdin, flush=True)
+        if not any(line.startswith("DONE") for line in iter(self._process.stdout.readline, "")):
+            late = self._process.wait() == -signal.SIGPROF
+            reason = f"no convergence in {self.limit:g} s" if late else "ended with an error"
+            return {"converged": False, "reason": reason, "seconds": self.limit, "found": {}}
+        out = dict(np.load(f"{self._place.name}/result.npz"))
+        x = out["places"]
+        found = {"w": float(x[:, 2].max()), "V": volume(x, self.triangles)}
+        found["W"] = membrane_energy(self.points, x, self.triangles) - PRESSURE * found["V"]
+        if len(self.cable):
+            length = float(np.linalg.norm(np.diff(x[self.cable], axis=0), axis=1).sum())
+            found["T"] = ROPE * (length / 100.0 - 1.0)
+            found["W"] += ROPE / 200.0 * max(length - 100.0, 0.0) ** 2
+        return {
+            "converged": bool(out["converged"]), "found": found,
+            "reason": "" if out["converged"] else "Newton's method has not converged",
+            "seconds": float(out["seconds"]), "solving": float(out["solving"]),
+            "wall": float(out["wall"]), "memory": float(out["memory"]), "base": float(out["base"]),
+            "iterations": int(out["iterations"]), "factorizations": int(out["iterations"]),
+            "unknowns": 3 * len(self.points),
+        }  # fmt: skip
 
 
 def bump(points: np.ndarray, with_cable: bool) -> np.ndarray:

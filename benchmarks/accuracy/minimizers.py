@@ -20,15 +20,22 @@ from crms_fenicsx.minimization.potential import Potential
 MUMPS = "crms_h0_pc_factor_mat_solver_type"
 
 
-class WithoutH0(Minimizer):
+class H0Alone(Minimizer):
+    """BLMVM with H0: under cables without exact second derivatives and without relaxation."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        if self._relaxation is not None:
+            self._relaxation.destroy()
+        self._relaxation = self._newton_method.relaxation = None
+
+
+class WithoutH0(H0Alone):
     """TAO's BLMVM with its own scaled identity, as the paper's quasi-Newton method."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._uses_h0 = False
-        if self._relaxation is not None:
-            self._relaxation.destroy()
-        self._relaxation = self._newton_method.relaxation = None
 
 
 class Newton(WithoutH0):
@@ -154,4 +161,4 @@ class ScipyLBFGS(Minimizer):
             reason = "interrupted" if stopped else "converged"
         counts = result.nit, potential.evaluations - before, 0
         converged = reason in ("converged", "interrupted")
-        return Outcome(converged, reason, residual, tolerance, *counts)
+        return Outcome(converged, reason, residual, tolerance, *counts, scale=scale)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from accuracy.cases import CASES, Case, Laws
 from accuracy.methods import METHODS
 from accuracy.references import Reference, reference
 
-LEVELS = (0.01, 0.001)
+LEVELS = (0.01, 0.001, 0.0001)
 """Errors to which the summary says the time."""
+
+ERRORS = ("first_error", "second_error")
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,9 @@ class Row:
         forms, tables), and of wall time.
     of_finest
         Of a study of convergence the wall time relative to that of its finest level; else 1.
+    reached
+        Largest residual of a load step, relative to the force scale; without convergence
+        that of the last evaluation.
     memory, base
         Peak memory of the process, and what it has before the first run (MiB).
     first, second
@@ -54,6 +60,7 @@ class Row:
     iterations: int
     evaluations: int
     factorizations: int
+    reached: float
     memory: float
     base: float
     first: float
@@ -100,7 +107,7 @@ def row(name: str, method: str, n: int, laws: Laws, figures: dict) -> Row:
         name, method, n, laws.steps or 0, int(figures.get("unknowns", 0)), figures["converged"],
         figures["reason"], number("seconds"), number("solving"),
         number("wall"), number("of_finest"), int(figures.get("runs", 0)),
-        *counts, number("memory"), number("base"), *values, *errors,
+        *counts, number("reached"), number("memory"), number("base"), *values, *errors,
     )  # fmt: skip
 
 
@@ -125,39 +132,43 @@ def read_csv(path: Path) -> list[Row]:
         ]
 
 
-def seconds_to(rows: Iterable[Row], level: float) -> float:
-    """Time to an error of the first quantity, on the straight lines between log-log points.
+def seconds_to(rows: Iterable[Row], level: float, error: str) -> float:
+    """Time to an error, the row's `error`, on the straight lines between log-log points.
 
     Returns
     -------
     NaN if no run is as accurate; the coarsest run's time where that is accurate enough already.
     """
-    points = [(r.first_error, r.seconds) for r in rows if r.converged]
-    for k, (error, seconds) in enumerate(points):
-        if error <= level:
+    points = [(getattr(r, error), r.seconds) for r in rows if r.converged]
+    for k, (found, seconds) in enumerate(points):
+        if found <= level:
             if k == 0:
                 return seconds
-            x, y = np.log(np.array([points[k - 1], (error, seconds)])).T
+            x, y = np.log(np.array([points[k - 1], (found, seconds)])).T
             return float(np.exp(np.interp(np.log(level), x[::-1], y[::-1])))
     return float("nan")
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Markdown: times to errors, then work on the default's second finest mesh."""
+    """Markdown: times to errors below that of the coarsest mesh ("finer": on a finer mesh than
+    those of the benchmark; "no": it has not converged on a mesh as fine), then work on the
+    default's second finest mesh."""
     methods = list(dict.fromkeys(r.method for r in rows if not METHODS[r.method].stepwise))
     titles = " | ".join(METHODS[m].title for m in methods)
-    lines = [f"| seconds to an error | of | {titles} |", "|---" * (2 + len(methods)) + "|"]
+    lines = [f"| seconds to an error of | {titles} |", "|---" * (1 + len(methods)) + "|"]
     for name in dict.fromkeys(r.case for r in rows):
         case = CASES[name]
-        for level in LEVELS:
+        for (error, quantity), level in product(zip(ERRORS, case.quantities, strict=True), LEVELS):
             cells = []
             for method in methods:
                 own = [r for r in rows if (r.case, r.method) == (name, method)]
-                t = seconds_to(own, level)
-                cells.append(f"{t:.2g}" if np.isfinite(t) else ("no" if own else ""))
-            if any(cell not in ("", "no") for cell in cells):
-                what = f"{case.title}, {case.quantities[0]}"
-                lines.append(f"| {what} | {level:.1%} | " + " | ".join(cells) + " |")
+                t = seconds_to(own, level, error)
+                short = "no" if any(not r.converged for r in own) else "finer"
+                cells.append(f"{t:.2g}" if np.isfinite(t) else (short if own else ""))
+            first = next(r for r in rows if r.case == name)
+            if getattr(first, error) > level and not {*cells} <= {"", "no", "finer"}:
+                what = f"{case.title}, {100 * level:g} % of {quantity}"
+                lines.append(f"| {what} | " + " | ".join(cells) + " |")
     lines += ["", f"| work: iterations, evaluations, factorisations | n | {titles} |"]
     lines.append("|---" * (2 + len(methods)) + "|")
     for name in dict.fromkeys(r.case for r in rows):
@@ -172,7 +183,20 @@ def summary(rows: Sequence[Row]) -> str:
             work = (own.iterations, own.evaluations, own.factorizations) if own else ()
             cells.append(", ".join(map(str, work)))
         lines.append(f"| {CASES[name].title} | {n} | " + " | ".join(cells) + " |")
-    return "\n".join([*lines, *_gains(rows)]) + "\n"
+    return "\n".join([*lines, *_tolerances(rows), *_gains(rows)]) + "\n"
+
+
+def _tolerances(rows: Sequence[Row]) -> list[str]:
+    """Work and residuals of the minimisers whose tolerance is larger than the package's."""
+    lines = ["", "| case | method | n | evaluations | s | residual | |", "|---" * 7 + "|"]
+    for r in rows:
+        if METHODS[r.method].rtol > 1e-9 and np.isfinite(r.reached):
+            what = "converged" if r.converged else r.reason
+            lines.append(
+                f"| {CASES[r.case].title} | {METHODS[r.method].title} | {r.n} | {r.evaluations} | "
+                f"{r.seconds:.2g} | {r.reached:.1e} | {what} |"
+            )
+    return lines
 
 
 def _gains(rows: Sequence[Row]) -> list[str]:
@@ -189,7 +213,7 @@ def _gains(rows: Sequence[Row]) -> list[str]:
         if method != "extrapolated" or mesh is None:
             continue
         spent = limit.seconds / mesh.seconds, limit.evaluations / mesh.evaluations
-        errors = zip(("first_error", "second_error"), CASES[name].quantities, strict=True)
+        errors = zip(ERRORS, CASES[name].quantities, strict=True)
         for error, quantity in errors:
             of_mesh, of_limit = getattr(mesh, error), getattr(limit, error)
             lines.append(

@@ -1,12 +1,15 @@
-"""One run of the benchmark in a separate process: results, times, counts and memory."""
+"""One run of the benchmark, repeated on request in a process of its own: results, times, counts."""
 
 from __future__ import annotations
 
+import json
 import resource
 import signal
-import statistics
+import sys
 import time
 import warnings
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,9 +20,6 @@ from crms_fenicsx import ConvergenceError, FrictionWarning
 from crms_fenicsx.equilibrium import system
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.study import convergence
-
-RUNS, ENOUGH = 5, 0.1
-"""Repetitions, and part of the time limit after which there are no more."""
 
 FIRST_LIMIT = 120.0
 """Seconds for a warm-up, which may have to compile."""
@@ -33,18 +33,25 @@ class Watch:
     """When a run began to solve, and what can be told if it did not end: evaluations, last energy.
 
     It begins to solve with its first evaluation of the energy, after all that is done once. `work`
-    counts evaluations times unknowns.
+    counts evaluations times unknowns. Once it is late, the next evaluation notes the residual that
+    it has reached, relative to the force scale, and ends the run.
     """
 
     def __init__(self) -> None:
         self.evaluations, self.work, self.energy = 0, 0, float("nan")
         self.first: float | None = None
+        self.is_late, self.reached = False, float("nan")
         evaluate, sum_up = Potential.evaluate, Potential.sum_up
 
         def watched(potential: Potential, vertices: bool = True) -> float:
             self.evaluations += 1
             self.work += 3 * potential.unknowns.n_global
             self.energy = evaluate(potential, vertices)
+            if self.is_late:
+                free = ~potential.unknowns.held[: potential.unknowns.n_owned]
+                residual = np.linalg.norm(potential.g[: len(free)][free])
+                self.reached = float(residual / potential.evaluate_terms()[1])
+                raise OutOfTimeError
             return self.energy
 
         def noted(potential: Potential, vertices: bool = True) -> None:
@@ -54,9 +61,34 @@ class Watch:
         Potential.evaluate = watched  # type: ignore[method-assign]
         Potential.sum_up = noted  # type: ignore[method-assign]
 
+    def ring(self, *_: object) -> None:
+        """The signal that a run's time is over."""
+        self.is_late = True
 
-def work(case_name: str, method_name: str, n: int, steps: int | None, limit: float) -> dict:
-    """Run a case by a method on a mesh of n cells, some times; the figures.
+
+def serve(case_name: str, method_name: str, n: int, steps: int | None, limit: float) -> None:
+    """Warm up, then do a run for each line of standard input, and print its figures (JSON)."""
+    ours = METHODS[method_name].kind == "package"
+    prepare = _package if ours else _other_program
+    run = prepare(case_name, method_name, n, steps, limit)
+    print("READY", flush=True)
+    for _ in sys.stdin:
+        print("FIGURES " + json.dumps(run()), flush=True)
+
+
+def _other_program(
+    case_name: str, method_name: str, n: int, steps: int | None, limit: float
+) -> Callable[[], dict]:
+    """What runs Kratos."""
+    from accuracy.kratos import Kratos
+
+    return Kratos(CASES[case_name], n, limit).run
+
+
+def _package(
+    case_name: str, method_name: str, n: int, steps: int | None, limit: float
+) -> Callable[[], dict]:
+    """What runs a case by a method of the package on a mesh of n cells.
 
     Parameters
     ----------
@@ -71,60 +103,52 @@ def work(case_name: str, method_name: str, n: int, steps: int | None, limit: flo
 
     Returns
     -------
-    What `report.row` reads: among others the medians ``seconds`` of processor time, ``solving``
-    after all that is done once, and ``wall``.
+    What does a run and returns what `report.row` reads: among others ``seconds`` of processor time,
+    ``solving`` after all that is done once, and ``wall``.
     """
     case, method = CASES[case_name], METHODS[method_name]
-    if method.kind == "other program":
-        from accuracy.kratos import solve_with_kratos
-
-        return solve_with_kratos(case, n, limit, RUNS, ENOUGH * limit)
     laws = Laws(method.stepwise, steps, method.rtol)
     if method.minimizer is not None:
         from accuracy import minimizers
 
         system.Minimizer = getattr(minimizers, method.minimizer)  # type: ignore[misc]
     warnings.simplefilter("ignore", FrictionWarning)
-    signal.signal(signal.SIGPROF, _out_of_time)
-    base = _peak()
-    figures: dict[str, Any] = {"converged": False, "reason": "", "memory": 0.0}
-    watch = Watch()
-    spent: list[tuple[float, ...]] = []
-    began = time.process_time()
-    try:
+    base, watch = _peak(), Watch()
+    signal.signal(signal.SIGPROF, watch.ring)
+    with suppress(OutOfTimeError, ConvergenceError):
         _timed(case_name, min(n, case.sizes[0]), laws, max(limit, FIRST_LIMIT))
-        while not spent or (
-            len(spent) < RUNS and sum(times[0] for times in spent) < ENOUGH * limit
-        ):
-            watch.evaluations, watch.work, watch.first = 0, 0, None
-            began = time.process_time()
+
+    def run() -> dict:
+        watch.evaluations, watch.work, watch.first, watch.is_late = 0, 0, None, False
+        began = time.process_time()
+        figures: dict[str, Any] = {"converged": False, "reason": "", "base": base}
+        try:
             times, solver, found = _timed(case_name, n, laws, limit, method.levels)
-            solving = time.process_time() - (watch.first or began)
-            spent.append((*times, solving))
+        except (OutOfTimeError, ConvergenceError) as error:
+            late = isinstance(error, OutOfTimeError)
+            return figures | {
+                "reason": f"no convergence in {limit:g} s" if late else str(error).split(";")[0],
+                "seconds": time.process_time() - began, "found": {"W": watch.energy},
+                "evaluations": watch.evaluations, "reached": watch.reached, "memory": _peak(),
+            }  # fmt: skip
+        figures |= dict(zip(("seconds", "wall", "of_finest"), times, strict=True))
         outcomes = [step.outcome for step in solver.steps]
         figures |= {
+            "solving": time.process_time() - (watch.first or began),
             "converged": True,
             "found": found,
             "iterations": sum(o.iterations for o in outcomes),
             "evaluations": sum(o.evaluations for o in outcomes),
             "factorizations": sum(o.factorizations for o in outcomes),
+            "reached": max(o.residual / o.scale for o in outcomes),
             "unknowns": 3 * solver.system.unknowns.n_global,
+            "memory": _peak(),
         }
         if method.levels > 1:  # all meshes, in evaluations on the finest one
             figures["evaluations"] = round(watch.work / figures["unknowns"])
-    except (OutOfTimeError, ConvergenceError) as error:
-        late = isinstance(error, OutOfTimeError)
-        figures |= {
-            "reason": f"no convergence in {limit:g} s" if late else str(error).split(";")[0],
-            "found": {"W": watch.energy},
-            "evaluations": watch.evaluations,
-        }
-        spent = spent or [(time.process_time() - began, *[float("nan")] * 3)]
-    medians = (statistics.median(times) for times in zip(*spent, strict=True))
-    names = ("seconds", "wall", "of_finest", "solving")
-    return figures | dict(zip(names, medians, strict=True)) | {
-        "runs": len(spent), "memory": _peak(), "base": base,
-    }  # fmt: skip
+        return figures
+
+    return run
 
 
 def _timed(
@@ -153,10 +177,6 @@ def _timed(
         return (*times.tolist(), sum(seconds) / seconds[-1]), solver, found
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-
-
-def _out_of_time(*_: object) -> None:
-    raise OutOfTimeError
 
 
 def _peak() -> float:

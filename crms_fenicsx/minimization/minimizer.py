@@ -284,7 +284,7 @@ class Minimizer:
         h0_prestress (force per length)."""
         potential = self.potential
         self._begin(interrupt)
-        iterations = factorizations = failures = renewed = 0
+        iterations = newton_steps = factorizations = failures = renewed = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
         local = 0 if self._relaxation is None else self._relaxation.steps
         reason = "too many stages"
@@ -314,7 +314,7 @@ class Minimizer:
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
             if self._newton_method.active:
-                iterations += 1
+                iterations, newton_steps = iterations + 1, newton_steps + 1
                 fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *self._trial)
                 failures = 0 if fallen else failures + 1
                 continue
@@ -340,6 +340,7 @@ class Minimizer:
             iterations,
             potential.evaluations - start,
             factorizations,
+            newton_steps,
             0 if self._relaxation is None else self._relaxation.steps - local,
             scale=max(self._scale, self.atol / self.rtol),
         )

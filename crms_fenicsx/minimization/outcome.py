@@ -35,11 +35,12 @@ class Outcome:
     reason: str  # reason for its end, in words
     residual: float  # residual, tolerance: norm of the gradient and its limit (force)
     tolerance: float
-    # iterations, evaluations, factorizations: quasi-Newton iterations, evaluations of energy and
-    # gradient, factorisations of H0
+    # iterations, evaluations, factorizations: of BLMVM and Newton's method; evaluations of energy
+    # and gradient, factorisations of H0
     iterations: int
     evaluations: int
     factorizations: int
+    newton_steps: int = 0  # iterations of Newton's method
     local_steps: int = 0  # Newton steps of local clusters of cable points and vertices
     # minimisations: several where cables turned slack or taut, lifted off or slid
     solves: int = 1
@@ -73,6 +74,7 @@ class Outcome:
             self.iterations + other.iterations,
             self.evaluations + other.evaluations,
             self.factorizations + other.factorizations,
+            self.newton_steps + other.newton_steps,
             self.local_steps + other.local_steps,
             self.solves + other.solves,
             self.flips + other.flips,

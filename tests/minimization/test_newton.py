@@ -6,7 +6,10 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from cabled_square import sheet
+from mpi4py import MPI
 
+from crms_fenicsx import Cable, Solver
 from crms_fenicsx.minimization import newton
 from crms_fenicsx.minimization.newton import NewtonMethod
 
@@ -81,3 +84,23 @@ def test_points_are_relaxed_on_after_full_steps(
     own, relaxation = method(energies)
     assert own._relax(10.0, 0.0, -0.5, part) == pytest.approx(change)
     assert relaxation.count == count
+
+
+@pytest.mark.parametrize("crossing", [False, True])
+def test_outcomes_count_newton_steps(crossing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over all minimisations of a load step, among its iterations."""
+    made, step = [], NewtonMethod.step
+
+    def counted(own: NewtonMethod, *arguments: Any) -> bool:
+        made.append(own)
+        return step(own, *arguments)
+
+    monkeypatch.setattr(NewtonMethod, "step", counted)
+    scene = sheet(MPI.COMM_WORLD, 10)
+    if crossing:
+        scene.lay_cable(Cable(EA=32000.0), [(0.0, 34.0), (100.0, 34.0)], L0=100.0)
+        scene.lay_cable(Cable(EA=32000.0), [(43.0, 0.0), (43.0, 100.0)], L0=100.0)
+    outcome = Solver(scene).advance(pressure=0.01).outcome
+    assert outcome.newton_steps == len(made)
+    assert (0 < outcome.newton_steps < outcome.iterations) == crossing
+    assert (outcome.solves > 1) == crossing
