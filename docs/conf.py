@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 TUTORIALS = [
     "inflated_square",
     "single_element",
+    "paper",
     "sliding_cable",
     "cable_net",
     "tent",

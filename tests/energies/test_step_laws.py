@@ -138,3 +138,16 @@ def test_solvers_by_turns(comm, laws: dict[str, str]) -> None:
         tensions = [cable.tension for cable in scene.cables]
         found.append([scene.energy, scene.volume, square_sum, *tensions])
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-7)
+
+
+@pytest.mark.parametrize("pressure", [1e-5, 1e-6])
+def test_small_pressures_in_many_steps(comm, pressure: float) -> None:
+    """Forces of increments of lengths round as at a strain of 1: solves end above that."""
+    energies = []
+    for law in ("total", "step"):
+        scene = clamped(square(comm, 17), LINEAR, strain=law)
+        solver = Solver(scene)
+        solver.advance(pressure=pressure, steps=20)
+        assert all(step.halvings == 0 for step in solver.steps)
+        energies.append(scene.energy)
+    assert energies[1] == pytest.approx(energies[0], rel=1e-3)

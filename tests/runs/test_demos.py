@@ -31,6 +31,12 @@ PROMISED = {
     ),
     "inflated_square": (["inflated", "tightened", "both", "history"], {".": 10}, []),
     "own_term": (["tied_down"], {".": 2}, []),
+    "paper": (
+        [f"model_{k}_{run}" for k in (1, 2, 3) for run in ("paper", "default")]
+        + ["model_2_paper_inflated", "model_2_default_inflated", "curves"],
+        {"model_1_paper": 6, "model_2_paper": 10, "model_3_paper_0.7": 15, "model_3_default_0": 15},
+        ["10"],
+    ),
     "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}, []),
     "sliding_cable": (["paths", "inflated", "both"], {".": 6}, []),
     "tent": (["form", "snow", "uplift"], {".": 9}, ["0.84"]),
