@@ -118,7 +118,7 @@ def drawn(draws: Draws, number: int = 0) -> SceneData:
     held = "ends" if kind not in ("hole", "cap") and _happens(draws, 0.08) else "all"
     laws: dict[str, str] = {}
     if _happens(draws, 0.05):
-        laws["pressure"] = "step"
+        laws["pressure"] = "lagged" if held == "ends" else "step"
     material = _material(draws, held)
     if not material[1].get("wrinkling", True) and _happens(draws, 0.2):
         laws["strain"] = "step"
