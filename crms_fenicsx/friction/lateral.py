@@ -58,23 +58,22 @@ LEAST_RISE = 1e-3
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
     """Prepare a cable with friction for a load step."""
-    # A cable not yet in tension sticks at first, as no bound is known. So that a tightened one
-    # sticks too, its bounds grow in advance with its tension in place: with the last step's bounds
-    # it could slide until it is slack, a self-sustaining state without friction.
     if cable.cable.sideways is None:
         return
-    if cable.lateral is None:
-        cable.update(
-            lateral=LateralFrictionState(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
-        )
-    grip = cable.lateral
-    if grip is not None and grip.elements is not None:
-        cable.update(lateral=replace(grip, bounds=grip.elements.bound))
-        remap(cable)
-        return
+    last = cable.lateral or LateralFrictionState(
+        material_curve(cable, shape), (), np.zeros(0), np.zeros(0)
+    )
+    if last.elements is not None:
+        last = replace(last, bounds=last.elements.bound)
+    cable.update(lateral=last)
     remap(cable)
     grip = cable.lateral
     assert grip is not None
+    if grip.elements is not None:
+        return
+    # A cable not yet in tension sticks at first, as no bound is known. So that a tightened one
+    # sticks too, its bounds grow in advance with its tension in place: with the last step's bounds
+    # it could slide until it is slack, a self-sustaining state without friction.
     expected = _tension_in_place(cable)
     rises = expected > (1 + LEAST_RISE) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
@@ -103,8 +102,8 @@ def start_elements(
     friction, nodes, supports = cable.cable.sideways, held_nodes(cable), tuple(supports_of(cable))
     assert friction is not None
     if last is None or last.supports != supports:
-        nothing = np.zeros(len(nodes))
-        last = LateralFrictionState(curve, supports, nothing, nothing, known=True)
+        nothing, spent = np.zeros(len(nodes)), 0.0 if last is None else last.dissipated
+        last = LateralFrictionState(curve, supports, nothing, nothing, spent, known=True)
     elements = ElementSlips.missing(friction.mu * paper_forces(cable)[nodes])
     cable.update(lateral=replace(last, curve=curve, elements=elements))
     place_elements(cable, shape)
