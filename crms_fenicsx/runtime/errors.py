@@ -60,7 +60,7 @@ class NetWarning(UserWarning):
 class FrictionWarning(UserWarning):
     """Friction forces of low accuracy.
 
-    The paper's law has pushed a cable backwards, since it has no sticking; or the friction
+    The paper's friction elements hold a cable, although the paper has no sticking; or the friction
     iteration does not converge, because a small change of the forces changes the state much.
     """
 
