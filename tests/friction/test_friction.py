@@ -386,6 +386,18 @@ def test_element_of_the_paper_goes_to_and_fro(comm) -> None:
     assert np.all(np.diff(solver.history["dissipated"]) >= 0.0)
 
 
+@HELD
+def test_lost_energy_stays_lost_when_a_cable_lifts_off(comm) -> None:
+    """The friction elements are then at other points, or at none."""
+    _, solver, cable = anchored(comm, Friction(0.3, law="step"))
+    for way in ((0.0, 3.0, 0.0), (0.0, 0.0, 25.0), (0.0, 0.0, -25.0), (0.0, 3.0, 0.0)):
+        solver.advance(move={cable: way})
+        assert cable.taut == (way[2] <= 0.0)
+    lost = solver.history["dissipated"][1:]  # before there was no cable
+    assert np.all(np.diff(lost) >= 0.0)
+    assert lost[-1] > lost[-2] >= lost[-4] > 0.0
+
+
 def test_contact_force_per_length(comm) -> None:
     """What presses on the membrane is the cable's tension times its curvature: a flat arc's sum."""
     _, solver, cable = anchored(comm, 0.0, n=17)
