@@ -388,14 +388,19 @@ def test_element_of_the_paper_goes_to_and_fro(comm) -> None:
 
 @HELD
 def test_lost_energy_stays_lost_when_a_cable_lifts_off(comm) -> None:
-    """The friction elements are then at other points, or at none."""
-    _, solver, cable = anchored(comm, Friction(0.3, law="step"))
-    for way in ((0.0, 3.0, 0.0), (0.0, 0.0, 25.0), (0.0, 0.0, -25.0), (0.0, 3.0, 0.0)):
-        solver.advance(move={cable: way})
-        assert cable.taut == (way[2] <= 0.0)
+    """As it goes slack it has friction elements at fewer points than before."""
+    scene = sheet(comm, 7)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    cable = scene.lay_cable(
+        Cable(EA=32000.0, friction=Friction(0.3, law="step")), [(-80.0, 47.0, 0), (180.0, 47.0, 0)]
+    )
+    for y, z in ((0.0, -5.0), (0.0, -5.0), (2.0, 0.0), (2.0, 0.0), (0.0, 9.9), (0.0, 3.0)):
+        solver.advance(move={cable: (0.0, y, z)})
+    assert not cable.taut
     lost = solver.history["dissipated"][1:]  # before there was no cable
     assert np.all(np.diff(lost) >= 0.0)
-    assert lost[-1] > lost[-2] >= lost[-4] > 0.0
+    assert lost[-1] > 0.0
 
 
 def test_contact_force_per_length(comm) -> None:
