@@ -152,9 +152,7 @@ class Scene:
     """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
-    pressure_law: ReadOnly[PressureLaw] = ReadOnly(
-        "_pressure_law", "give it to Scene(..., pressure=...)"
-    )
+    pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
     penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "give it to Scene(..., literal_penalty=...)"

@@ -95,7 +95,9 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
         remedy = "of their sum only; make the mesh finer along the cables."
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
-        held, before_it = (0 if g is None else g.held for g in (cable.lateral, was.lateral))
+        held, before_it = (
+            one.lateral.held if one.taut and one.lateral is not None else 0 for one in (cable, was)
+        )
         if held > 0 == before_it:
             text = (
                 f"the friction elements of {cable.name!r} hold it at {counted(held, 'point')}, "

@@ -87,7 +87,9 @@ def test_points_are_relaxed_on_after_full_steps(
 
 
 @pytest.mark.parametrize("crossing", [False, True])
-def test_outcomes_count_newton_steps(crossing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outcomes_count_newton_steps(
+    comm: MPI.Intracomm, crossing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Over all minimisations of a load step, among its iterations."""
     made, step = [], NewtonMethod.step
 
@@ -96,7 +98,7 @@ def test_outcomes_count_newton_steps(crossing: bool, monkeypatch: pytest.MonkeyP
         return step(own, *arguments)
 
     monkeypatch.setattr(NewtonMethod, "step", counted)
-    scene = sheet(MPI.COMM_WORLD, 10)
+    scene = sheet(comm, 10)
     if crossing:
         scene.lay_cable(Cable(EA=32000.0), [(0.0, 34.0), (100.0, 34.0)], L0=100.0)
         scene.lay_cable(Cable(EA=32000.0), [(43.0, 0.0), (43.0, 100.0)], L0=100.0)
