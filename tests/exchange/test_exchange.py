@@ -64,6 +64,21 @@ def test_a_shape_as_dxf(comm: MPI.Intracomm, tmp_path: Path) -> None:
     assert len(space.query("POINT")) == held
 
 
+def test_names_with_line_breaks(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """Names are one line of a DXF: what cannot be printed is replaced, other scripts stay."""
+    ezdxf = pytest.importorskip("ezdxf")
+    solver = roof(comm)
+    names = ["up\n  0\nEOF", "tab\tand\rreturn", "Grat ü 峰"]
+    for k, name in enumerate(names):
+        solver.scene.lay_cable(Cable(1e4), [(0.0, 1.0 + k), (8.0, 1.0 + k)], name=name)
+    write_shape(solver.scene, tmp_path / "form.dxf")
+    document = ezdxf.readfile(tmp_path / "form.dxf")
+    assert not document.audit().errors
+    expected = ["up_  0_EOF", "tab_and_return", "Grat ü 峰"]
+    layers = [line.dxf.layer for line in document.modelspace().query("POLYLINE")]
+    assert layers == ["CABLE ridge_1", *(f"CABLE {name}" for name in expected)]
+
+
 @pytest.mark.ranks
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
 def test_a_shape_as_triangles(comm: MPI.Intracomm, tmp_path: Path, suffix: str) -> None:
