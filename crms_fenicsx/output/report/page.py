@@ -33,6 +33,18 @@ LARGEST = 4_900_000
 """Largest size of a page with pictures (bytes)."""
 
 
+class Measured(float):
+    """A number with fixed decimals on the page, and with all digits in CSV files."""
+
+    decimals: int
+
+    def __new__(cls, value: float, decimals: int) -> Measured:
+        """The number with its decimals."""
+        new = super().__new__(cls, value)
+        new.decimals = decimals
+        return new
+
+
 class PagePart(Protocol):
     """Part of a section; `kind` is the template macro that writes it."""
 
@@ -271,6 +283,8 @@ def shown(value: Cell) -> str:
     """Display text of a cell."""
     if value is None:
         return EMPTY
+    if isinstance(value, Measured):
+        return f"{value:.{value.decimals}f}".replace("-", MINUS)
     return number(value) if isinstance(value, float) else str(value)
 
 
