@@ -18,6 +18,7 @@ from crms_fenicsx.output.report.page import (
     BarChart,
     PagePart,
     PageSection,
+    Paragraph,
     Table,
     number,
     page,
@@ -170,6 +171,8 @@ def test_bad_reports_write_nothing(
         ({"pictures": "stress"}, "no list to use; write pictures="),
         ({"strain_limit": 0.0}, "strain_limit = 0.0"),
         ({"template": folder / "office.html"}, "no template .*office.html"),
+        ({"template": page}, r"tent.html' is a template's name; give the page another"),
+        ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
         ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
     ):
@@ -293,6 +296,24 @@ def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) 
     assert "<h1>Office & &lt;T&gt;</h1>" in text
     assert "<table" in text
     assert 'class="about"' not in text.partition("</style>")[2]
+
+
+@pytest.mark.parametrize("name", ["office.html", "report.html"])
+def test_templates_beside_pages(tmp_path: Path, name: str) -> None:
+    """The package's page is extended, also by a template of its name or beside an old page; style
+    sheet and macros of the template's folder hold."""
+    (tmp_path / "report.html").write_text("an old page")
+    template = tmp_path / name
+    template.write_text('{% extends "report.html" %}{% block head %}Büro{% endblock %}', "utf-8")
+    sections = [PageSection("S", [Paragraph("as it is now")])]
+    text = page("T", [], sections, template)
+    assert "Büro" in text and "as it is now" in text and "an old page" not in text
+    (tmp_path / "report.css").write_text("own style")
+    (tmp_path / "parts.html").write_text(
+        "{% macro text(part) %}{{ part.text }} by own macros{% endmacro %}"
+    )
+    assert "own style" in page("T", [], sections, template)
+    assert "as it is now by own macros" in page("T", [], sections, template)
 
 
 def test_a_browser_prints_the_page(
