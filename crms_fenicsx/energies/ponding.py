@@ -51,20 +51,20 @@ def find_level(
     for _ in range(MAX_ITERATIONS):
         fill(level)
         comm.Allreduce(sums, total, op=MPI.SUM)
-        smoothing_length, area = float(total[-2]) - volume, float(total[-1])
-        if smoothing_length > 0.0:
+        surplus, area = float(total[-2]) - volume, float(total[-1])
+        if surplus > 0.0:
             high = min(high, level)
         else:
             low = max(low, level)
-        if area > 0.0 and abs(smoothing_length) <= 8 * EPSILON * volume:
+        if area > 0.0 and abs(surplus) <= 8 * EPSILON * volume:
             return level
-        newton = level - smoothing_length / area if area > 0.0 else float("inf")
+        newton = level - surplus / area if area > 0.0 else float("inf")
         if low < newton < high:
             target = newton
         elif high - low < float("inf"):
             target = (low + high) / 2
         else:  # no bracket yet: up to where there is a surface, or down to below it
-            target, step = level + (step if smoothing_length <= 0.0 else -step), 2 * step
+            target, step = level + (step if surplus <= 0.0 else -step), 2 * step
         if abs(target - level) <= 2 * EPSILON * max(abs(target), abs(level)):
             return target
         level = target

@@ -86,11 +86,10 @@ class EnergyTerm(ABC):
         meaningless.
     columns
         Pattern of the dyads' columns of a term that was `split`; None without dyads.
-    twin
+    elementwise
         Provides `elements_on` and `of_elements` by loops over few cells, for terms assembled by
         DOLFINx forms; None if there is none.
     unknowns
-        The layout, from `attach` on.
         The layout, from `attach` on.
 
     Examples

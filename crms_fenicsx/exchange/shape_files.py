@@ -21,7 +21,7 @@ UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
 SUFFIXES = (".dxf", ".obj", ".stl", ".ply")
 
 FORBIDDEN = '<>/\\":;?*|=`,'
-"""Characters that DXF forbids in layer names."""
+"""Characters that DXF forbids in layer names, besides line breaks and the like."""
 
 
 @collective
@@ -93,7 +93,7 @@ def _document(scene: Scene, surface: Surface, held: Any, unit: str) -> Any:
     space = document.modelspace()
 
     def layer(name: str, colour: int) -> dict[str, str]:
-        plain = "".join("_" if letter in FORBIDDEN else letter for letter in name)
+        plain = "".join("_" if c in FORBIDDEN or not c.isprintable() else c for c in name)
         if plain not in document.layers:
             document.layers.add(plain, color=colour)
         return {"layer": plain}

@@ -26,7 +26,6 @@ class Clamp:
     slip
         Difference of a cable's tensions on the clamp's two sides at which the cable slips (force);
         None if it never does.
-        (force); None if it never does.
     """
 
     name: str

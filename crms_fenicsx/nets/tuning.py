@@ -19,8 +19,8 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 
 
-class _Reached(Exception):  # noqa: N818 - no error: the end of a search
-    """The wanted tensions are reached."""
+class _Ended(Exception):  # noqa: N818 - no error: the end of a search
+    """The wanted tensions are reached, or a load step failed, which is then the cause."""
 
 
 class Tuned(Protocol):
@@ -97,27 +97,33 @@ def tune(
         nonlocal count
         if not np.allclose([cable.L0 for cable in cables], shares * first, rtol=1e-14, atol=0.0):
             count += 1
-            solver.advance(L0=dict(zip(cables, shares * first, strict=True)))
+            try:
+                solver.advance(L0=dict(zip(cables, shares * first, strict=True)))
+            except (ConvergenceError, InputError) as error:  # such as for negative lengths
+                raise _Ended from error
         found = np.array([cable.tension for cable in cables]) / wanted - 1
         if np.abs(found).max() <= rtol:
-            raise _Reached
+            raise _Ended
         return found
 
     def slopes(shares: Array) -> Array:
         errors(shares)  # in case the last step was not at these lengths
         return solver.sensitivities(cables, cables).values * first / wanted[:, None]
 
+    cause = None
     try:
         least_squares(errors, np.ones(len(cables)), slopes, method="lm", max_nfev=most)
-    except _Reached:
-        return {cable: cable.L0 for cable in cables}
-    except (ConvergenceError, InputError):
+    except _Ended as end:
+        cause = end.__cause__
+        if cause is None:
+            return {cable: cable.L0 for cable in cables}
+    except InputError:  # there are no derivatives
         solver.restore(before)
         raise
     reached = np.array([cable.tension for cable in cables])
     k = int(np.abs(reached / wanted - 1).argmax())
     solver.restore(before)
     raise InputError(
-        f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; after {count} load "
-        f"steps it has {reached[k]:.6g}. Give tensions that balance the loads, or fewer."
-    )
+        f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; the search ended at "
+        f"{reached[k]:.6g} (load steps: {count}). Give tensions that balance the loads, or fewer."
+    ) from cause

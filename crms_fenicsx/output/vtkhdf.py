@@ -6,6 +6,7 @@ all steps are concatenated; the group Steps holds their offsets (VTKHDF 2.2).
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,8 +116,12 @@ def write_vtkhdf(
                 grids.append(_grid(name, whole, lines))
     with raised_together(comm):
         if grids:
-            with replaced(path) as partial, _h5py().File(partial, "w") as file:
+            # in memory at first: HDF5 ends the process if the disk is full while it closes a file
+            content = io.BytesIO()
+            with _h5py().File(content, "w") as file:
                 _write(file.create_group("VTKHDF"), grids)
+            with replaced(path) as partial:
+                partial.write_bytes(content.getvalue())
 
 
 def _h5py() -> Any:

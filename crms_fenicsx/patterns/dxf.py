@@ -118,5 +118,6 @@ def _text(space: Any, text: str, place: Array, angle: float, height: float, laye
     from ezdxf.enums import TextEntityAlignment
 
     given = {"layer": layer, "height": height, "rotation": angle}
-    entity = space.add_text(text, dxfattribs=given)
+    plain = "".join(c if c.isprintable() else " " for c in text)  # DXF has a line for each value
+    entity = space.add_text(plain, dxfattribs=given)
     entity.set_placement(place.tolist(), align=TextEntityAlignment.MIDDLE_CENTER)

@@ -71,6 +71,27 @@ def test_monopitch_canopies_as_in_the_british_standard() -> None:
         np.testing.assert_allclose([table[x] for x in ("overall", "A", "B", "C")], expected)
 
 
+def test_canopies_as_in_the_south_african_standard() -> None:
+    """SANS 10160-3, tables 13 and 14, as a public program has them: zones of canopies with blockage
+    by pitch, without signs, and of the empty duopitch one. EN 1991-1-4 is their source."""
+    monopitch = """1.5 1.8 2.2  1.6 2.2 2.5  2.1 2.6 2.7  1.6 2.9 3.0  1.6 2.9 3.0  1.5 2.5 2.8
+        1.5 2.2 2.7"""
+    blocked = """1.5 2.4 2.4 0.6  1.6 2.7 2.6 0.6  1.6 2.7 2.6 0.6  1.5 2.4 2.4 0.6  1.3 2.0 1.8 1.5
+        1.3 2.0 1.8 1.8  1.3 2.2 1.6 2.1  1.4 2.2 1.6 2.1  1.4 2.0 1.5 2.0  1.4 1.8 1.4 2.0"""
+    empty = """0.9 1.3 1.6 0.6  0.8 1.3 1.6 0.6  0.8 1.3 1.5 0.6  0.7 1.3 1.6 0.6  0.6 1.4 1.4 1.1
+        0.7 1.5 1.4 1.4  0.9 1.7 1.4 1.8  1.2 1.8 1.4 2.0  1.4 1.9 1.4 2.0  1.4 1.9 1.4 2.0"""
+    largest = """0.8 1.6 0.6 1.7  0.6 1.5 0.7 1.4  0.6 1.4 0.8 1.1  0.5 1.5 0.8 0.8  0.6 1.8 1.3 0.4
+        0.7 1.8 1.4 0.4  0.9 1.9 1.4 0.4  1.1 1.9 1.5 0.4  1.2 1.9 1.6 0.5  1.3 1.9 1.6 0.7"""
+    for text, table, zones, sign in (
+        (monopitch, module.MONOPITCH_LEAST[1], "ABC", -1),
+        (blocked, module.DUOPITCH_LEAST[1], "ABCD", -1),
+        (empty, module.DUOPITCH_LEAST[0], "ABCD", -1),
+        (largest, module.DUOPITCH_MOST, "ABCD", 1),
+    ):
+        expected = sign * np.array(text.split(), dtype=float).reshape(-1, len(zones)).T
+        np.testing.assert_allclose([table[x] for x in zones], expected)
+
+
 @pytest.mark.ranks
 def test_a_dome_on_the_ground(comm: MPI.Intracomm) -> None:
     """Linear along the arc over the crown: half way up, at 45 degrees, it is half way from A to B;

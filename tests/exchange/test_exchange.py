@@ -64,6 +64,21 @@ def test_a_shape_as_dxf(comm: MPI.Intracomm, tmp_path: Path) -> None:
     assert len(space.query("POINT")) == held
 
 
+def test_names_with_line_breaks(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """Names are one line of a DXF: what cannot be printed is replaced, other scripts stay."""
+    ezdxf = pytest.importorskip("ezdxf")
+    solver = roof(comm)
+    names = ["up\n  0\nEOF", "tab\tand\rreturn", "Grat ü 峰"]
+    for k, name in enumerate(names):
+        solver.scene.lay_cable(Cable(1e4), [(0.0, 1.0 + k), (8.0, 1.0 + k)], name=name)
+    write_shape(solver.scene, tmp_path / "form.dxf")
+    document = ezdxf.readfile(tmp_path / "form.dxf")
+    assert not document.audit().errors
+    expected = ["up_  0_EOF", "tab_and_return", "Grat ü 峰"]
+    layers = [line.dxf.layer for line in document.modelspace().query("POLYLINE")]
+    assert layers == ["CABLE ridge_1", *(f"CABLE {name}" for name in expected)]
+
+
 @pytest.mark.ranks
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
 def test_a_shape_as_triangles(comm: MPI.Intracomm, tmp_path: Path, suffix: str) -> None:
@@ -107,6 +122,108 @@ def test_a_drawing(tmp_path: Path, comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(read_dxf(path, unit=1.0)["MAST"].points, [(1000, 2000, 3000)])
     mesh = meshes.polygon(comm, outline[:, :2], size=2.0)
     assert Scene(mesh, FOIL).membrane.cell_areas.sum() == pytest.approx(48.0)
+
+
+def drawn(path: Path, *, units: int = 6) -> tuple[Any, Any]:
+    """A function that reads what has been drawn so far, and the space to draw in."""
+    drawing = pytest.importorskip("ezdxf").new("R2010", units=units)
+
+    def read(**options: Any) -> Any:
+        drawing.saveas(path)
+        return read_dxf(path, **options)
+
+    return read, drawing.modelspace()
+
+
+@pytest.mark.parametrize(("size", "x"), [(1.0, 0.0), (2e4, 0.0), (2e4, 7e4), (3.0, 4e6)])
+def test_curves_of_any_size_and_place(tmp_path: Path, size: float, x: float) -> None:
+    """Chords stay within 0.1 % of the curve's size, and are few: below 3 x the coarsest circle's.
+
+    A regular polygon with n corners in the unit circle is 1 - cos(pi / n) off.
+    """
+    read, space = drawn(tmp_path / "curves.dxf")
+    space.add_circle((x, 0), size, dxfattribs={"layer": "circle"})
+    space.add_ellipse((x, 0), (size, 0), 0.5, dxfattribs={"layer": "ellipse"})
+    space.add_arc((x, 0), size, 0, 90, dxfattribs={"layer": "arc"})
+    space.add_circle((x, 0), 0.0, dxfattribs={"layer": "nothing"})
+    space.add_line((0, 0), (0, 1e-3), dxfattribs={"layer": "far away"})
+    found = read()
+    assert "nothing" not in found
+    for layer, height in (("circle", 1.0), ("ellipse", 0.5), ("arc", 1.0)):
+        (line,) = found[layer].outlines or found[layer].lines
+        places = (line[:, :2] - (x, 0.0)) / (size, height * size)
+        # ezdxf has cubics for arcs: 2.7e-4 of the radius off for a quarter of a circle
+        np.testing.assert_allclose(np.hypot(*places.T), 1.0, atol=3e-4)
+        middles = (places[1:] + places[:-1]) / 2
+        assert np.hypot(*middles.T).min() > 1 - 1e-3 * np.hypot(2.0, 2.0) / height
+        assert np.linalg.norm(np.diff(places, axis=0), axis=1).min() > 1e-2  # none comes twice
+        assert len(line) < 3 * np.pi / np.arccos(1 - 2e-3)
+
+
+def test_contours_of_single_lines(tmp_path: Path) -> None:
+    """Lines and arcs in any order and sense become one outline; three ends at a point do not."""
+    read, space = drawn(tmp_path / "contour.dxf")
+    space.add_line((8, 2), (8, 0))
+    space.add_line((0, 6), (0, 0))
+    space.add_arc((4, 2), 4, 0, 90)  # from (8, 2) to (4, 6)
+    space.add_line((8, 0), (0, 0))
+    space.add_line((20, 0), (21, 0))  # open, from one end to the next
+    space.add_line((21, 0), (21, 1))
+    space.add_line((0, 6), (4, 6))
+    space.add_lwpolyline([(0, 6), (0, 9), (-1, 6)], close=True)
+    for a, b in (((0, 0), (2, 0)), ((2, 0), (1, 1)), ((1, 1), (0, 0)), ((1, 1), (1, 5))):
+        space.add_line(a, b, dxfattribs={"layer": "guyed"})
+    for _ in range(2):
+        space.add_line((0, 0), (2, 0), dxfattribs={"layer": "twice"})
+    found = read()
+    triangle, outline = sorted(found["0"].outlines, key=len)
+    np.testing.assert_allclose(triangle[:, :2], [(0, 6), (0, 9), (-1, 6)])
+    x, y = outline[:, :2].T
+    area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
+    assert area == pytest.approx(8 * 6 - (4 - np.pi) * 4, rel=5e-3)
+    assert np.linalg.norm(np.diff(outline, axis=0), axis=1).min() > 0.1  # no corner comes twice
+    np.testing.assert_allclose(
+        found["0"].lines, [[(20, 0, 0), (21, 0, 0)], [(21, 0, 0), (21, 1, 0)]]
+    )
+    assert not found["guyed"].outlines and len(found["guyed"].lines) == 4
+    assert not found["twice"].outlines and len(found["twice"].lines) == 2
+
+
+def test_units_of_drawings(tmp_path: Path) -> None:
+    """Lengths as in ezdxf's table, survey units by the foot of 1200/3937 m; others are refused."""
+    units = pytest.importorskip("ezdxf.units")
+    survey = 1200 / 3937
+    own = {8: 2.54e-8, 9: 2.54e-5, 21: survey, 22: survey / 12, 23: survey * 3, 24: survey * 5280}
+    for code in range(25):
+        read, space = drawn(tmp_path / "unit.dxf", units=code)
+        space.add_point((2, 0, 0))
+        if code in (11, 12, 17, 18, 19, 20):
+            with pytest.raises(InputError, match=rf"unit code \$INSUNITS = {code}, .* pass unit"):
+                read()
+            assert read(unit=0.5)["0"].points[0, 0] == 1.0
+        else:
+            metre = 1.0 if code == 0 else own.get(code) or units.conversion_factor(code, units.M)
+            assert read()["0"].points[0, 0] == pytest.approx(2 * metre, rel=1e-8)
+
+
+def test_broken_drawings(tmp_path: Path) -> None:
+    """A file cut anywhere, damaged, or with numbers that are not finite gives an `InputError`."""
+    read, space = drawn(tmp_path / "whole.dxf")
+    space.add_line((0, 0), (12345, 0))
+    space.add_circle((0, 0), 3)
+    read()
+    whole, path = (tmp_path / "whole.dxf").read_bytes(), tmp_path / "broken.dxf"
+    for data, message in (
+        *((whole[: len(whole) * k // 10], "EOF") for k in range(10)),
+        (whole[: whole.rindex(b"  0")], "EOF"),
+        (whole.replace(b"12345.0", b"nan"), "LINE.* not finite"),
+        (whole.replace(b"12345.0", b"1e400"), "LINE.* not finite"),
+        (whole.replace(b"12345.0", b"twelve"), "cannot be read"),
+    ):
+        assert data != whole
+        path.write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            read_dxf(path)
 
 
 class Compas:

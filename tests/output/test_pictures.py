@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
@@ -108,6 +109,33 @@ def test_the_nearer_triangles_are_painted_last(tmp_path: Path) -> None:
             middle = image[h // 3 : 2 * h // 3, w // 4 : w // 2].reshape(-1, 3).mean(axis=0)
             yellow = middle[0] > middle[2] + 0.2
             assert yellow == bright
+
+
+@pytest.mark.parametrize("view", [(-60.0, 30.0), (20.0, 12.0), (-90.0, 90.0)])
+@pytest.mark.parametrize("n", [8, 24])
+def test_colours_are_those_of_the_bar(tmp_path: Path, n: int, view: tuple[float, float]) -> None:
+    """On a curved surface of one value, whatever its slope to the viewer and the size of its cells:
+    at most 5 % of the pixels, edges and outline, are more than a tenth of the scale off."""
+    from matplotlib import colormaps
+
+    points, triangles = grid(n)
+    x, y = points[:, 0] / 50 - 1, points[:, 1] / 50 - 1
+    points[:, 2] = 40 * (x * x - y * y)
+    draw_shape(
+        tmp_path / "one.png", points, triangles, view=view, box=False,
+        values=np.full(len(triangles), 5.0), limits=(0.0, 15.0),
+    )  # fmt: skip
+    image = pixels(tmp_path / "one.png")
+    seen = image[:, : int(0.8 * image.shape[1]) : 2].reshape(-1, 3)  # left of the bar
+    seen = seen[np.ptp(seen, axis=1) > 0.08]
+    assert len(seen) > 20_000
+    bar = colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3]
+    read = 15 / 255 * cKDTree(bar).query(seen)[1]
+    assert np.mean(np.abs(read - 5.0) > 1.5) < 0.05
+    draw_shape(tmp_path / "plain.png", points, triangles, view=view, box=False)
+    fabric = pixels(tmp_path / "plain.png").mean(axis=2)
+    fabric = fabric[fabric < 0.99]
+    assert view[1] == 90.0 or np.std(fabric) > 0.05  # lit
 
 
 def test_pictures_show_something(tmp_path: Path) -> None:

@@ -13,17 +13,20 @@ from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
-from crms_fenicsx.output.report import sections
+from crms_fenicsx.output.report import net_tables, sections
 from crms_fenicsx.output.report.page import (
     BarChart,
     PagePart,
     PageSection,
+    Paragraph,
     Table,
     number,
     page,
     per_cent,
     place,
 )
+from crms_fenicsx.output.report.units import Units
+from crms_fenicsx.results.cable_order import CableOrder, Order
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
@@ -168,6 +171,8 @@ def test_bad_reports_write_nothing(
         ({"pictures": "stress"}, "no list to use; write pictures="),
         ({"strain_limit": 0.0}, "strain_limit = 0.0"),
         ({"template": folder / "office.html"}, "no template .*office.html"),
+        ({"template": page}, r"tent.html' is a template's name; give the page another"),
+        ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
         ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
     ):
@@ -256,6 +261,28 @@ def test_tables_group_rows_of_one_heading() -> None:
     assert [row[1] for group in many.groups for row in group] == list(range(20))
 
 
+@pytest.mark.parametrize(
+    ("unit", "metre"),
+    [("m", 1.0), ("mm", 1e3), ("cm", 1e2), ("ft", 1 / 0.3048), ("in", 1 / 0.0254)],
+)
+def test_lengths_to_order_have_millimetres(comm: MPI.Intracomm, unit: str, metre: float) -> None:
+    """Each length on the page is less than half a millimetre off, whatever the unit; those of the
+    CSV file are the object's."""
+    spacings = (float(np.pi) * metre, 123.4567891 * metre, 0.0123456 * metre)
+    length, L0, cut = sum(spacings), 126.6 * metre / 1.001, 127.19876543 * metre
+    cable = CableOrder("A1", 2e4, L0, 10.0, length, ("A1 x B1", "A1 x B2"), spacings, cut)
+    order = Order({"A1": cable}, -15.0, 1.2e-5, (0.3, 0.3), comm)
+    table = net_tables.order(order, Units(unit, "kN"))
+    (heads, *rows) = Page(html(table)).tables[table.caption]
+    lengths = [k for k, name in enumerate(heads) if name.endswith(f"[{unit}]")]
+    assert len(lengths) == 5 and len(rows) == 3
+    for row, cells in zip(order.rows(), rows, strict=True):
+        for k in lengths:
+            assert abs(float(cells[k]) - float(row[k])) < 0.5e-3 * metre
+    written = table.csv().splitlines()[1:]
+    assert written == [",".join(map(str, row)) for row in order.rows()]
+
+
 def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) -> None:
     template = folder / "office.html"
     if comm.rank == 0:
@@ -269,6 +296,24 @@ def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) 
     assert "<h1>Office & &lt;T&gt;</h1>" in text
     assert "<table" in text
     assert 'class="about"' not in text.partition("</style>")[2]
+
+
+@pytest.mark.parametrize("name", ["office.html", "report.html"])
+def test_templates_beside_pages(tmp_path: Path, name: str) -> None:
+    """The package's page is extended, also by a template of its name or beside an old page; style
+    sheet and macros of the template's folder hold."""
+    (tmp_path / "report.html").write_text("an old page")
+    template = tmp_path / name
+    template.write_text('{% extends "report.html" %}{% block head %}Büro{% endblock %}', "utf-8")
+    sections = [PageSection("S", [Paragraph("as it is now")])]
+    text = page("T", [], sections, template)
+    assert "Büro" in text and "as it is now" in text and "an old page" not in text
+    (tmp_path / "report.css").write_text("own style")
+    (tmp_path / "parts.html").write_text(
+        "{% macro text(part) %}{{ part.text }} by own macros{% endmacro %}"
+    )
+    assert "own style" in page("T", [], sections, template)
+    assert "as it is now by own macros" in page("T", [], sections, template)
 
 
 def test_a_browser_prints_the_page(

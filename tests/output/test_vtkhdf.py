@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -112,3 +114,29 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message):
             write_vtkhdf(solver, filename, states)  # type: ignore[arg-type]
     assert not list(folder.iterdir())
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("room", [0, 4096, 32768])
+def test_a_full_disk(comm: MPI.Intracomm, tmp_path: Path, room: int) -> None:
+    """An error on all ranks that names the file; the file of before stays, and the run goes on."""
+    pytest.importorskip("h5py")
+    path, solver = comm.bcast(tmp_path) / "roof.vtkhdf", roof(comm)
+    write_vtkhdf(solver, path)
+    before = path.read_bytes()
+    assert len(before) > room
+    comm.barrier()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+        with pytest.raises(InputError, match=r"roof\.vtkhdf cannot be written \(File too large"):
+            write_vtkhdf(solver, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+    assert path.read_bytes() == before
+    solver.advance(pressure=0.11)
+    write_vtkhdf(solver, path)
+    assert path.read_bytes() != before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -124,6 +125,19 @@ def test_dxf_is_read_back(comm: MPI.Intracomm, tmp_path_factory: pytest.TempPath
         np.testing.assert_allclose(np.ptp(line, axis=0), [8.0, WIDTH], rtol=1e-6)
     texts = {entity.dxf.text for entity in space.query("TEXT")}
     assert {"piece 1", "seam 1", "boundary", "5"} <= texts
+
+
+def test_dxf_with_a_line_break_in_a_name(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """The text of a seam stays on one line."""
+    ezdxf = pytest.importorskip("ezdxf")
+    mesh = half_cylinder(comm, 2, 3, 8)
+    (edge,) = [name for name in mesh.edges if name != "boundary"]
+    seam = dataclasses.replace(patterns.edge_line(mesh, edge), name="left\n  0\nEOF")
+    pattern = patterns.flatten(patterns.cut(mesh, [seam]), FABRIC)
+    patterns.write_dxf(pattern, tmp_path / "roof.dxf", patterns.Sheet(9.0))
+    document = ezdxf.readfile(tmp_path / "roof.dxf")
+    assert not document.audit().errors
+    assert "left   0 EOF" in {one.dxf.text for one in document.modelspace().query("TEXT")}
 
 
 def test_without_ezdxf_nothing_is_written(

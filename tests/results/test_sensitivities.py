@@ -124,6 +124,10 @@ def test_lengths_for_tensions(comm) -> None:
     np.testing.assert_allclose([a.tension, b.tension], [20.0, 35.0], rtol=1e-4)
     assert found == {a: a.L0, b: b.L0} and a.L0 > b.L0
     before = [a.L0, b.L0, scene.energy]
+    with pytest.raises(InputError, match=r"^tune: .*'a' a tension of 3e\+06; .* steps: 1") as one:
+        nets.tune(solver, {a: 3e6, b: b.tension})  # a negative length comes first
+    assert "advance" in str(one.value.__cause__)
+    assert [a.L0, b.L0, scene.energy] == before
     with pytest.raises(InputError, match="'c' is slack"):
         solver.scene.lay_cable(Cable(1e3), [(0.0, 2.0), (10.0, 2.0)], L0=14.0, name="c")
         nets.tune(solver, {a: 20.0, scene.cable("c"): 1.0})

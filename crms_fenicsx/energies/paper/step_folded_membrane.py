@@ -91,7 +91,7 @@ def shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
 
 
 class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
-    """Strain energy of folded cells over all steps; side ik is one that does not fold."""
+    """Strain energy of folded cells over all steps; side ik is the one with the fewest folds."""
 
     has_history = True
     exact_hessian = False

@@ -59,17 +59,14 @@ def colouring(
     """Colour scale of values, NaN in grey, or the legend text of a common value."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.colors import Normalize
 
     if values is None:
         return None, ""
     same = common_value(values) if limits is None else None
     if same is not None:
         return None, in_words(label, same)
-    # lightened, as shading would swallow dark colours
-    shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
-    colormap = ListedColormap(shades)
-    colormap.set_bad(NO_VALUE)
+    colormap = colormaps[colours].with_extremes(bad=NO_VALUE)
     scale = Normalize(*(limits_of(values) if limits is None else limits))
     return ScalarMappable(scale, colormap), ""
 

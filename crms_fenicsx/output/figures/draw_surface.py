@@ -178,12 +178,16 @@ def draw_shape(
         axes3d.draw_box(how.unit)
 
     flat = camera.project(spatial)
-    face_colours = np.tile(_FABRIC, (len(flat), 1))
-    if values is not None:
-        face_colours[~np.isfinite(values)] = NO_VALUE
-        face_colours = face_colours if paint is None else paint.to_rgba(values)[:, :3]
+    if paint is not None and values is not None:  # unlit: the colours are those of the bar
+        face_colours = paint.to_rgba(values)[:, :3]
+    else:
+        face_colours = np.tile(_FABRIC, (len(flat), 1))
+        if values is not None:
+            face_colours[~np.isfinite(values)] = NO_VALUE
+        diffuse, specular = brightness(camera, spatial)
+        face_colours = face_colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
     shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
-    _paint_triangles(axes3d, spatial, flat, face_colours, ghostly, shown)
+    _paint_triangles(axes3d, flat, face_colours, ghostly, shown)
     tolerance = _ON_SURFACE * size
     _paint_outline(axes3d, surface, flat, tolerance, INK)
     if faint is not None:
@@ -253,7 +257,6 @@ def _per_triangle(values: ArrayLike | None, surface: Surface) -> Array | None:
 
 def _paint_triangles(
     axes3d: Axes3D,
-    spatial: Array,
     flat: Array,
     colours: Array,
     faint: Array | None,
@@ -262,11 +265,9 @@ def _paint_triangles(
     """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge."""
     from matplotlib.collections import PolyCollection
 
-    diffuse, specular = brightness(axes3d.camera, spatial)
-    faces = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
-    faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
+    faces = np.column_stack([np.clip(colours, 0, 1), np.ones(len(colours))])
     strength = _edge_strength(axes3d, flat)
-    dark = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
+    dark = np.column_stack([faces[:, :3] * (1.0 - 0.35 * strength)[:, None], faces[:, 3]])
     # faces without edges get rims of their colour, to close the gaps left by antialiasing
     rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
     rims = np.where(rimmed[:, None], dark, faces)
@@ -274,17 +275,18 @@ def _paint_triangles(
     polygons = list(flat[..., :2])
     depth: Array = np.mean(flat[..., 2], axis=1)
     # where only some sides have edges, these are separate strokes right after the face
-    some, side = np.nonzero(shown & ~rimmed[:, None] & (strength > 0))
+    some, side = np.nonzero(shown & (~rimmed & (strength > 0))[:, None])
     polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
     faces, rims = np.concatenate([faces, dark[some]]), np.concatenate([rims, dark[some]])
-    thick = np.concatenate([thick, np.full(len(some), 0.25 + 0.2 * strength)])
+    thick = np.concatenate([thick, 0.25 + 0.2 * strength[some]])
     depth = np.concatenate([depth, depth[some]])
     if faint is not None:
         extra = axes3d.camera.project(faint)
         strength = _edge_strength(axes3d, extra)
         polygons += list(extra[..., :2])
         faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
-        rims = np.concatenate([rims, np.tile((*_GHOST, 0.5 * strength), (len(extra), 1))])
+        lines = np.column_stack([np.tile(_GHOST, (len(extra), 1)), 0.5 * strength])
+        rims = np.concatenate([rims, lines])
         thick = np.concatenate([thick, np.full(len(extra), 0.4)])
         depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
     order = np.argsort(depth, kind="stable")
@@ -324,13 +326,13 @@ def _paint_seen(
         )
 
 
-def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
-    """Strength of edges, 0 to 1, low for a fine mesh, which edges would hide."""
-    if len(flat) == 0:
-        return 0.0
+def _edge_strength(axes3d: Axes3D, flat: Array) -> Array:
+    """Strength of triangles' edges, 0 to 1, low for narrow ones, which edges would darken."""
     sides = flat[..., :2] - np.roll(flat[..., :2], 1, axis=1)
-    points = float(np.median(np.linalg.norm(sides, axis=2))) / axes3d.point
-    return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    areas = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    points = areas / np.maximum(longest, 1e-300) / axes3d.point  # heights
+    return np.where(points < 3.0, 0.0, np.clip((points - 3.0) / 12.0, 0.15, 1.0))
 
 
 def outline_of(points: Array, triangles: Integers) -> Array:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from crms_fenicsx.output.report.foundation_tables import DIRECTION, inclined
-from crms_fenicsx.output.report.page import Table
+from crms_fenicsx.output.report.page import Measured, Table
 from crms_fenicsx.output.report.results_tables import ResultTables, Row, with_size
 from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.results.cable_order import Order
+
+DECIMALS = {"mm": 0, "cm": 1, "in": 2}
+"""Decimals of lengths to order, to the millimetre, by unit; 3 of metres, feet and unknown ones."""
 
 
 def clamps(results: ResultTables) -> Table:
@@ -38,13 +41,19 @@ def anchors(results: ResultTables) -> Table:
 
 def order(cables: Order, units: Units) -> Table:
     """Manufacturing lengths and marks of cables."""
-    m, kN = units["length"], units["force"]
-    of = (kN, m, kN, m, "", "", m, m, m)
-    first, *others = cables.COLUMNS
-    columns = (first, *(f"{name}{unit}" for name, unit in zip(others, of, strict=True)))
+    kinds = ["", "force", "length", "force", "length", "", "", "length", "length", "length"]
+    columns = [name + units[kind] for name, kind in zip(cables.COLUMNS, kinds, strict=True)]
+    decimals = DECIMALS.get(units.length, 3)
+    rows = [
+        [
+            Measured(cell, decimals) if kind == "length" and isinstance(cell, float) else cell
+            for cell, kind in zip(row, kinds, strict=True)
+        ]
+        for row in cables.rows()
+    ]
     start, end = cables.allowance
     caption = (
         f"Cables to order, measured at {cables.temperature:g} K above the model's temperature; cut "
         f"with allowances of {start:g} and {end:g}"
     )
-    return Table(caption, columns, cables.rows(), "order")
+    return Table(caption, columns, rows, "order")

@@ -29,8 +29,26 @@ EMPTY = "\u2013"
 MINUS = "\u2212"
 """Minus sign, as wide as a digit."""
 
+PAGE = "report.html"
+"""The package's template of a page, which others extend."""
+
+MACROS = "parts.html"
+"""Template of tables and figures, which a file beside the user's template replaces."""
+
 LARGEST = 4_900_000
 """Largest size of a page with pictures (bytes)."""
+
+
+class Measured(float):
+    """A number with fixed decimals on the page, and with all digits in CSV files."""
+
+    decimals: int
+
+    def __new__(cls, value: float, decimals: int) -> Measured:
+        """The number with its decimals."""
+        new = super().__new__(cls, value)
+        new.decimals = decimals
+        return new
 
 
 class PagePart(Protocol):
@@ -245,32 +263,39 @@ def page(
     title: str, about: Sequence[tuple[str, str]], sections: Sequence[PageSection],
     template: Path | None = None,
 ) -> str:  # fmt: skip
-    """The HTML page, from the package's template or another one."""
+    """The HTML page, from the package's template or the user's."""
     numbered, chapter, below = [], 0, 0
     for one in sections:
         chapter, below = (chapter + 1, 0) if one.level == 2 else (chapter, below + 1)
         text = f"{chapter}" if one.level == 2 else f"{chapter}.{below}"
         numbered.append(PageSection(one.title, one.body, one.level, text))
-    name, own = (template.name, [template.parent]) if template else ("report.html", [])
-    return rendered(name, own, title=title, about=about, sections=numbered)
+    return rendered(PAGE, template, title=title, about=about, sections=numbered)
 
 
-def rendered(name: str, folders: Sequence[Path] = (), **values: Any) -> str:
-    """A template of some folders, or else of the package, with values."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+def rendered(name: str, template: Path | None = None, **values: Any) -> str:
+    """A template of the package, or the user's, with values."""
+    from jinja2 import ChoiceLoader, DictLoader, Environment, FileSystemLoader, StrictUndefined
 
+    own = Path(__file__).parent / "templates"
+    # never beside the user's template, where it is a page written before
+    extended = DictLoader({PAGE: (own / PAGE).read_text(encoding="utf-8")})
+    folders = [template.parent, own] if template else [own]
     jinja = Environment(
-        loader=FileSystemLoader([*folders, Path(__file__).parent / "templates"]),
+        loader=ChoiceLoader([extended, FileSystemLoader(folders)]),
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
     )  # fmt: skip
     jinja.filters["cell"] = shown
-    return jinja.get_template(name).render(**values)
+    if template is None:
+        return jinja.get_template(name).render(**values)
+    return jinja.from_string(template.read_text(encoding="utf-8")).render(**values)
 
 
 def shown(value: Cell) -> str:
     """Display text of a cell."""
     if value is None:
         return EMPTY
+    if isinstance(value, Measured):
+        return f"{value:.{value.decimals}f}".replace("-", MINUS)
     return number(value) if isinstance(value, float) else str(value)
 
 

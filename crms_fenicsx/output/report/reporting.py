@@ -24,7 +24,7 @@ from crms_fenicsx.output.report.case import (
 from crms_fenicsx.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.output.report.interactive import check_interactive
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.output.report.page import PageSection
+from crms_fenicsx.output.report.page import MACROS, PageSection
 from crms_fenicsx.output.report.pictures import (
     force_figures,
     load_figures,
@@ -140,6 +140,10 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                 raise InputError(
                     f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
                     'which may begin with {% extends "report.html" %}.'
+                )
+            if path.name == MACROS or (plan.template and path == Path(plan.template).absolute()):
+                raise InputError(
+                    f"report: filename = {str(path)!r} is a template's name; give the page another."
                 )
     return replace(
         plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
