@@ -750,7 +750,7 @@ class Solver:
         --------
         In a notebook:
 
-        >>> solver.draw(colour="warp", unit="m", force="kN")
+        >>> solver.draw(colour="stress", unit="m", force="kN")
         """
         from crms_fenicsx.output.figures.draw_scene import draw
 
@@ -844,7 +844,7 @@ class Solver:
         --------
         >>> blocks = solver.to_pyvista()
         >>> plotter = pyvista.Plotter()
-        >>> plotter.add_mesh(blocks["membrane"], scalars="warp", show_edges=True)
+        >>> plotter.add_mesh(blocks["membrane"], scalars="true force 1", show_edges=True)
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """

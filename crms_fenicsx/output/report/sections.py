@@ -52,7 +52,8 @@ NOTES = (
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
     "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
     "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, which must contain all partial factors, divided by the largest factor of the "
+    "given for them, in isotropic material that of the larger principal force to the strength. "
+    "Strengths must contain all partial factors; they are divided by the largest factor of the "
     "loads that act where such factors are given. Shear is not part of it. That of bars in "
     "compression is by the smaller one of their strength and Euler's load between hinges.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
