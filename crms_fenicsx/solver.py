@@ -155,7 +155,8 @@ class Solver:
         if options.resume is not None and options.results is not None:
             from crms_fenicsx.checkpoint.journal import FOLDER, Journal
 
-            same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
+            same = {**vars(options)}
+            del same["results"], same["resume"]
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
 
     def __repr__(self) -> str:
