@@ -211,6 +211,9 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         lambda **new: laid(Cable(50.0, friction=Friction(**{"mu": 0.1, "along": 0.1} | new))),
         {"cone": True},
     ),
+    "Bar, in compression": (
+        lambda **new: mast(**{"strength": 8.0, "curve": 0.5} | new), {"curve": 0.6}
+    ),
     "Bar": (mast, {"EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0}),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,

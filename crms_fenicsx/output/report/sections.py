@@ -55,7 +55,8 @@ NOTES = (
     "given for them, in isotropic material that of the larger principal force to the strength. "
     "Strengths must contain all partial factors; they are divided by the largest factor of the "
     "loads that act where such factors are given. Shear is not part of it. That of bars in "
-    "compression is by the smaller one of their strength and Euler's load between hinges.",
+    "compression is by their strength times the reduction factor of their buckling curve (EN "
+    "1993-1-1, 6.3.1, between hinges) or the one given; without these there is none.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Deflections are displacements from the stress-free shape. Forces on the rim per length are "

@@ -44,6 +44,13 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
     notes = [] if used else [
         "Strengths of the membrane were not given: its utilisation is not checked."
     ]  # fmt: skip
+    bars = [bar for case in cases for bar in case.summary.bars.values()]
+    unchecked = dict.fromkeys(x.name for x in bars if x.force < 0.0 and x.utilisation is None)
+    if unchecked:
+        notes.append(
+            "Buckling is not checked, as no curve was given, of bars in compression: "
+            f"{', '.join(unchecked)}."
+        )
     if wet:
         most = max(wet, key=lambda case: case.summary.hollows[0].depth)
         deepest = most.summary.hollows[0]
