@@ -35,7 +35,9 @@ from crms_fenicsx.results.cable_order import Order
 FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
     "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
-    "points that meet at one place are summed up. Lines of held edges bear the membrane's forces "
+    "points that meet at one place are summed up; forces of a foundation with several such places "
+    "act at their mean, together with the moments Mx, My and Mz about it. Lines of held edges bear "
+    "the membrane's forces "
     "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
     "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
     "of them have one scale. Orange is uplift, blue is downward."
