@@ -73,6 +73,10 @@ def test_rain_that_would_stand(case: Case) -> None:
     )
     assert "(snow)" in reason
     assert "checked for ponding" in reason
+    red = verdict_on([wet], Limits(strain=1e-3), 8.0)
+    assert red.look == "failed" and "Rain would stand in 1 of 1" in red.reasons[-1]
+    unknown = verdict_on([replace(wet, verification=None)], Limits(), 8.0)
+    assert "Rain would stand" in " ".join(unknown.reasons)
 
 
 def test_utilisation_and_its_peaks(case: Case) -> None:

@@ -232,7 +232,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
     """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
-        model = model_of_scene(solver.scene, plan.units)
+        model = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
         if base is None or base.version.model_version != now.model_version:
             return _pictured(solver, plan, model, "The model in its current state")
         with back_to_now(solver):
@@ -250,7 +250,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
         models = {}
         for own in names.values():
             solver.restore(states[own[0]].base)
-            models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
+            models[", ".join(own)] = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
         model = merged(models)
         solver.restore(first)
         return _pictured(solver, plan, model, caption)
