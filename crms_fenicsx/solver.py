@@ -155,7 +155,8 @@ class Solver:
         if options.resume is not None and options.results is not None:
             from crms_fenicsx.checkpoint.journal import FOLDER, Journal
 
-            same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
+            same = {**vars(options)}
+            del same["results"], same["resume"]
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
 
     def __repr__(self) -> str:
@@ -750,7 +751,7 @@ class Solver:
         --------
         In a notebook:
 
-        >>> solver.draw(colour="warp", unit="m", force="kN")
+        >>> solver.draw(colour="stress", unit="m", force="kN")
         """
         from crms_fenicsx.output.figures.draw_scene import draw
 
@@ -844,7 +845,7 @@ class Solver:
         --------
         >>> blocks = solver.to_pyvista()
         >>> plotter = pyvista.Plotter()
-        >>> plotter.add_mesh(blocks["membrane"], scalars="warp", show_edges=True)
+        >>> plotter.add_mesh(blocks["membrane"], scalars="true force 1", show_edges=True)
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """

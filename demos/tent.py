@@ -37,7 +37,8 @@ EDGES = ["south east", "north east", "north west", "south west"]
 FABRIC = OrthotropicMembrane(E1=900.0, E2=700.0, G12=30.0, nu21=0.2, thickness=1.0)
 EDGE_CABLE = Cable(EA=31.5e3)  # spiral strand of 18 mm
 BELT = Cable(EA=1500.0)  # two polyester belts of 50 mm
-MAST = Bar(EA=846e3, EI=2.1e8 * 1.297e-5, strength=860.0)  # steel tube of 168.3 x 8 mm
+# Cold-formed steel tube of 168.3 x 8 mm, S235
+MAST = Bar(EA=846e3, EI=2.1e8 * 1.297e-5, strength=947.0, curve="c")
 GUY = Bar(EA=39e3, tension_only=True, strength=170.0)  # spiral strand of 20 mm
 STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # fabric, warp and weft
 CABLE_STRENGTH = 140.0

@@ -65,11 +65,11 @@ SHOWN: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "results": (
         lambda: solved().results(),
-        r"MembraneResults\(\d+ cells?, warp .*, weft .*, shear .*, \d+ slack, .* taut\)",
+        r"MembraneResults\(\d+ cells?, true force 1 .*, true force 2 .*, \d+ slack, .* taut\)",
     ),
     "places": (
         lambda: solved().results().at([(30.0, 40.0), (50.0, 50.0)]),
-        rf"PlaceResults\(2 places: warp {NUMBER} to {NUMBER}, weft .*\)",
+        rf"PlaceResults\(2 places: true force 1 {NUMBER} to {NUMBER}, true force 2 .*\)",
     ),
     "reactions": (
         lambda: solved().reactions("boundary"),

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.checkpoint.codec import Plain
+from crms_fenicsx.checkpoint.codec import Plain, encode
+from crms_fenicsx.energies.kinematics import warp_field
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.bar import Joint, MeshVertex
+from crms_fenicsx.model.changed_materials import numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.output.shared_file import digest
@@ -100,6 +102,7 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     refuse_history(scene)
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)
+    first = scene.membrane.first_materials
     tags = np.zeros((len(cells), 1), dtype=np.int64)
     if scene.membrane.cell_tags is not None:
         tags[:, 0] = scene.membrane.cell_tags.values
@@ -107,11 +110,20 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     if frames is not None:
         rounded = np.rint(1e8 * frames.reshape(-1, 6)).astype(np.int64)
         shapes = mixed(scene, np.hstack([cells, rounded]))
+    warps = None
+    if frames is None and any(callable(one.warp) for one in first.values()):
+        ways = np.zeros((len(cells), 3))
+        for tag, one in first.items():
+            if callable(one.warp):
+                own = np.flatnonzero(tags[:, 0] == tag).astype(np.int32)
+                ways[own] = warp_field(mesh, one, own).x.array.reshape(-1, 3)[own]
+        warps = mixed(scene, np.hstack([cells, np.rint(1e8 * ways).astype(np.int64)]))
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
         "cells (their vertices, mixed to one number)": mixed(scene, cells),
-        "materials": [described(one) for one in scene.membrane.first_materials.values()],
+        "materials": [described(one) for one in first.values()],
+        "warp (directions in the cells, mixed to one number)": warps,
         "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
         "stress-free shapes of the cells (mixed to one number)": shapes,
         "strain": scene.strain_law,
@@ -156,7 +168,7 @@ def described(material: MembraneMaterial) -> list[Any]:
     """A material as numbers and texts."""
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
-    values = [float(value) for value in material.parameters]
+    values = [*encode(numbers(material)).values()]
     if isinstance(material, UflMembrane):
         values += material.samples
     return [type(material).__name__, values, direction]

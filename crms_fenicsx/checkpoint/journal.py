@@ -21,13 +21,13 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.checkpoint.contents import Run, described, fingerprint, mixed, refuse_history
+from crms_fenicsx.checkpoint.contents import Run, refuse_history
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.checkpoint.saving import STATE, Saved, edge_vertices, read, reading, restore, save
+from crms_fenicsx.checkpoint.record import scene_record
+from crms_fenicsx.checkpoint.saving import STATE, Saved, read, reading, restore, save
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.scene import Scene
@@ -43,90 +43,6 @@ def _name(key: object) -> str:
     if isinstance(key, CableEnd):
         return f"{key.which} of the cable {key.cable.name!r}"
     return f"cable {key.name!r}" if isinstance(key, LaidCable) else f"group {key!r}"
-
-
-def scene_record(scene: Scene) -> Plain:
-    """A scene as numbers and texts, independent of the number of ranks to rounding. Collective."""
-    mesh = scene.mesh.mesh
-    own = scene.V.dofmap.index_map.size_local
-    ids = scene.membrane.vertex_ids
-    pairs = np.sort(edge_vertices(scene)[: mesh.topology.index_map(1).size_local], axis=1)
-    pressed = scene.membrane.pressed[:, None].astype(np.int64)
-    numbers = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)[:, None]
-    held = np.column_stack([ids[:own], scene.held[:own].astype(np.int64)])
-    u = scene.u.x.array.reshape(-1, 3)
-    largest = scene.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
-    return fingerprint(scene) | {
-        "materials now": [described(material) for material in scene.materials.values()],
-        "pressure_on (cells, mixed to one number)": mixed(scene, np.hstack([numbers, pressed])),
-        "held vertices (mixed to one number)": mixed(scene, held),
-        "held edges (mixed to one number)": mixed(
-            scene, pairs[scene.membrane.held_edges[: len(pairs)]]
-        ),
-        "floor": None if scene.floor_level is None else float(scene.floor_level),
-        "pressure before": float(scene.pressure),
-        "sealed air before": encode(scene.air.sealed),
-        "ponds before": encode(scene.ponds),
-        "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
-        "loads": [
-            {
-                "name": load.name,
-                "follows the normals": load.suction is not None,
-                "factor before": float(load.factor),
-                "forces (sums with weights)": [
-                    *_sums(scene, ids, load.forces),
-                    load.intensity * scene.membrane.size**2,
-                ],
-                "joints": {name: list(force) for name, force in load.joints.items()},
-            }
-            for load in scene.loads
-        ],
-        "cables": [_described(cable) for cable in scene.cables],
-        "joints": [
-            {
-                "name": joint.name,
-                "held": [int(held) for held in joint.held],
-                "position": joint.position.tolist(),
-            }
-            for joint in scene.joints
-        ],
-        "bars": [
-            {
-                "name": bar.name,
-                **encode(bar.bar),
-                "ends": bar.points.ravel().tolist(),
-                "L0": float(bar.L0),
-            }
-            for bar in scene.bars
-        ],
-    }
-
-
-def _sums(scene: Scene, ids: Integers, values: Array) -> list[float]:
-    """Sums of the components over all ranks, weighted by vertex ids."""
-    weights = 0.5 + (0.6180339887498949 * ids) % 1.0
-    total: Array = scene.comm.allreduce(weights @ values)
-    return [float(x) for x in total]
-
-
-def _described(cable: LaidCable) -> Plain:
-    points = cable.positions[cable.contacts()]
-    spans = np.diff(points, axis=0)
-    lengths, middles = np.linalg.norm(spans, axis=1), (points[1:] + points[:-1]) / 2
-    length = max(float(lengths.sum()), np.finfo(float).tiny)
-    way = [lengths @ middles / length, points[0], points[-1]]
-    square = np.einsum("s,si,sj->ij", lengths, middles, middles)
-    square += np.einsum("s,si,sj->ij", lengths, spans, spans) / 12
-    return {
-        "name": cable.name,
-        **encode(cable.cable),
-        "hold": cable.hold,
-        "layer": int(cable.layer),
-        "L0, length": [float(cable.L0), float(cable.length)],
-        "tension": float(cable.tension),
-        "ends and middle": [float(x) for place in way for x in place],
-        "moments of its way": (square / length).ravel().tolist(),
-    }
 
 
 def difference(was: object, now: object) -> str | None:

@@ -36,7 +36,7 @@ from crms_fenicsx.scene.state import SceneState
 STATE = "state.json"
 POSITIONS = "positions"
 """File name of the stress-free vertices."""
-FORMAT = "crms_fenicsx checkpoint 10"
+FORMAT = "crms_fenicsx checkpoint 11"
 """Format mark of a checkpoint; its number grows with each change of the content."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from crms_fenicsx.runtime.handle import Handle, ReadOnly
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed length, below which its direction is undefined."""
 FOUND = "it follows from the loads, call solver.advance(...)"
+IMPERFECTIONS = {"a0": 0.13, "a": 0.21, "b": 0.34, "c": 0.49, "d": 0.76}
+"""Imperfection factors of the buckling curves, EN 1993-1-1, table 6.1."""
 ANOTHER_BAR = "add another bar with scene.add_bar(...)"
 ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
 
@@ -24,8 +26,7 @@ class Bar:
     """A linearly elastic, straight bar with hinges at both ends: a mast, a strut or a guy.
 
     Its energy is ``EA/2 (l - L0)^2 / L0``, its axial force ``EA (l - L0) / L0``, with the current
-    length l and the unstressed length L0. Buckling is not modelled; the utilisation compares the
-    compression with the smaller of strength and Euler load.
+    length l and the unstressed length L0. Buckling is not modelled, only checked: see `curve`.
 
     Parameters
     ----------
@@ -38,12 +39,18 @@ class Bar:
     strength
         Strength in tension, and in compression without buckling, divided by the partial factor
         (force); None: unknown.
+    curve
+        Buckling curve of EN 1993-1-1, 6.3.1, of the cross-section and steel, "a0", "a", "b", "c" or
+        "d", which needs EI and strength; the slenderness takes the strength for A f_y, as with the
+        partial factor 1. Or a reduction factor of the strength of your own, 0 to 1. None: a
+        compressed bar has no utilisation.
     """
 
     EA: float
     tension_only: bool = False
     EI: float | None = None
     strength: float | None = None
+    curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
 
     def __post_init__(self) -> None:
         checks.positive("Bar: EA", self.EA)
@@ -54,6 +61,24 @@ class Bar:
             raise InputError(
                 f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."
             )
+        if isinstance(self.curve, str):
+            checks.named("buckling curve", IMPERFECTIONS, self.curve)
+        elif self.curve is not None and checks.positive("Bar: curve", self.curve) > 1.0:
+            raise InputError(f"Bar: curve = {self.curve!r} is no reduction factor; give 0 to 1.")
+        needed = {"strength": self.strength, "EI": self.EI if isinstance(self.curve, str) else 0.0}
+        lacking = [name for name, value in needed.items() if value is None]
+        if self.curve is not None and lacking:
+            raise InputError(f"Bar: curve = {self.curve!r} needs {' and '.join(lacking)}, too.")
+
+    def reduction(self, length: float) -> float | None:
+        """Reduction factor chi of the strength in compression, EN 1993-1-1, (6.49); None without
+        a curve."""
+        if not isinstance(self.curve, str):
+            return self.curve
+        assert self.strength is not None and self.EI is not None
+        squared = self.strength * length**2 / (np.pi**2 * self.EI)
+        phi = 0.5 * (1 + IMPERFECTIONS[self.curve] * (np.sqrt(squared) - 0.2) + squared)
+        return min(1.0, float(1 / (phi + np.sqrt(max(phi**2 - squared, 0.0)))))
 
 
 @dataclass(frozen=True)
@@ -177,11 +202,12 @@ class PlacedBar(Handle[BarState]):
 
     @property
     def utilisation(self) -> float | None:
-        """Force over strength, or in compression over the smaller of strength and Euler load; None
-        if neither is known."""
-        known = [self.bar.strength] if self.force > 0.0 else [self.bar.strength, self.buckling]
-        limits = [limit for limit in known if limit is not None]
-        return abs(self.force) / min(limits) if limits else None
+        """Force over strength, in compression over the strength reduced by buckling; None if the
+        strength is unknown, or the buckling curve of a compressed bar."""
+        share = 1.0 if self.force >= 0.0 else self.bar.reduction(self.length)
+        if self.bar.strength is None or share is None:
+            return None
+        return abs(self.force) / (share * self.bar.strength)
 
     def pull(self, end: BarEnd) -> Array:
         """Force (3,) of the bar on one of its ends (force)."""

@@ -103,6 +103,18 @@ class Membrane:
         self.strength_factors: dict[str, float] = {}
 
     @property
+    def has_warp(self) -> bool:
+        """Whether a material or the cells' own shapes have a warp direction."""
+        return self.frames is not None or any(x.warp is not None for x in self.materials.values())
+
+    @cached_property
+    def isotropic(self) -> Booleans:
+        """Whether the material of each of this rank's own cells has no axes, (n,)."""
+        own = self.mesh.mesh.topology.index_map(2).size_local
+        tags = np.zeros(own, int) if self.cell_tags is None else self.cell_tags.values[:own]
+        return np.array([x.warp is None for x in self.materials.values()])[tags]
+
+    @property
     def state(self) -> MembraneState:
         """Copy of the variable data."""
         return MembraneState(

@@ -35,6 +35,7 @@ class FoundationPoint:
     at: Force  # position (length)
     force: Force  # total force on the foundation (force)
     joints: tuple[str, ...] = ()  # names of the held joints here
+    moment: Force = (0.0, 0.0, 0.0)  # of a foundation's forces about `at` (force x length)
 
 
 @dataclass(frozen=True)

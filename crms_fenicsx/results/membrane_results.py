@@ -18,7 +18,13 @@ from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.places import PlaceResults, find_places
-from crms_fenicsx.results.quantities import QUANTITIES, added_forces, cell_tensors
+from crms_fenicsx.results.quantities import (
+    QUANTITIES,
+    added_forces,
+    cell_tensors,
+    names_of,
+    shown_briefly,
+)
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.checks import counted, span
@@ -52,7 +58,9 @@ class MembraneResults:
     Principal values are (n, 2), the larger first, and their directions unit vectors in space, (n,
     2, 3), arbitrary if both values are equal. A folded cell has the values of the triangle it
     unfolds to; its directions and normal are those of the triangle of its corners. Section forces
-    include those of added energy terms, such as the residual ones of a found form.
+    include those of added energy terms, such as the residual ones of a found form. Values along
+    warp and weft are NaN in cells of isotropic materials, which have neither, unless the cells have
+    shapes of their own (`patterns.sew`), whose first axis is the warp.
 
     Attributes
     ----------
@@ -65,7 +73,7 @@ class MembraneResults:
         True (Cauchy) section forces, per current length, ``F S F^T / J`` with J the ratio of the
         areas (force per length); directions in the current surface.
     warp : (n, 3)
-        Current unit directions of the warp; of isotropic membranes, of the first material axis.
+        Current unit directions of the warp.
     warp_weft, second_piola_warp_weft : (n, 3)
         True section forces along the warp, across it, and shear (force per length); second
         Piola-Kirchhoff section forces in the material axes.
@@ -111,7 +119,7 @@ class MembraneResults:
     def __repr__(self) -> str:
         """One line, for this rank's cells; not collective."""
         words = [counted(len(self.state), "cell")]
-        words += [f"{name} {span(self.values(name))}" for name in ("warp", "weft", "shear")]
+        words += [f"{name} {span(self.values(name))}" for name in shown_briefly(self.names)]
         words += [
             f"{np.count_nonzero(self.state == k)} {word}"
             for k, word in enumerate(("slack", "wrinkled", "taut"))
@@ -122,12 +130,14 @@ class MembraneResults:
     def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
         """Ratio of true section force to strength, the larger of warp and weft.
 
+        In isotropic material it is the ratio of the larger principal force to the strength.
+
         Parameters
         ----------
         strengths
             Strengths in warp and weft, divided by the partial factors (force per length); one pair,
-            or one per part by name. By default those of `Scene.set_strengths`, divided by their
-            factor under the present loads.
+            or one per part by name. Of two for isotropic material the smaller one counts. By
+            default those of `Scene.set_strengths`, divided by their factor under the present loads.
 
         Returns
         -------
@@ -156,15 +166,16 @@ class MembraneResults:
         found = np.full(len(self.state), np.nan)
         for part, pair in given.items():
             cells = slice(None) if part == ALL else self.parts[part]
-            ratios = np.maximum(self.warp_weft[cells, :2] * divided / pair, 0.0)
-            found[cells] = ratios.max(axis=1, initial=0.0)
+            ratios = (self.warp_weft[cells, :2] / pair).max(axis=1)
+            principal = self.true_forces[cells, 0] / min(pair)
+            ratios = np.where(self.membrane.isotropic[cells], principal, ratios)
+            found[cells] = np.maximum(ratios * divided, 0.0)
         return found
 
     @property
     def names(self) -> list[str]:
         """Names of the cells' values, for `function` and ``at(...)[name]``."""
-        has = bool(self.membrane.strengths)
-        return [name for name in QUANTITIES if has or name != "utilisation"]
+        return names_of(self.membrane)
 
     def values(self, name: str) -> Array:
         """Values of this rank's cells by name, (n,): "warp", "weft", "shear" ...
@@ -172,8 +183,14 @@ class MembraneResults:
         Raises
         ------
         InputError
-            An unknown name; the message lists the known ones.
+            An unknown name; the message lists the known ones. Names of values along warp and weft
+            where all materials are isotropic.
         """
+        if name in QUANTITIES and name not in self.names and name != "utilisation":
+            raise InputError(
+                f"there is no {name!r}: the membrane is isotropic and has no warp; take principal "
+                'forces, "true force 1" and "true force 2", or give an OrthotropicMembrane a warp.'
+            )
         return checks.named("result", {one: QUANTITIES[one] for one in self.names}, name).of(self)
 
     @collective
@@ -313,6 +330,11 @@ def membrane_results(system: System) -> MembraneResults:
     stress_free = scene.membrane.cell_areas
     second_piola, directions = _principal(S)
     directions = np.einsum("nka,nai->nki", directions, cells.frames)
+    along_axes = np.stack([along, across, (larger - smaller) * sin * cos], axis=1)
+    second_along_axes = S[:, [0, 1, 0], [0, 1, 1]]
+    if scene.membrane.frames is None:
+        for values in (warp, along_axes, second_along_axes):
+            values[scene.membrane.isotropic] = np.nan
     return MembraneResults(
         strains=_principal(E)[0],
         second_piola=second_piola,
@@ -320,8 +342,8 @@ def membrane_results(system: System) -> MembraneResults:
         true_forces=true_forces,
         true_directions=np.stack([first, np.cross(normal, first)], axis=1),
         warp=warp,
-        warp_weft=np.stack([along, across, (larger - smaller) * sin * cos], axis=1),
-        second_piola_warp_weft=S[:, [0, 1, 0], [0, 1, 1]],
+        warp_weft=along_axes,
+        second_piola_warp_weft=second_along_axes,
         state=cells.state,
         normals=normal,
         areas=J * stress_free,

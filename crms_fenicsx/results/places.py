@@ -21,6 +21,7 @@ from crms_fenicsx.meshes.triangles import (
     mix,
     norm,
 )
+from crms_fenicsx.results.quantities import shown_briefly
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.checks import counted, span
@@ -51,7 +52,7 @@ class PlaceResults:
 
     def __repr__(self) -> str:
         """One line."""
-        values = ", ".join(f"{name} {span(self[name])}" for name in ("warp", "weft", "shear"))
+        values = ", ".join(f"{name} {span(self[name])}" for name in shown_briefly(self.values))
         return f"PlaceResults({counted(len(self.positions), 'place')}: {values} ...)"
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
@@ -113,10 +115,23 @@ QUANTITIES = {
     "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
     "utilisation": CellQuantity("utilisation", "utilisation"),
 }
-"""All quantities; "utilisation" needs the strengths of `Scene.set_strengths`."""
+"""All quantities; "utilisation" needs the strengths of `Scene.set_strengths`, those along warp and
+weft a material with a warp."""
 
 SHOWN = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
 """Quantities in ParaView files and pyvista, beside directions and states."""
+
+
+def shown_briefly(names: Collection[str]) -> tuple[str, ...]:
+    """The forces that a line of text shows: along warp and weft, or else the principal ones."""
+    return ("warp", "weft", "shear") if "warp" in names else ("true force 1", "true force 2")
+
+
+def names_of(membrane: Membrane) -> list[str]:
+    """Names of the quantities that a membrane has."""
+    lacking = set() if membrane.strengths else {"utilisation"}
+    lacking |= set() if membrane.has_warp else {"warp_weft", "second_piola_warp_weft"}
+    return [name for name, one in QUANTITIES.items() if one.attribute not in lacking]
 
 
 def fields_of(results: Any) -> dict[str, Array]:

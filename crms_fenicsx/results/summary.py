@@ -28,6 +28,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
 from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.quantities import shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -152,7 +153,7 @@ class Summary:
         ]
         rows = rows if self.in_equilibrium else [("state", "", UNBALANCED), *rows]
         for name, part in self.parts.items():
-            shown = [one for one in ("warp", "weft", "utilisation") if one in part.least]
+            shown = [*shown_briefly(part.least)[:2], *({"utilisation"} & part.least.keys())]
             values = [
                 f"{one} {span([part.least[one].value, part.largest[one].value])}" for one in shown
             ]

@@ -704,8 +704,8 @@ class Scene:
         Parameters
         ----------
         strengths
-            Design strengths in warp and weft, that is, divided by the partial factors (force per
-            length): one pair, or one for each named part; other parts have no utilisation.
+            Design strengths in warp and weft, divided by the partial factors (force per length; of
+            isotropic material the smaller counts): one pair, or one per part; others have none.
         factors
             Divisors of the strengths for the duration and temperature of loads, by the names of
             existing loads and ponds. The largest of those that act counts, 1 without any.

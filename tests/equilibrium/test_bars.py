@@ -21,6 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.model.bar import IMPERFECTIONS
 from crms_fenicsx.output import draw
 from crms_fenicsx.verification.verifier import Verifier
 from crms_fenicsx.views.view_data import bar_lines
@@ -37,12 +38,15 @@ def sheet(comm, size=2.0):
 
 
 def test_strength_and_buckling_of_bars(comm):
-    """A strut in compression by the smaller one of both, in tension by its strength."""
+    """A strut in compression by its buckling curve only, in tension by its strength."""
     scene = sheet(comm)
     strut = Bar(EA=1e3, EI=2.0, strength=8.0)
     bar = scene.add_bar(strut, (9.0, 0.0, 0.0), (11.0, 0.0, 0.0), L0=2.002)
     assert bar.buckling == pytest.approx(np.pi**2 * 2.0 / 2.0**2)
-    assert bar.utilisation == pytest.approx(-bar.force / bar.buckling)
+    assert bar.force < 0.0 and bar.utilisation is None
+    own = Bar(EA=1e3, strength=8.0, curve=0.25)
+    bar = scene.add_bar(own, (9.0, 3.0, 0.0), (11.0, 3.0, 0.0), L0=2.002)
+    assert bar.utilisation == pytest.approx(-bar.force / 2.0)
     tie = scene.add_bar(strut, (9.0, 1.0, 0.0), (11.0, 1.0, 0.0), L0=1.99)
     assert tie.utilisation == pytest.approx(tie.force / 8.0)
     plain = scene.add_bar(Bar(EA=1e3), (9.0, 2.0, 0.0), (11.0, 2.0, 0.0), L0=2.01)
@@ -50,6 +54,46 @@ def test_strength_and_buckling_of_bars(comm):
     for name in ("EI", "strength"):
         with pytest.raises(InputError, match=f"Bar: {name} = -1.0"):
             Bar(EA=1.0, **{name: -1.0})
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1000.0, 1e-3)], ids=["m, kN", "mm, MN"])
+@pytest.mark.parametrize("curve", IMPERFECTIONS)
+def test_buckling_curves(curve, units):
+    """The Perry-Robertson condition, N / R + eta N / R / (1 - N / N_cr) = 1, at full utilisation:
+    between its bounds, the strength of stocky bars and Euler's load of slender ones."""
+    (length, force), shares = units, []
+    R, EI = 947.0 * force, 2724.0 * force * length**2
+    bar = Bar(EA=846e3 * force, EI=EI, strength=R, curve=curve)
+    for slenderness in (0.1, 0.2, 0.5, 1.0, 2.0, 10.0):
+        chi = bar.reduction(slenderness * np.pi * np.sqrt(EI / R))
+        eta = max(IMPERFECTIONS[curve] * (slenderness - 0.2), 0.0)
+        assert chi * (1 + eta / (1 - chi * slenderness**2)) == pytest.approx(1.0, rel=1e-9)
+        shares.append(chi * max(1.0, slenderness**2))
+    assert shares[:2] == [1.0, 1.0]
+    assert shares[-1] > 0.9 and max(shares[2:]) < 1.0
+
+
+def test_buckling_curves_are_ordered():
+    """The more imperfect, the weaker; table 6.1 by the factors at a slenderness of 1."""
+    bars = [Bar(EA=1.0, EI=1.0, strength=np.pi**2, curve=curve) for curve in IMPERFECTIONS]
+    found = [bar.reduction(1.0) for bar in bars]
+    np.testing.assert_allclose(found, [0.7253, 0.6656, 0.5970, 0.5399, 0.4671], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"curve": "e", "EI": 1.0, "strength": 1.0}, "no buckling curve 'e'; there are 'a0'"),
+        ({"curve": "a", "EI": 1.0}, "curve = 'a' needs strength"),
+        ({"curve": "a"}, "needs strength and EI"),
+        ({"curve": 1.2, "strength": 1.0}, "curve = 1.2 is no reduction factor"),
+        ({"curve": 0.0, "strength": 1.0}, "curve = 0.0"),
+        ({"curve": 0.5}, "needs strength"),
+    ],
+)
+def test_bad_buckling_curves(given, words):
+    with pytest.raises(InputError, match=words):
+        Bar(EA=1.0, **given)
 
 
 def truss(comm):

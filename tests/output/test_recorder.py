@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import clamped, sheet
 from mpi4py import MPI
+from reference_meshes import square
 from vtu_file import VtuFile, read_vtu
 
 from crms_fenicsx import (
     Cable,
     ConvergenceError,
     InputError,
+    OrthotropicMembrane,
     PictureWarning,
     Solver,
 )
@@ -34,7 +36,8 @@ def folder(tmp_path: Path) -> Path:
 
 def run(results: Path | None) -> Solver:
     """Inflate a square in 2 steps, then tighten a cable over it in 1."""
-    scene = sheet(COMM, 7)
+    fabric = OrthotropicMembrane(E1=300.0, E2=270.0, G12=100.0, nu21=0.25, thickness=0.08)
+    scene = clamped(square(COMM, 7, "structured"), fabric)
     scene.set_strengths((2.0, 1.0))
     solver = Solver(scene, results=results)
     solver.advance(pressure=0.01, steps=2)

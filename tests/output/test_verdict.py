@@ -24,7 +24,7 @@ def case(comm: MPI.Intracomm) -> Case:
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
     scene.fix("boundary")
     scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (8.0, 4.0)], tension=3.0, name="ridge")
-    prop = Bar(EA=1e3, EI=1.0, strength=50.0)
+    prop = Bar(EA=1e3, EI=1.0, strength=50.0, curve="a")
     scene.add_bar(prop, scene.vertex_at((4.0, 6.0, 0.0)), (4.0, 6.0, -2.0), name="prop")
     scene.put_load((0.0, 0.0, -0.5), name="snow", per="plan")
     scene.set_strengths((40.0, 40.0))
@@ -53,6 +53,9 @@ def test_reasons_in_plain_words(case: Case) -> None:
         (case, "the bar prop is used to"),
     ):
         assert words in reasons(changed)
+    bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
+    unknown = replace(good, summary=replace(good.summary, bars=bars))
+    assert "Buckling is not checked" in " ".join(verdict_on([unknown], Limits(), 8.0).reasons)
     assert "limit 0.1 %" in reasons(good, strain=1e-3)
     assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
 
@@ -70,6 +73,10 @@ def test_rain_that_would_stand(case: Case) -> None:
     )
     assert "(snow)" in reason
     assert "checked for ponding" in reason
+    red = verdict_on([wet], Limits(strain=1e-3), 8.0)
+    assert red.look == "failed" and "Rain would stand in 1 of 1" in red.reasons[-1]
+    unknown = verdict_on([replace(wet, verification=None)], Limits(), 8.0)
+    assert "Rain would stand" in " ".join(unknown.reasons)
 
 
 def test_utilisation_and_its_peaks(case: Case) -> None:

@@ -42,18 +42,18 @@ def test_each_combination_is_a_step(comm: MPI.Intracomm, tmp_path: Path) -> None
     expected = []
     for one in found.values():
         solver.restore(one.snapshot)
-        warp = np.concatenate(comm.allgather(solver.results().values("warp")))
+        force = np.concatenate(comm.allgather(solver.results().values("true force 1")))
         area = solver.results().surface
         corners = area.points[area.triangles]
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         total = comm.allreduce(float(np.linalg.norm(sides, axis=1).sum() / 2))
-        expected.append((warp.max(), total, solver.scene.cable("ridge/1").tension))
+        expected.append((force.max(), total, solver.scene.cable("ridge/1").tension))
     with h5py.File(path) as file:
         root = file["VTKHDF"]
         steps, data = root["Steps"], root["CellData"]
         assert steps.attrs["NSteps"] == 2
         assert root.attrs["Type"] == b"UnstructuredGrid"
-        for k, (warp_most, total, tension) in enumerate(expected):
+        for k, (force_most, total, tension) in enumerate(expected):
             cells = slice(steps["CellOffsets"][k, 0], None)
             cells = slice(cells.start, cells.start + root["NumberOfCells"][k])
             start = steps["PointOffsets"][k]
@@ -66,8 +66,9 @@ def test_each_combination_is_a_step(comm: MPI.Intracomm, tmp_path: Path) -> None
             assert np.linalg.norm(sides, axis=1).sum() / 2 == pytest.approx(total, rel=1e-12)
             offsets = root["Offsets"][cells.start + k : cells.stop + k + 1]
             np.testing.assert_array_equal(np.diff(offsets), np.where(types == 5, 3, 2))
-            assert np.nanmax(data["warp"][cells]) == pytest.approx(warp_most, rel=1e-12)
-            assert np.isnan(data["warp"][cells][n:]).all()
+            forces = data["true force 1"][cells]
+            assert np.nanmax(forces) == pytest.approx(force_most, rel=1e-12)
+            assert np.isnan(forces[n:]).all()
             assert np.isnan(data["tension"][cells][:n]).all()
             lines = data["line"][cells]
             assert set(lines[:n]) == {-1}

@@ -234,11 +234,11 @@ def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
         results.function("displacement").x.array, solver.scene.u.x.array, atol=1e-12
     )
     # the slow twin of the means, from all ranks' cells
-    mean, W = results.function("warp", smooth=True), solver.scene.membrane.nodal_values
+    mean, W = results.function("true force 1", smooth=True), solver.scene.membrane.nodal_values
     x = solver.scene.membrane.mesh.mesh.geometry.x
     dofmap = geometry_dofmap(solver.scene.membrane.mesh.mesh)
     own = [
-        (tuple(np.round(x[corner], 6)), results.warp_weft[c, 0], results.stress_free_areas[c])
+        (tuple(np.round(x[corner], 6)), results.true_forces[c, 0], results.stress_free_areas[c])
         for c in range(n)
         for corner in dofmap[c]
     ]
@@ -254,7 +254,7 @@ def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     # at a vertex, the place's smooth value is the mean there
     place, (total, area) = next(iter(sorted(sums.items())[len(sums) // 2 :]))
     found = results.at([place], on="stress-free", smooth=True)
-    assert found["warp"][0] == pytest.approx(total / area, rel=1e-7)
+    assert found["true force 1"][0] == pytest.approx(total / area, rel=1e-7)
 
 
 @pytest.mark.ranks
@@ -339,7 +339,9 @@ def test_bad_places_and_names(comm: MPI.Intracomm) -> None:
     with pytest.raises(InputError, match="on = 'plan'"):
         results.at([(50.0, 50.0)], on="plan")  # type: ignore[arg-type]
     for call in (results.function, results.at([(50.0, 50.0)]).__getitem__):
-        with pytest.raises(InputError, match="no result 'force'; there are 'warp', 'weft'"):
+        with pytest.raises(
+            InputError, match="no result 'force'; there are 'true force 1', 'true force 2'"
+        ):
             call("force")
     with pytest.raises(InputError, match="no result 'utilisation'"):
         results.function("utilisation")

@@ -120,7 +120,7 @@ def test_a_picture_off_screen(pyvista: Any, tmp_path: Path) -> None:
         return
     plotter = pyvista.Plotter(off_screen=True, window_size=(300, 200))
     plotter.set_background("white")
-    plotter.add_mesh(blocks["membrane"], scalars="warp", show_scalar_bar=False)
+    plotter.add_mesh(blocks["membrane"], scalars="true force 1", show_scalar_bar=False)
     plotter.add_mesh(blocks["cables"], color="red", lighting=False)
     image = np.asarray(plotter.screenshot(tmp_path / "scene.png"), dtype=np.int64)
     plotter.close()

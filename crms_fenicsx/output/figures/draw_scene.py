@@ -104,7 +104,8 @@ def draw(
         Picture file (.png, .pdf, .svg ...); None returns the figure.
     colour
         Colour of the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger and
-        smaller principal true section force), "warp", "weft" and "shear" (true section forces),
+        smaller principal true section force), "warp", "weft" and "shear" (true section forces;
+        not of isotropic membranes),
         "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the strengths
         of `Scene.set_strengths`), "load snow" (force per area of the load "snow" at factor 1;
         pressure coefficients c_p for wind); None: plain fabric.

@@ -182,6 +182,7 @@ def units_of_results(length: str, force: str) -> dict[str, str]:
             "stress": f"{force}/{length}",
             "pressure": f"{force}/{length}²",
             "energy": f"{force} {length}",
+            "bending": f"{force} {length}²",
         }
     return {name: unit for name, unit in found.items() if unit}
 

@@ -68,13 +68,20 @@ class FoundationTables:
         return Table("Foundation points", columns, rows, "foundation_points")
 
     def forces(self) -> Table:
-        """Forces on the foundations, by combination."""
+        """Forces on the foundations, by combination; moments if one has several points."""
+        every = self.points.items()
+        turned = any(any(one.moment) for _, found in every for one in found.values())
         rows: list[Row] = [
-            (label, case, *with_size(one.force, NOTHING), *inclined(one.force))
-            for label, found in self.points.items() for case, one in found.items()
+            (
+                label, case, *with_size(one.force, NOTHING), *inclined(one.force),
+                *(clean(one.moment, math.hypot(*one.moment), NOTHING) if turned else ()),
+            )
+            for label, found in every for case, one in found.items()
         ]  # fmt: skip
         columns = self.units.headings(
-            "Foundation|Combination|Fx{force}|Fy{force}|Fz{force}|Size{force}|" + DIRECTION
+            "Foundation|Combination|Fx{force}|Fy{force}|Fz{force}|Size{force}|"
+            + DIRECTION
+            + ("|Mx{energy}|My{energy}|Mz{energy}" if turned else "")
         )
         return Table("Forces on the foundations", columns, rows, "foundations", headings=2)
 
@@ -137,12 +144,15 @@ class FoundationTables:
 
 
 def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
-    """Points of one foundation, summed up."""
+    """Points of one foundation, summed up, with their moment about the mean of their places."""
+    places, forces = (np.array([getattr(one, x) for one in points]) for x in ("at", "force"))
+    centre = places.mean(axis=0)
     return FoundationPoint(
         tuple(name for one in points for name in one.members),
-        triple(np.mean([one.at for one in points], axis=0)),
-        triple(np.sum([one.force for one in points], axis=0)),
+        triple(centre),
+        triple(forces.sum(axis=0)),
         tuple(name for one in points for name in one.joints),
+        triple(np.cross(places - centre, forces).sum(axis=0)),
     )
 
 

@@ -47,7 +47,7 @@ class Model:
     factors: Mapping[str, float] = field(default_factory=dict)  # of the loads in the base state
 
 
-def model_of_scene(scene: Scene, units: Units) -> Model:
+def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, float]) -> Model:
     """Tables of a scene. Collective."""
     areas = scene.membrane.cell_areas
     low, high = box(scene.comm, scene.membrane.stress_free)
@@ -66,12 +66,13 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies",
-            [_cable(cable) for cable in scene.cables],
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies|Strength{force}",
+            [_cable(cable, cable_strengths.get(cable.name)) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
-            "Bar|Kind|EA{force}|Unstressed length{length}|Start|End",
+            "Bar|Kind|Strength{force}|Buckling curve or factor|EI{bending}|EA{force}|"
+            "Unstressed length{length}|Start|End",
             [_bar(bar) for bar in scene.bars],
         ),
         "joints": (
@@ -98,7 +99,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
 
 
 STATE = {
-    "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
+    "materials": (), "supports": (3,), "cables": (2,), "bars": (6,), "joints": (2, 3, 4),
     "loads": (3, 4, 5),
 }  # fmt: skip
 """Tables whose listed columns depend on the state."""
@@ -171,25 +172,34 @@ def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
         own = areas if tags is None else areas[tags.values == k]
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
-        rows.append((part, area, type(material).__name__, _data(material, units)))
+        data = _material(material, units, membrane.frames is not None)
+        rows.append((part, area, type(material).__name__, data))
     return rows
 
 
-KINDS = dict.fromkeys(("E", "E1", "E2", "G12"), "pressure")
-KINDS |= {"thickness": "length", "prestress": "stress"}
-"""Kinds of units of material data."""
+MODULI = ("E", "E1", "E2", "G12")
+"""Fields of materials that are told times the thickness, in force per length."""
 
 
-def _data(thing: Any, units: Units | None = None) -> str:
-    """Fields of a dataclass as text, with units."""
-    if not is_dataclass(thing):
+def _material(material: Any, units: Units, sewn: bool) -> str:
+    """Fields of a material as text, with units."""
+    if not is_dataclass(material):
         return ""
-    return ", ".join(
-        f"{one.name} = {_text(getattr(thing, one.name))}"
-        + (units.plain(KINDS[one.name])
-           if units is not None and one.name in KINDS else "")
-        for one in fields(thing)
-    )  # fmt: skip
+    found, thickness = dict[str, str](), getattr(material, "thickness", 1.0)
+    for name in (one.name for one in fields(material)):
+        value = getattr(material, name)
+        if name in MODULI:
+            found[f"{name} t"] = _text(float(value * thickness)) + units.plain("stress")
+        elif name == "warp" and sewn:
+            found[name] = "as the pieces are cut"
+        elif name != "thickness" or value != 1.0:  # 1: moduli are given times the thickness
+            kind = {"thickness": "length", "prestress": "stress"}.get(name)
+            found[name] = _text(value) + (units.plain(kind) if kind else "")
+    return _listed(found)
+
+
+def _listed(texts: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} = {text}" for name, text in texts.items())
 
 
 def _text(value: Any) -> str:
@@ -220,23 +230,25 @@ def _supports(scene: Scene) -> list[Row]:
     return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
-def _cable(cable: LaidCable) -> Row:
+def _cable(cable: LaidCable, strength: float | None) -> Row:
     friction = cable.cable.friction
-    data = _data(friction) if isinstance(friction, Friction) else f"mu = {friction:g}"
+    friction = friction if isinstance(friction, Friction) else Friction(friction)
+    data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
     free = cable.slides_freely and cable.cable.along == 0.0
     lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.joints, strict=True)
     )
-    return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies
+    return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies, strength
 
 
 def _bar(bar: PlacedBar) -> Row:
     kind = "guy, tension only" if bar.bar.tension_only else "tension and compression"
     start, end = (one.name if isinstance(one, Joint) else f"vertex at {_text(one.place)}"
                   for one in (bar.start, bar.end))  # fmt: skip
-    return bar.name, kind, bar.bar.EA, bar.L0, start, end
+    of = bar.bar
+    return bar.name, kind, of.strength, of.curve, of.EI, of.EA, bar.L0, start, end
 
 
 def _held(joint: Joint) -> str:

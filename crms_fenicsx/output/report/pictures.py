@@ -36,7 +36,8 @@ def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list
     if scene.mesh.mesh.topology.index_map(2).size_global <= MOST_PLANNED:
         plan = _model_plan(solver)
         if scene.comm.rank == 0:
-            text = "Plan of the model with supports, warp, and the names of cables and bars"
+            warp = "warp, " if len(plan.warp[0]) else ""
+            text = f"Plan of the model with supports, {warp}and the names of cables and bars"
             found.append(Figure(draw_model(plan, unit, SHARPEST), text, "model"))
     return found
 
@@ -48,6 +49,7 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
     corners = scene.positions()[scene.V.dofmap.list[:own]]
     pieces = comm.allgather((corners, membrane_results(solver.system).warp))
     corners, warp = (np.concatenate([one[k] for one in pieces]) for k in (0, 1))
+    woven = np.isfinite(warp[:, 0])
     shared = {
         own[len(own) // 2]: label
         for label, own in families([bar.name for bar in scene.bars]).items()
@@ -60,8 +62,9 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
     ]  # fmt: skip
     held = [*_held_points(scene).items(), *joints]
     centres = corners.mean(axis=1) * (1.0, 1.0, 0.0)
-    chosen = spread(centres, float(np.ptp(centres, axis=0).max()) / MOST_STROKES)
-    strokes = centres[chosen], warp[chosen]
+    step = float(np.ptp(centres, axis=0).max()) / MOST_STROKES
+    chosen = spread(centres[woven], step)
+    strokes = centres[woven][chosen], warp[woven][chosen]
     return ModelPlan(corners, held_rim(scene), held, cables, bars, strokes)
 
 

@@ -10,10 +10,9 @@ from typing import Any, Protocol
 
 from mpi4py import MPI
 
-from crms_fenicsx.model.materials import OrthotropicMembrane
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.figures.axes3d import check_view
-from crms_fenicsx.output.figures.draw_scene import COLOURS, HasSystem
+from crms_fenicsx.output.figures.draw_scene import COLOURS, QUANTITY_OF, HasSystem
 from crms_fenicsx.output.report.case import (
     TENSION,
     Case,
@@ -37,6 +36,7 @@ from crms_fenicsx.output.report.sections import Report, with_codes
 from crms_fenicsx.output.report.units import Units
 from crms_fenicsx.output.report.verdict import Limits
 from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.quantities import names_of
 from crms_fenicsx.results.shape_change import Shape, shape_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -175,19 +175,21 @@ def _checked_foundations(
 
 def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
     """Checked colours of the pictures; by default those that apply to the scene."""
-    has = bool(scene.membrane.strengths)
+    known = names_of(scene.membrane)
     if pictures is None:
-        woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
-        forces = ("warp", "weft") if woven else ("stress",)
+        forces = ("warp", "weft") if "warp" in known else ("stress",)
         lines = (TENSION,) if scene.cables or scene.bars else ()
-        return (*lines, "displacement", *forces, *(("utilisation",) if has else ()))
+        return (*lines, "displacement", *forces, *({"utilisation"} & {*known}))
     checks.collection("report: pictures", pictures, Sequence, 'pictures=["stress"]')
     for colour in pictures:
         checks.one_of("report: one of pictures", colour, (TENSION, *COLOURS))
-        if colour == "utilisation" and not has:
+        if QUANTITY_OF.get(colour, known[0]) not in known:
             raise InputError(
                 "report: pictures has 'utilisation', but there are no strengths; call "
                 "scene.set_strengths(...) before."
+                if colour == "utilisation"
+                else f"report: pictures has {colour!r}, but the membrane is isotropic and has no "
+                'warp; take "stress" and "stress 2".'
             )
     return tuple(pictures)
 
@@ -234,7 +236,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
     """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
-        model = model_of_scene(solver.scene, plan.units)
+        model = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
         if base is None or base.version.model_version != now.model_version:
             return _pictured(solver, plan, model, "The model in its current state")
         with back_to_now(solver):
@@ -252,7 +254,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
         models = {}
         for own in names.values():
             solver.restore(states[own[0]].base)
-            models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
+            models[", ".join(own)] = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
         model = merged(models)
         solver.restore(first)
         return _pictured(solver, plan, model, caption)

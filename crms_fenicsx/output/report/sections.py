@@ -35,7 +35,9 @@ from crms_fenicsx.results.cable_order import Order
 FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
     "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
-    "points that meet at one place are summed up. Lines of held edges bear the membrane's forces "
+    "points that meet at one place are summed up; forces of a foundation with several such places "
+    "act at their mean, together with the moments Mx, My and Mz about it. Lines of held edges bear "
+    "the membrane's forces "
     "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
     "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
     "of them have one scale. Orange is uplift, blue is downward."
@@ -52,9 +54,11 @@ NOTES = (
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
     "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
     "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, which must contain all partial factors, divided by the largest factor of the "
+    "given for them, in isotropic material that of the larger principal force to the strength. "
+    "Strengths must contain all partial factors; they are divided by the largest factor of the "
     "loads that act where such factors are given. Shear is not part of it. That of bars in "
-    "compression is by the smaller one of their strength and Euler's load between hinges.",
+    "compression is by their strength times the reduction factor of their buckling curve (EN "
+    "1993-1-1, 6.3.1, between hinges) or the one given; without these there is none.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Deflections are displacements from the stress-free shape. Forces on the rim per length are "

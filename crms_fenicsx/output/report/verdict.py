@@ -28,31 +28,39 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
     for case in cases:
         reasons += [f"{case.name}: {reason}" for reason in (*_doubts(case), *_excess(case, limits))]
         reasons += [f"{case.name}: {reason}" for reason in _used_fabric(case, size)]
+    wet = [case for case in cases if case.summary.hollows]
+    rain = []
+    if wet:
+        most = max(wet, key=lambda case: case.summary.hollows[0].depth)
+        deepest = most.summary.hollows[0]
+        rain.append(
+            f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
+            f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
+            "the roof is to be checked for ponding."
+        )
     missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
     if reasons:
         moved = [case.name for case in cases if not case.summary.in_equilibrium]
         text = f"Not in equilibrium: {', '.join(moved)}" if moved else (
             "Not acceptable as it stands, for the reasons below"
         )  # fmt: skip
-        return Verdict(text, reasons, "failed")
+        return Verdict(text, [*reasons, *rain], "failed")
     if missing:
-        return Verdict(f"Not verified in this run: {', '.join(missing)}", (), "doubtful")
-    wet = [case for case in cases if case.summary.hollows]
+        return Verdict(f"Not verified in this run: {', '.join(missing)}", rain, "doubtful")
     used = any("utilisation" in case.summary.membrane.largest for case in cases)
     what = "no strain or utilisation" if used else "no strain"
     text = f"Verified: {count[:1].lower() + count[1:]} passed all checks of equilibrium, and {what}"
     notes = [] if used else [
         "Strengths of the membrane were not given: its utilisation is not checked."
     ]  # fmt: skip
-    if wet:
-        most = max(wet, key=lambda case: case.summary.hollows[0].depth)
-        deepest = most.summary.hollows[0]
+    bars = [bar for case in cases for bar in case.summary.bars.values()]
+    unchecked = dict.fromkeys(x.name for x in bars if x.force < 0.0 and x.utilisation is None)
+    if unchecked:
         notes.append(
-            f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
-            f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
-            "the roof is to be checked for ponding."
+            "Buckling is not checked, as no curve was given, of bars in compression: "
+            f"{', '.join(unchecked)}."
         )
-    return Verdict(f"{text} is beyond its limit", tuple(notes), "doubtful" if wet else "")
+    return Verdict(f"{text} is beyond its limit", (*notes, *rain), "doubtful" if rain else "")
 
 
 def _doubts(case: Case) -> Iterator[str]:
