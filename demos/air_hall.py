@@ -43,7 +43,7 @@ SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
 # by 4, is cut to that shape and has these forces as prestress. The plan is meshes/hall.geo; the
 # first of these lines of gmsh sets the number "size" in this file.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
 plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
 gmsh.finalize()
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)

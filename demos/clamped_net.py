@@ -39,7 +39,9 @@ size = float(next((word for word in sys.argv[1:] if word != "--resume"), 2.4))
 # The lines of the net run at 45 degrees to the sides, 4.24 m apart, pulled taut over the form.
 def hall():
     """The hall with its net in operation."""
-    gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+    gmsh.initialize(
+        ["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False
+    )
     plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
     gmsh.finalize()
     form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)

@@ -34,7 +34,7 @@ size = float(sys.argv[1]) if len(sys.argv) > 1 else 2.4
 # %%
 # Hall and net
 # ------------
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
 plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
 gmsh.finalize()
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)

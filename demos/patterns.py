@@ -47,7 +47,9 @@ warnings.simplefilter("ignore", PatternWarning)  # the cells under the net are c
 # Strips from front to back, of 5 m wide fabric, with welds of 80 mm, half of them on each side.
 def cut_hall(size):
     """Form and pieces of the hall at a cell size."""
-    gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+    gmsh.initialize(
+        ["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False
+    )
     plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
     gmsh.finalize()
     form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)

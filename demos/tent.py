@@ -53,7 +53,7 @@ VIEW = (-72.0, 30.0)
 # from low point to low point, where it arches.
 places = {**HIGH, **LOW}
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.42))
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
 flat = meshes.from_file(MPI.COMM_WORLD, MESHES / "tent.geo")
 gmsh.finalize()
 found = find_form(

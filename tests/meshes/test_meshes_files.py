@@ -179,7 +179,9 @@ def test_plans_of_the_demos(comm, name, made, sizes):
     """They have the cells of the generators, at the size that gmsh is given."""
     gmsh = pytest.importorskip("gmsh")
     for size in sizes:
-        gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False)
+        gmsh.initialize(
+            ["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False
+        )
         plan = meshes.from_file(comm, ROOT / "meshes" / f"{name}.geo")
         gmsh.finalize()
         twin = made(comm, size)
