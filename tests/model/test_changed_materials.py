@@ -192,7 +192,7 @@ def test_a_resumed_script_must_change_it_alike(comm: MPI.Intracomm, tmp_path: Pa
 
     done = script(200.0, False).scene.energy
     assert script(200.0, True).scene.energy == done
-    with pytest.raises(InputError, match="materials = .*and now"):
+    with pytest.raises(InputError, match=r"materials = .*and now"):
         script(250.0, True)
 
 
