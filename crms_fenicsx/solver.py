@@ -46,6 +46,7 @@ from crms_fenicsx.steps.load_step import (
     warn_of_blocked,
     warn_of_friction,
     warn_of_state,
+    warn_of_staying,
 )
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.movements import Move
@@ -206,7 +207,9 @@ class Solver:
             Displacements (length) during this call, or functions of them (`Rotation`, `Way`), of
             cables (both ends), cable ends (``cable.start``), held joints (``bar.start``) or held
             groups. A vertex of two groups moves by the sum. Groups need supports only in the
-            directions of movement. Cable ends on a moved group stay unless moved as well.
+            directions of movement. Ends of bonded cables and of cables in pockets that are held on
+            a moved edge or vertex go with it unless given themselves. Those of other cables are
+            anchored in space and stay, with a `PathWarning` unless they are given.
         L0
             Target unstressed lengths of cables and bars (length).
         load
@@ -242,6 +245,7 @@ class Solver:
         checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
         target = checked_target(scene, pressure, move, L0, load, steps, **air)
+        warn_of_staying(scene, target.movements.staying_ends)
         self._recorder.claim(bool(self._options.resume))
         self._increments.forget_removed()
         if target.is_first_load(scene):

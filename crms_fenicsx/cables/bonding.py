@@ -9,6 +9,7 @@ from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.hold import Bonds
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.runtime.errors import PathError
 
 
 def bonds_of(cable: LaidCable) -> Bonds:
@@ -38,7 +39,14 @@ def bonded_parts(cable: LaidCable) -> ClampedParts:
 def bonded_nodes(cable: LaidCable) -> list[int]:
     """Nodes at which a cable is bonded to the fabric, in order."""
     assert cable.bonds is not None
-    on = iter(cable.path_nodes())
-    return [
-        next(k for k in on if cable.nodes[k].support == support) for support in cable.bonds.supports
-    ]
+    on, found = iter(cable.path_nodes()), []
+    for support in cable.bonds.supports:
+        node = next((k for k in on if cable.nodes[k].support == support), None)
+        if node is None:
+            raise PathError(
+                f"{cable.name!r} has an end that has moved past places at which it is bonded to "
+                "the fabric; move its ends with the edge that they are sewn to, or in smaller "
+                "steps, or lay it anew."
+            )
+        found.append(node)
+    return found

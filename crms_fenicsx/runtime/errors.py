@@ -45,10 +45,10 @@ class ConvergenceError(RuntimeError):
 
 
 class PathWarning(UserWarning):
-    """A cable is blocked, or lies where it cannot lie.
+    """A cable is blocked, lies where it cannot lie, or stays where its edge moves.
 
-    A fold point has run into a mesh vertex, which blocks its path; or a cable end has moved to the
-    lower side of the membrane.
+    A fold point has run into a mesh vertex, which blocks its path; a cable end has moved to the
+    lower side of the membrane; or an edge moves under a cable end that has an anchor in space.
     """
 
 

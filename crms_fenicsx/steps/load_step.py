@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.laid_cable import CableEnd
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.checks import counted
@@ -84,6 +85,17 @@ CATEGORIES: dict[str, type[UserWarning]] = {
 
 def _warn(number: int, text: str, category: type[UserWarning]) -> None:
     warnings.warn(f"step {number}: {text}", category, stacklevel=CALLER)
+
+
+def warn_of_staying(scene: Scene, ends: Sequence[CableEnd]) -> None:
+    """Warn of cable ends that stay where an edge moves under them."""
+    if ends and scene.comm.rank == 0:
+        names = ", ".join(f"the {end.which} of {end.cable.name!r}" for end in ends)
+        text = (
+            f"advance: the edge moves under {names}, which stays in space; give its movement in "
+            "move as well, or (0, 0, 0) if it has an anchor of its own."
+        )
+        warnings.warn(text, PathWarning, stacklevel=CALLER - 2)
 
 
 def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:

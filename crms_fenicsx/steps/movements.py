@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -129,6 +130,16 @@ class Motion:
         return None if callable(self.move) else self.move
 
 
+@dataclass(frozen=True)
+class EdgeEnd:
+    """A cable's end held at a moved edge or vertex, whose movement nobody has given."""
+
+    end: CableEnd
+    k: int  # its node, 0 or -1
+    dofs: Indices  # of this rank's vertices there
+    weights: Array  # (n,) of their displacements
+
+
 TYPE_OF_MOVE = (
     "a laid cable, one of its ends, a held joint, or the name of a group of held vertices"
 )
@@ -143,6 +154,8 @@ class Movements:
     # cable, first (0) or last (-1) node, and the movement of that end
     cable_ends: list[tuple[LaidCable, int, Motion]]
     joints: list[tuple[Joint, Motion]]
+    sewn_ends: list[EdgeEnd]  # ends that go with the edge they are sewn to
+    staying_ends: list[CableEnd]  # others at moved edges, which stay in space
     # (3,) displacement common to all supports, zero if there is none (length); each increment
     # starts with the whole structure displaced by it
     rigid_translation: Array
@@ -169,7 +182,16 @@ class Movements:
             moved_by[dofs] += displacement
         some &= scene.held
         u[some] = first.u.reshape(-1, 3)[some] + moved_by[some]
+        displaced = u - first.u.reshape(-1, 3)
         moved = {cable: cable.positions.copy() for cable, _, _ in self.cable_ends}
+        sewn = np.zeros((len(self.sewn_ends), 3))
+        for e, one in enumerate(self.sewn_ends):
+            sewn[e] = one.weights @ displaced[one.dofs]
+            moved.setdefault(one.end.cable, one.end.cable.positions.copy())
+        scene.comm.Allreduce(MPI.IN_PLACE, sewn)
+        for one, displacement in zip(self.sewn_ends, sewn, strict=True):
+            cable = one.end.cable
+            moved[cable][one.k] = first.net.cables[cable].positions[one.k] + displacement
         for cable, k, _ in self.cable_ends:
             moved[cable][k] = first.net.cables[cable].positions[k]
         for (cable, k, _), displacement in zip(self.cable_ends, of_ends, strict=True):
@@ -217,9 +239,42 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
             travel = max(travel, *(float(size.max(initial=0.0)) for size in sizes))
     _check_above_floor(scene, vertices, steps)
     travel = scene.comm.allreduce(travel, op=MPI.MAX)
-    return Movements(
-        vertices, ends, joints, _carried(scene, vertices, ends, joints), travel, samples
-    )
+    at_edges = _ends_at_moved_edges(scene, vertices, ends)
+    sewn = [one for one in at_edges if one.end.cable.keeps_line]
+    staying = [one.end for one in at_edges if not one.end.cable.keeps_line]
+    carried = _carried(scene, vertices, ends, sewn, joints)
+    return Movements(vertices, ends, joints, sewn, staying, carried, travel, samples)
+
+
+def _ends_at_moved_edges(
+    scene: Scene,
+    vertices: list[tuple[Indices, Motion]],
+    given: list[tuple[LaidCable, int, Motion]],
+) -> list[EdgeEnd]:
+    """Ends held at edges or vertices that move, without those whose movement is given.
+    Collective."""
+    moves = np.zeros(len(scene.held), dtype=bool)
+    for dofs, motion in vertices:
+        moves[dofs] |= motion.moving().any(axis=1)
+    owned = scene.V.dofmap.index_map.size_local
+    ids = scene.membrane.vertex_ids[:owned]
+    named, found, moving = {(cable, k) for cable, k, _ in given}, [], []
+    for cable in scene.cables:
+        for end, k in ((cable.start, 0), (cable.end, -1)):
+            if cable.nodes[k].kind != "anchor" or cable.joints[k] is not None:
+                continue
+            beside = cable.path_nodes()[k]
+            away = np.linalg.norm(cable.positions[k] - cable.positions[beside])
+            support, weights = cable.interpolation(beside)
+            if (cable, k) in named or len(support) > 2 or away > SAME_PLACE * cable.length:
+                continue
+            rows = [np.flatnonzero(ids == vertex) for vertex in support]
+            dofs = np.concatenate(rows).astype(np.int32)
+            own = np.repeat(weights, [len(row) for row in rows])
+            found.append(EdgeEnd(end, k, dofs, own))
+            moving.append(bool(moves[dofs].any()))
+    anywhere = scene.comm.allreduce(np.array(moving, dtype=np.int64))
+    return [one for one, count in zip(found, anywhere, strict=True) if count]
 
 
 def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[float]:
@@ -299,6 +354,7 @@ def _carried(
     scene: Scene,
     vertices: list[tuple[Indices, Motion]],
     ends: list[tuple[LaidCable, int, Motion]],
+    sewn: list[EdgeEnd],
     joints: list[tuple[Joint, Motion]],
 ) -> Array:
     """Displacement common to supports, anchors and held joints, (3,); zero if there is none."""
@@ -322,6 +378,8 @@ def _carried(
         for k in (0, -1)
         if cable.nodes[k].kind == "anchor" and cable.joints[k] is None
     }
+    for one in sewn:  # they move as their supports
+        del travels[one.end.cable, one.k]
     for cable, k, motion in ends:
         travels[cable, k] = travels[cable, k] + motion.at(1.0)
     moved_by = {joint: motion.at(1.0) for joint, motion in joints}
