@@ -45,8 +45,7 @@ def bonded_nodes(cable: LaidCable) -> list[int]:
         if node is None:
             raise PathError(
                 f"{cable.name!r} has an end that has moved past places at which it is bonded to "
-                "the fabric; move its ends with the edge that they are sewn to, or in smaller "
-                "steps, or lay it anew."
+                "the fabric; move it with the edge that it is sewn to, or lay the cable anew."
             )
         found.append(node)
     return found

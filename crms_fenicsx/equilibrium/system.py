@@ -144,8 +144,12 @@ class System:
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""
-        stale = [part.is_stale for part in self.contributions]
-        if self.built_for != self.scene.versions.model_version or any(stale) or not self._arranged:
+        built = self.minimizer is not None and self._arranged  # not so after a refused rebuild
+        if (
+            not built
+            or self.built_for != self.scene.versions.model_version
+            or any([part.is_stale for part in self.contributions])
+        ):
             self.rebuild()
         else:  # the potential still counts slips from the start of the last step
             self.renew_friction()

@@ -91,10 +91,10 @@ def warn_of_staying(scene: Scene, ends: Sequence[CableEnd]) -> None:
     """Warn of cable ends that stay where an edge moves under them."""
     if ends and scene.comm.rank == 0:
         names = ", ".join(f"the {end.which} of {end.cable.name!r}" for end in ends)
-        text = (
-            f"advance: the edge moves under {names}, which stays in space; give its movement in "
-            "move as well, or (0, 0, 0) if it has an anchor of its own."
-        )
+        stay = "stays in space while its edge moves"
+        if len(ends) > 1:
+            stay = "stay in space while their edges move"
+        text = f"advance: {names} {stay}; give a movement of the cable, too, or (0, 0, 0)."
         warnings.warn(text, PathWarning, stacklevel=CALLER - 2)
 
 
