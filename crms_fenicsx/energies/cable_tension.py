@@ -56,6 +56,8 @@ class CableTension(EnergyTerm):
     of_cables = True
     starts: Sequence[StepStart | None] = ()
     """States at the step's start, for cables with the step-wise law."""
+    kept: Booleans | None = None
+    """For derivatives: which cables count as taut, whatever their length; None: by their length."""
 
     def __init__(
         self,
@@ -85,11 +87,17 @@ class CableTension(EnergyTerm):
 
     def tensions(self, lengths: Array) -> Array:
         """Tension of each cable (force)."""
-        return self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0)
+        return self.EA / self.L0 * self._elongations(lengths)
 
     def energies(self, lengths: Array) -> Array:
         """Strain energy of each cable (force x length)."""
-        return 0.5 * self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0) ** 2
+        return 0.5 * self.EA / self.L0 * self._elongations(lengths) ** 2
+
+    def _elongations(self, lengths: Array) -> Array:
+        """Elongation of each taut cable, else 0 (length)."""
+        if self.kept is None:
+            return np.maximum(lengths - self.L0, 0.0)
+        return np.where(self.kept, lengths - self.L0, 0.0)
 
     def energy(self, sums: Array) -> float:
         return float(np.sum(self.energies(sums)))
@@ -137,8 +145,10 @@ class CableTension(EnergyTerm):
     def stiffnesses(self, sums: Array, exact: bool = False) -> Array:
         """Axial stiffness EA/L0 of taut cables, else 0 (force/length). Unless `exact`, nearly taut
         ones count as taut, which a step may make them."""
-        taut = self.L0 if exact else (1 - NEARLY_TAUT) * self.L0
-        return np.where(sums > taut, self.EA / self.L0, 0.0)
+        taut = sums > (self.L0 if exact else (1 - NEARLY_TAUT) * self.L0)
+        if exact and self.kept is not None:
+            taut = self.kept
+        return np.where(taut, self.EA / self.L0, 0.0)
 
     def dyads(self, sums: Array, exact: bool) -> Array:
         """Axial stiffnesses of the cables of several segments."""
@@ -146,7 +156,11 @@ class CableTension(EnergyTerm):
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
         """Add the gradient of such a cable's length."""
-        self._forces[:] = self.cable == self._shared[k]
+        self.add_length_gradient(int(self._shared[k]), x, g)
+
+    def add_length_gradient(self, k: int, x: Array, g: Array) -> None:
+        """Add the gradient of a cable's length."""
+        self._forces[:] = self.cable == k
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:

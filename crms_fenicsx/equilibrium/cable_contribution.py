@@ -246,7 +246,7 @@ def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
     """Correct the smoothing lengths of a cable's parts and return whether they changed."""
     if cable.parts is None:
         return False
-    added = lengths - _current_lengths(cable)
+    added = lengths - current_lengths(cable)
     cable.update(parts=replace(cable.parts, smoothing=cable.parts.smoothing + added))
     return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
 
@@ -263,7 +263,7 @@ def _parts_of_one_link(cable: LaidCable) -> Booleans:
     return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 
 
-def _current_lengths(cable: LaidCable) -> Array:
+def current_lengths(cable: LaidCable) -> Array:
     """Current lengths of a cable's parts between clamps (length)."""
     contacts = cable.contacts()
     sizes = norm(np.diff(cable.positions[contacts], axis=0))

@@ -3,8 +3,9 @@
 With the gradient g of the potential energy and the tangent K, a parameter p moves the equilibrium
 by du/dp = -K^-1 dg/dp, one solve each with the factors of K. A result changes with p directly and
 through du. With fewer results than parameters, one solve per result is used instead, K^-1 grad(R).
-Contacts and the cells that cables cross are kept: where a cable is about to change them,
-derivatives are one-sided.
+Contacts and the cells that cables cross are kept, and so is whether parts of cables are taut or
+slack. Where parts are about to become taut or slack, or a cable to pass a vertex, derivatives for
+an increase and for a decrease of p differ (see `taut_parts`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from crms_fenicsx.minimization.initial_hessian import Preconditioner
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.results.residual import tangent
+from crms_fenicsx.results.taut_parts import TautParts, Tightening
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
@@ -33,7 +35,9 @@ MOVE = 1e-6
 SOLVED, ITERATIONS = 1e-11, 50
 """Relative residual of the tangent solves, and largest number of iterative refinements."""
 NEAR_VERTEX = 0.02
-"""Part of an edge within which a cable is about to pass a vertex."""
+"""Part of an edge within which a cable may be about to pass a vertex."""
+SAME = 1e-6
+"""Relative difference of derivatives in two directions that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +47,24 @@ class Sensitivities:
     Attributes
     ----------
     values : (n, m)
-        Derivatives of the n results by the m parameters, the same on all ranks.
+        Derivatives of the n results by the m parameters, the same on all ranks: means of the two
+        below.
+    increasing, decreasing : (n, m)
+        Derivatives for an increase and for a decrease of the parameters. They differ where parts of
+        cables are on the edge of becoming taut or slack, as those of belts laid without force.
     of, by
         Results and parameters, as given.
     inexact
         Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided
-        Names of cables that touch a mesh vertex, or nearly so, and are about to pass it.
+        Names of cables that make the derivatives for an increase and a decrease differ: by parts
+        that become taut or slack, or by passing a mesh vertex, for which both columns hold the
+        derivatives before it.
     """
 
     values: Array
+    increasing: Array
+    decreasing: Array
     of: tuple[object, ...]
     by: tuple[object, ...]
     inexact: tuple[str, ...]
@@ -67,31 +79,65 @@ class Sensitivities:
 def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
     """Derivatives at a scene's equilibrium; see `Solver.sensitivities`. Collective."""
     scene = system.scene
-    setters = [_parameter(scene, one) for one in by]
-    K = tangent(system)
+    read, setters = [_result(scene, one) for one in of], [_parameter(scene, one) for one in by]
+    system.update()
     rubs = scene.net.has_friction or any(c.axial is not None or c.may_slip for c in scene.cables)
     if rubs or system.has_history:
-        K.destroy()
         what = "friction" if rubs else "a step-wise law"
         raise InputError(
             f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
             "compare load steps instead."
         )
-    solver = _TangentSolver(K.matrix, K.sparse)
-    changes = _Changes(system, [_result(scene, one) for one in of])
+    parts = TautParts(system)
     try:
-        if len(of) < len(by) and all(_has_slope(scene, one) for one in of):
-            values = _by_results(changes, solver, of, setters)
-        else:
-            values = np.zeros((len(of), len(by)))
-            for j, setter in enumerate(setters):
-                way = solver.solve(changes.slope(setter))
-                values[:, j] = changes.along(setter, way)
+        K = tangent(system)
+        solver = _TangentSolver(K.matrix, K.sparse)
+        try:
+            changes = _Changes(system, read, parts)
+            near = _near_vertices(scene)
+            backward = len(of) < len(by) and not near and not len(parts.open)
+            if backward and all(_has_slope(scene, one) for one in of):
+                values, named = _by_results(changes, solver, of, setters), set[str]()
+                both = np.array([values, values])
+            else:
+                both, named = _by_parameters(changes, solver, setters, near)
+        finally:
+            solver.destroy()
+            K.destroy()
     finally:
-        changes.restore()
-        solver.destroy()
-        K.destroy()
-    return Sensitivities(values, tuple(of), tuple(by), K.inexact, _near_vertices(scene))
+        parts.release()
+    one_sided = tuple(cable.name for cable in scene.cables if cable.name in named)
+    return Sensitivities(
+        both.mean(axis=0), both[0], both[1], tuple(of), tuple(by), K.inexact, one_sided
+    )
+
+
+def _by_parameters(
+    changes: _Changes, solver: _TangentSolver, setters: Sequence[Setter], near: Sequence[LaidCable]
+) -> tuple[Array, set[str]]:
+    """Derivatives with one solve per parameter, for its increase and its decrease, (2, n, m), and
+    the names of the cables that make them differ."""
+    parts, named = changes.parts, set[str]()
+    tightening = Tightening(parts, solver.solve) if len(parts.open) else None
+    both = np.zeros((2, len(changes.read), len(setters)))
+    for j, setter in enumerate(setters):
+        slope, shortened = changes.slope(setter)
+        way = solver.solve(slope)
+        if tightening is None:
+            both[:, :, j] = changes.along(setter, way, near)
+        else:
+            turned = []
+            for k, sign in enumerate((1.0, -1.0)):
+                moved, taut = tightening.of(way, shortened, sign)
+                parts.choose(taut)
+                both[k, :, j] = changes.along(setter, sign * moved, near)
+                turned.append(taut)
+            parts.choose(np.zeros(len(parts.open), dtype=bool))
+            largest = np.abs(both[:, :, j]).max(axis=0)
+            if np.any(np.abs(both[0, :, j] - both[1, :, j]) > SAME * largest):
+                own = np.flatnonzero(turned[0] != turned[1])
+                named |= {parts.owners[i].name for i in own}
+    return both, named | changes.passing
 
 
 Setter = tuple[Callable[[float], None], float]
@@ -99,34 +145,44 @@ Setter = tuple[Callable[[float], None], float]
 
 
 class _Changes:
-    """Effects of parameters on a scene's equilibrium, by central differences. Collective."""
+    """Effects of parameters on a scene's equilibrium, by central differences. Collective.
 
-    def __init__(self, system: System, read: Sequence[Callable[[], float]]) -> None:
+    Attributes: `passing`: names of cables that the largest changes would move past a vertex.
+    """
+
+    def __init__(
+        self, system: System, read: Sequence[Callable[[], float]], parts: TautParts
+    ) -> None:
         self.system, self.scene, self.read = system, system.scene, read
+        self.parts, self.passing = parts, set[str]()
         self.state = system.scene.state
         self.start = system.potential.x.copy()
 
-    def slope(self, setter: Setter) -> Array:
-        """Derivatives of the forces -g by a parameter, in the free components, (3 n_owned,)."""
+    def slope(self, setter: Setter) -> tuple[Array, Array]:
+        """Derivatives by a parameter: of the forces -g in the free components, (3 n_owned,), and
+        of minus the unstressed lengths of the parts about to become taut."""
         change, step = setter
-        slopes = []
+        slopes, lengths = [], []
         for sign in (1.0, -1.0):
             change(sign * step)
             self.system.read_scene()
             self.system.potential.evaluate()
             self.system.potential.free_gradient(self.system.potential.g_vector)
             slopes.append(self.system.potential.g_vector.array.copy())
+            lengths.append(self.parts.unstressed_lengths())
             self.scene.state = self.state
-        return np.asarray((slopes[1] - slopes[0]) / (2 * step))
+        slope, shortened = (np.asarray((two[1] - two[0]) / (2 * step)) for two in (slopes, lengths))
+        return slope, shortened
 
-    def along(self, setter: Setter, way: Array) -> Array:
-        """Derivatives of the results by a parameter that moves the unknowns along `way`, (n,)."""
+    def along(self, setter: Setter, way: Array, near: Sequence[LaidCable] = ()) -> Array:
+        """Derivatives of the results by a parameter that moves the unknowns along `way`, (n,).
+        Notes which cables `near` vertices pass these."""
         (change, step), system = setter, self.system
         comm, n = self.scene.comm, system.unknowns.n_owned
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
         size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
         place = system.potential.x_vector.duplicate()
-        found = []
+        found, places = [], []
         for sign in (1.0, -1.0):
             change(sign * size)
             system.read_scene()
@@ -135,14 +191,15 @@ class _Changes:
             system.potential.sum_up()
             system.write_scene()
             found.append(np.array([one() for one in self.read]))
+            places.append([cable.fractions for cable in near])
             self.scene.state = self.state
         place.destroy()
+        for cable, ahead, behind in zip(near, *places, strict=True):
+            moved = np.abs(ahead - behind) / (2 * size) * step
+            left = np.minimum(cable.fractions, 1 - cable.fractions)
+            if np.any((moved >= left) & ~cable.lifted):
+                self.passing.add(cable.name)
         return np.asarray((found[0] - found[1]) / (2 * size))
-
-    def restore(self) -> None:
-        """Restore the equilibrium."""
-        self.scene.state = self.state
-        self.system.read_scene()
 
 
 def _by_results(
@@ -153,7 +210,7 @@ def _by_results(
     adjoints = [solver.solve(_slope_of(changes, one)) for one in of]
     values = np.zeros((len(of), len(setters)))
     for j, setter in enumerate(setters):
-        work = np.array(adjoints) @ changes.slope(setter)
+        work = np.array(adjoints) @ changes.slope(setter)[0]
         values[:, j] = changes.along(setter, still) + changes.scene.comm.allreduce(work)
     return values
 
@@ -175,14 +232,16 @@ def _slope_of(changes: _Changes, one: object) -> Array:
         cable = one if isinstance(one, LaidCable) else one.cable
         if cable.parts is not None:
             end = one.which if isinstance(one, CableEnd) else None
-            return changes.slope(_part_lengths(cable, end))
+            return changes.slope(_part_lengths(cable, end))[0]
         one = cable
     if isinstance(one, LaidCable):
-        return np.asarray(changes.slope(_parameter(scene, one)) / (1 + one.tension / one.cable.EA))
+        slope, _ = changes.slope(_parameter(scene, one))
+        return np.asarray(slope / (1 + one.tension / one.cable.EA))
     if isinstance(one, PlacedBar):
-        return np.asarray(changes.slope(_parameter(scene, one)) / (1 + one.force / one.bar.EA))
+        slope, _ = changes.slope(_parameter(scene, one))
+        return np.asarray(slope / (1 + one.force / one.bar.EA))
     if one == "volume":
-        return changes.slope(_parameter(scene, "pressure"))
+        return changes.slope(_parameter(scene, "pressure"))[0]
     if isinstance(one, tuple):
         vertex, axis = one
         rank, dof = scene.frame.home(vertex)
@@ -301,11 +360,11 @@ def _parameter(scene: Scene, one: object) -> Setter:
     )
 
 
-def _near_vertices(scene: Scene) -> tuple[str, ...]:
-    """Names of taut cables that touch an interior vertex of the mesh, or nearly so."""
+def _near_vertices(scene: Scene) -> list[LaidCable]:
+    """Taut cables with a point near a vertex of the mesh that they can pass."""
     found = []
     for cable in scene.cables:
         s = cable.fractions[~cable.lifted]
-        if cable.taut and np.any(np.minimum(s, 1 - s) < NEAR_VERTEX):
-            found.append(cable.name)
-    return tuple(found)
+        if cable.taut and not cable.keeps_line and np.any(np.minimum(s, 1 - s) < NEAR_VERTEX):
+            found.append(cable)
+    return found
