@@ -700,7 +700,9 @@ class Solver:
     def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
         """Derivatives of results by lengths, loads and stiffnesses in the current equilibrium.
 
-        Collective. They use the exact tangent, with the present cable paths and contacts.
+        Collective. They use the exact tangent, with the present cable paths, contacts and slack
+        parts of cables. Where sewn cables are about to become taut or slack, they are taken in both
+        directions.
 
         Parameters
         ----------

@@ -317,7 +317,9 @@ def _result(scene: Scene, one: object) -> Callable[[], float]:
     if isinstance(one, PlacedBar) and one in scene.bars:
         return lambda: one.force
     if isinstance(one, CableEnd) and one.cable in scene.cables:
-        return lambda: float(np.linalg.norm(one.reaction))
+        _ = one.reaction  # refuses ends without
+        k = 0 if one.which == "start" else -1
+        return lambda: float(one.cable.part_tensions[k])
     if isinstance(one, str) and one in ("energy", "volume"):
         return lambda: float(getattr(scene, one))
     if isinstance(one, tuple) and len(one) == 2 and one[1] in ("x", "y", "z"):
