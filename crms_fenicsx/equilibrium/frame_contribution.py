@@ -62,6 +62,11 @@ class BarContribution(Contribution):
         self._loads = JointForces(mine)
         return [self._bars, self._loads]
 
+    @property
+    def energy(self) -> BarEnergy:
+        """The term of the bars' strain energy."""
+        return self._bars
+
     @contextmanager
     def with_hardly_slack(self) -> Iterator[None]:
         """Let hardly slack guys count as taut: what they restrain hardly moves."""

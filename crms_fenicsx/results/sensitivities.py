@@ -51,15 +51,16 @@ class Sensitivities:
         below.
     increasing, decreasing : (n, m)
         Derivatives for an increase and for a decrease of the parameters. They differ where parts of
-        cables are on the edge of becoming taut or slack, as those of belts laid without force.
+        cables, or guys, are about to become taut or slack, as those of belts laid without force.
     of, by
         Results and parameters, as given.
     inexact
         Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided
-        Names of cables that make the derivatives for an increase and a decrease differ: by parts
-        that become taut or slack, or by passing a mesh vertex, for which both columns hold the
-        derivatives before it.
+        Names of cables and guys that make the derivatives for an increase and a decrease differ: by
+        parts that become taut or slack, or by passing a mesh vertex, for which both hold the
+        derivative before it. Where only guys and belts without force make the equilibrium stable,
+        both hold the derivative with all of them taut.
     """
 
     values: Array
@@ -79,7 +80,7 @@ class Sensitivities:
 def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
     """Derivatives at a scene's equilibrium; see `Solver.sensitivities`. Collective."""
     scene = system.scene
-    read, setters = [_result(scene, one) for one in of], [_parameter(scene, one) for one in by]
+    setters = [_parameter(scene, one) for one in by]
     system.update()
     rubs = scene.net.has_friction or any(c.axial is not None or c.may_slip for c in scene.cables)
     if rubs or system.has_history:
@@ -90,23 +91,43 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
         )
     parts = TautParts(system)
     try:
-        K = tangent(system)
-        solver = _TangentSolver(K.matrix, K.sparse)
         try:
-            changes = _Changes(system, read, parts)
-            near = _near_vertices(scene)
-            backward = len(of) < len(by) and not near and not len(parts.open)
-            if backward and all(_has_slope(scene, one) for one in of):
-                values, named = _by_results(changes, solver, of, setters), set[str]()
-                both = np.array([values, values])
-            else:
-                both, named = _by_parameters(changes, solver, setters, near)
-        finally:
-            solver.destroy()
-            K.destroy()
+            return _differentiated(system, parts, of, by, setters)
+        except InputError:  # unstable without the parts about to become taut
+            if not parts.owners:
+                raise
+            parts.settle()
+            return _differentiated(system, parts, of, by, setters)
     finally:
         parts.release()
-    one_sided = tuple(cable.name for cable in scene.cables if cable.name in named)
+
+
+def _differentiated(
+    system: System,
+    parts: TautParts,
+    of: Sequence[object],
+    by: Sequence[object],
+    setters: Sequence[Setter],
+) -> Sensitivities:
+    """Derivatives with the parts of cables and guys that are taut. Collective."""
+    scene = system.scene
+    read = [_result(scene, one, parts) for one in of]
+    K = tangent(system)
+    solver = _TangentSolver(K.matrix, K.sparse)
+    try:
+        changes = _Changes(system, read, parts)
+        near = _near_vertices(scene)
+        backward = len(of) < len(by) and not near and not parts.owners
+        if backward and all(_has_slope(scene, one) for one in of):
+            values, named = _by_results(changes, solver, of, setters), set[str]()
+            both = np.array([values, values])
+        else:
+            both, named = _by_parameters(changes, solver, setters, near)
+    finally:
+        solver.destroy()
+        K.destroy()
+    named |= parts.settled
+    one_sided = tuple(one.name for one in (*scene.cables, *scene.bars) if one.name in named)
     return Sensitivities(
         both.mean(axis=0), both[0], both[1], tuple(of), tuple(by), K.inexact, one_sided
     )
@@ -118,7 +139,7 @@ def _by_parameters(
     """Derivatives with one solve per parameter, for its increase and its decrease, (2, n, m), and
     the names of the cables that make them differ."""
     parts, named = changes.parts, set[str]()
-    tightening = Tightening(parts, solver.solve) if len(parts.open) else None
+    tightening = Tightening(parts, solver.solve) if len(parts.owners) else None
     both = np.zeros((2, len(changes.read), len(setters)))
     for j, setter in enumerate(setters):
         slope, shortened = changes.slope(setter)
@@ -132,7 +153,7 @@ def _by_parameters(
                 parts.choose(taut)
                 both[k, :, j] = changes.along(setter, sign * moved, near)
                 turned.append(taut)
-            parts.choose(np.zeros(len(parts.open), dtype=bool))
+            parts.choose(np.zeros(len(parts.owners), dtype=bool))
             largest = np.abs(both[:, :, j]).max(axis=0)
             if np.any(np.abs(both[0, :, j] - both[1, :, j]) > SAME * largest):
                 own = np.flatnonzero(turned[0] != turned[1])
@@ -310,12 +331,12 @@ class _TangentSolver:
             self._factors.destroy()
 
 
-def _result(scene: Scene, one: object) -> Callable[[], float]:
+def _result(scene: Scene, one: object, parts: TautParts) -> Callable[[], float]:
     """Function that evaluates a result of the scene."""
     if isinstance(one, LaidCable) and one in scene.cables:
         return lambda: one.tension
     if isinstance(one, PlacedBar) and one in scene.bars:
-        return lambda: one.force
+        return lambda: parts.force(one)
     if isinstance(one, CableEnd) and one.cable in scene.cables:
         _ = one.reaction  # refuses ends without
         k = 0 if one.which == "start" else -1

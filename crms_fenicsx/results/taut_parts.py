@@ -18,35 +18,41 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import nnls
 
+from crms_fenicsx.energies.bar_energy import BarTable
+from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.equilibrium.cable_contribution import current_lengths
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.errors import InputError
 
 AT_THRESHOLD = 1e-9
 """Strain of a part, of either sign, up to which it is about to turn taut or slack: more than what
 an equilibrium leaves open, and less than any change of length of practical size."""
 
+KEPT = 1e-7
+"""Stiffness of a slack guy at the threshold, relative to its axial one: without any, the tangent
+may be singular, as that of a mast that guys without force hold."""
+
 
 class TautParts:
-    """Keeps the parts of a system's cables taut or slack until `release`. Collective.
+    """Keeps the parts of a system's cables, and guys, taut or slack until `release`. Collective.
 
     Slack cables with parts at the threshold, such as belts laid without force, are added to the
     system, except those that slide sideways: without tension nothing would hold their points.
 
-    Attributes: `open` (n,): parts at the threshold, numbered as in the term of the cables' tension;
-    `owners`: their cables; `taut`: parts that count as taut, those in `open` only after `choose`.
+    Attributes: `owners`: cables and guys of the parts at the threshold, which are taken as slack
+    until `choose`; `settled`: names of those counted as taut by `settle`.
     """
 
     def __init__(self, system: System) -> None:
-        self.system, self._before = system, system.scene.state
+        self.system, scene, self._before = system, system.scene, system.scene.state
         self._added = [
-            cable
-            for cable in system.scene.cables
-            if not cable.taut and _is_sewn_at_threshold(cable)
+            cable for cable in scene.cables if not cable.taut and _is_sewn_at_threshold(cable)
         ]
         if self._added:
             for cable in self._added:
@@ -55,58 +61,119 @@ class TautParts:
             system.update()
             system.potential.bring_up_to_date()
             system.renew_smoothing_length()
-        self.open: Indices = np.zeros(0, dtype=np.int32)
-        self.owners: list[LaidCable] = []
-        part = None if system.cables is None else system.cables.tension
-        self._term = part
-        if part is None or system.cables is None:
-            return
-        strains, owners = [], []
-        for cable in system.cables.sliding:
+        self.owners: list[LaidCable | PlacedBar] = []
+        self.settled: set[str] = set()
+        self._parts = self._guys = np.zeros(0, dtype=np.int32)  # numbers of those at the threshold
+        self._term = None if system.cables is None else system.cables.tension
+        if self._term is not None:
+            self._keep_parts(self._term)
+        self._bars: BarTable | None = None
+        if any(bar.bar.tension_only for bar in scene.bars):
+            self._keep_guys()
+
+    def _keep_parts(self, term: CableTension) -> None:
+        """Keep the parts of the cables."""
+        assert self.system.cables is not None
+        found, owners = [], []
+        for cable in self.system.cables.sliding:
             own = strains_of(cable)
             if len(own) == 1 and not cable.keeps_line:
                 own = np.ones(1)  # in the system because it is taut
-            strains.append(own)
+            found.append(own)
             owners += [cable] * len(own)
-        strain = np.concatenate(strains)
-        self.open = np.flatnonzero(np.abs(strain) <= AT_THRESHOLD).astype(np.int32)
-        self.owners = [owners[k] for k in self.open]
-        self.taut: Booleans = strain > AT_THRESHOLD
-        part.kept = self.taut
+        strains = np.concatenate(found)
+        term.kept = strains > AT_THRESHOLD
+        self._parts = np.flatnonzero(np.abs(strains) <= AT_THRESHOLD).astype(np.int32)
+        self.owners += [owners[k] for k in self._parts]
+
+    def _keep_guys(self) -> None:
+        """Keep the guys: bars without compression."""
+        assert self.system.bars is not None
+        bars = self.system.scene.bars
+        self._bars = table = self.system.bars.energy.table
+        self._table_before = table.EA.copy(), table.tension_only.copy()
+        strains = np.array([
+            bar.length / bar.L0 - 1 if bar.bar.tension_only else 1.0 for bar in bars
+        ])  # fmt: skip
+        self._taut_bars = strains > AT_THRESHOLD
+        self._guys = np.flatnonzero(np.abs(strains) <= AT_THRESHOLD).astype(np.int32)
+        self.owners += [bars[k] for k in self._guys]
+        self._set_guys()
+
+    def _set_guys(self) -> None:
+        """Copy to the potential which guys are taut."""
+        if self._bars is not None and len(self._bars.EA):  # on the first rank
+            shares = np.where(self._taut_bars, 1.0, 0.0)
+            shares[self._guys] = np.maximum(shares[self._guys], KEPT)
+            self._bars.EA[:] = shares * self._table_before[0]
+            self._bars.tension_only[:] = False
 
     def choose(self, taut: Booleans) -> None:
-        """Set which of the parts in `open` count as taut."""
-        if len(self.open):
-            self.taut[self.open] = taut
+        """Set which of the parts at the threshold count as taut."""
+        if self._term is not None and self._term.kept is not None:
+            self._term.kept[self._parts] = taut[: len(self._parts)]
+        if self._bars is not None:
+            self._taut_bars[self._guys] = taut[len(self._parts) :]
+            self._set_guys()
+
+    def settle(self) -> None:
+        """Count all parts at the threshold as taut from now on."""
+        self.settled = {one.name for one in self.owners}
+        self.choose(np.ones(len(self.owners), dtype=bool))
+        self._parts = self._guys = np.zeros(0, dtype=np.int32)
+        self.owners = []
+
+    def force(self, bar: PlacedBar) -> float:
+        """Axial force of a bar, that of a guy as long as it keeps its state (force)."""
+        force = bar.bar.EA * (bar.length - bar.L0) / bar.L0
+        slack = self._bars is not None and not self._taut_bars[self.system.scene.bars.index(bar)]
+        return 0.0 if slack else force
 
     def unstressed_lengths(self) -> Array:
-        """Unstressed lengths of the parts in `open` in the scene last read (length)."""
-        return np.zeros(0) if self._term is None else self._term.L0[self.open].copy()
+        """Unstressed lengths of the parts at the threshold in the scene last read (length)."""
+        parts = np.zeros(0) if self._term is None else self._term.L0[self._parts]
+        bars = self.system.scene.bars
+        return np.concatenate([parts, [bars[k].L0 for k in self._guys]])
+
+    def stiffnesses(self) -> Array:
+        """EA/L0 of the parts at the threshold (force/length)."""
+        parts = np.zeros(0) if self._term is None else (self._term.EA / self._term.L0)[self._parts]
+        bars = self.system.scene.bars
+        return np.concatenate([parts, [bars[k].bar.EA / bars[k].L0 for k in self._guys]])
 
     def gradients(self) -> Array:
-        """This rank's gradients of the lengths of the parts in `open`, (3 n_owned, n)."""
-        potential, unknowns = self.system.potential, self.system.unknowns
-        n = unknowns.n_owned
-        columns = np.zeros((3 * n, len(self.open)))
-        for column, k in zip(columns.T, self.open, strict=True):
+        """This rank's gradients of the lengths of the parts at the threshold, (3 n_owned, n)."""
+        potential, columns = self.system.potential, []
+        for k in self._parts:
             assert self._term is not None
             potential.g[:] = 0.0
             self._term.add_length_gradient(int(k), potential.x, potential.g)
-            unknowns.gather_forces(potential.g_vector, potential.g)
-            unknowns.project(potential.g)
-            potential.g[:n][unknowns.held[:n]] = 0.0
-            column[:] = potential.g[:n].ravel()
-        return columns
+            columns.append(self._free())
+        for k in self._guys:
+            potential.g[:] = 0.0
+            if self._bars is not None and len(self._bars.EA):
+                first, last = self._bars.ends[k]
+                bar = self.system.scene.bars[k]
+                potential.g[last] = (bar.points[1] - bar.points[0]) / bar.length
+                potential.g[first] = -potential.g[last]
+            columns.append(self._free())
+        return np.array(columns).T
 
-    def stiffnesses(self) -> Array:
-        """EA/L0 of the parts in `open` (force/length)."""
-        assert self._term is not None
-        return np.asarray((self._term.EA / self._term.L0)[self.open])
+    def _free(self) -> Array:
+        """The potential's `g`, gathered from all ranks, in the free components, (3 n_owned,)."""
+        potential, unknowns = self.system.potential, self.system.unknowns
+        n = unknowns.n_owned
+        unknowns.gather_forces(potential.g_vector, potential.g)
+        unknowns.project(potential.g)
+        potential.g[:n][unknowns.held[:n]] = 0.0
+        return potential.g[:n].ravel().copy()
 
     def release(self) -> None:
         """Let lengths decide again, and restore the scene."""
         if self._term is not None:
             self._term.kept = None
+        if self._bars is not None:
+            self._bars.EA[:], self._bars.tension_only[:] = self._table_before
         self.system.scene.state = self._before
         if self._added:
             self.system.invalidate()
@@ -123,9 +190,16 @@ class Tightening:
         self._moves = np.zeros_like(self._columns)
         for k, column in enumerate(self._columns.T):
             self._moves[:, k] = solve(column)
-        flexible = self._comm.allreduce(self._columns.T @ self._moves, op=MPI.SUM)
+        own: Array = np.asarray(self._columns.T @ self._moves)
+        flexible = self._comm.allreduce(own, op=MPI.SUM)
         flexible = (flexible + flexible.T) / 2 + np.diag(1 / parts.stiffnesses())
-        self._root = cholesky(flexible)  # of the parts' flexibility: R^T R
+        try:
+            self._root = cholesky(self._comm.bcast(flexible))  # R^T R
+        except LinAlgError:
+            raise InputError(
+                "sensitivities: without the parts of cables and the guys that are about to become "
+                "taut or slack the equilibrium is unstable; go to another state."
+            ) from None
 
     def of(self, way: Array, shortened: Array, sign: float) -> tuple[Array, Booleans]:
         """Movement of the unknowns, and which parts turn taut, for a change in the direction
@@ -133,7 +207,7 @@ class Tightening:
         unstressed lengths by `shortened`, both per unit."""
         q = self._comm.allreduce(self._columns.T @ way, op=MPI.SUM) + shortened
         right = solve_triangular(self._root, sign * q, trans="T")
-        tensions, _ = self._comm.bcast(nnls(self._root, right) if self._comm.rank == 0 else None)
+        tensions = self._comm.bcast(nnls(self._root, right)[0])
         return sign * way - self._moves @ tensions, tensions > 0.0
 
 

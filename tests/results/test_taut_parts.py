@@ -10,7 +10,16 @@ import pytest
 from mpi4py import MPI
 from scipy.optimize import brentq
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import (
+    Bar,
+    Cable,
+    IsotropicMembrane,
+    Joint,
+    PlacedBar,
+    Scene,
+    Solver,
+    meshes,
+)
 from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.results.taut_parts import strains_of
 from crms_fenicsx.runtime.arrays import Array
@@ -180,3 +189,58 @@ def test_a_tight_belt_and_a_cable_near_a_vertex_have_equal_sides(comm: MPI.Intra
     assert np.minimum(s, 1 - s).min() < 0.02
     found = solver.sensitivities([belt, cable], [belt, cable])
     assert found.one_sided == () and np.array_equal(found.increasing, found.decreasing)
+
+
+def guyed(
+    comm: MPI.Intracomm, unit: float, force: float, held: str, spring: float = 0.0
+) -> tuple[Scene, Joint, PlacedBar, PlacedBar]:
+    """A joint between two guys in line, of the stiffnesses 100 and 50 kN/m."""
+    scene = Scene(
+        meshes.rectangle(comm, unit, unit, unit),
+        IsotropicMembrane(200.0 * force / unit, 0.3, 1.0, prestress=force / unit),
+    )
+    scene.fix("boundary")
+    top = scene.add_joint((5.0 * unit, 0.0, 2.0 * unit), held=held)
+    a = scene.add_bar(Bar(200.0 * force, tension_only=True), (3.0 * unit, 0.0, 2.0 * unit), top)
+    b = scene.add_bar(Bar(150.0 * force, tension_only=True), (8.0 * unit, 0.0, 2.0 * unit), top)
+    if spring:
+        scene.add_bar(Bar(spring * force), (6.0 * unit, 0.0, 2.0 * unit), top)
+    scene.put_joint_load({top: (force, 0.0, 0.0)}, name="pull")
+    return scene, top, a, b
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("spring", [3.0, 0.0])
+@pytest.mark.parametrize(("unit", "force"), UNITS, ids=IDS)
+def test_guys_without_force(comm: MPI.Intracomm, unit: float, force: float, spring: float) -> None:
+    """One of them carries a pull, with a spring or alone; shortened, it pulls at the other."""
+    scene, _, a, b = guyed(comm, unit, force, "yz", spring)
+    solver = Solver(scene, stability="ignore")
+    solver.advance()
+    found = solver.sensitivities([a, b], ["pull", a])
+    k, c, s = 100.0, 50.0, spring
+    shorter = np.array([-k * (c + s), -k * c]) / (k + c + s) * force / unit
+    pulls = np.array([[k / (k + s), 0.0], [0.0, -c / (c + s)]]) * force
+    exact = np.array([pulls, [[0.0, 0.0], shorter]])
+    for j, both in enumerate(exact):
+        own = np.array([found.increasing[:, j], found.decreasing[:, j]])
+        np.testing.assert_allclose(own, both, atol=1e-6 * np.abs(both).max())
+    assert found.one_sided == (a.name, b.name)
+    solver.advance(load={"pull": 0.5})
+    found = solver.sensitivities([a, b], ["pull"])
+    assert found.values[:, 0] == pytest.approx(pulls[0], abs=1e-6 * force)
+    assert found.one_sided == () and np.array_equal(found.increasing, found.decreasing)
+
+
+@pytest.mark.ranks
+def test_a_mast_that_guys_without_force_keep_upright(comm: MPI.Intracomm) -> None:
+    """Without them it would fall, so that they count as taut, and are named."""
+    scene, top, a, b = guyed(comm, 1.0, 1.0, "y")
+    scene.add_bar(Bar(1e9), (5.0, 0.0, 0.0), top)
+    scene.put_joint_load({top: (0.0, 0.0, -6.0)}, name="weight")
+    solver = Solver(scene, stability="ignore")
+    solver.advance(load={"weight": 1.0})
+    found = solver.sensitivities([a, b], ["pull"])
+    exact = np.array([100.0, -50.0]) / (100.0 + 50.0 - 6.0 / 2.0)
+    np.testing.assert_allclose(found.increasing[:, 0], exact, rtol=1e-6)
+    assert found.one_sided == (a.name, b.name) and np.array_equal(found.values, found.decreasing)
