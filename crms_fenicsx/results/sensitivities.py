@@ -127,7 +127,8 @@ def _differentiated(
         solver.destroy()
         K.destroy()
     named |= parts.settled
-    one_sided = tuple(one.name for one in (*scene.cables, *scene.bars) if one.name in named)
+    names = [cable.name for cable in scene.cables] + [bar.name for bar in scene.bars]
+    one_sided = tuple(name for name in names if name in named)
     return Sensitivities(
         both.mean(axis=0), both[0], both[1], tuple(of), tuple(by), K.inexact, one_sided
     )

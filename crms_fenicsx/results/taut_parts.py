@@ -27,7 +27,7 @@ from crms_fenicsx.equilibrium.cable_contribution import current_lengths
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError
 
 AT_THRESHOLD = 1e-9
@@ -63,7 +63,9 @@ class TautParts:
             system.renew_smoothing_length()
         self.owners: list[LaidCable | PlacedBar] = []
         self.settled: set[str] = set()
-        self._parts = self._guys = np.zeros(0, dtype=np.int32)  # numbers of those at the threshold
+        # numbers of those at the threshold
+        self._parts: Indices = np.zeros(0, dtype=np.int32)
+        self._guys: Indices = np.zeros(0, dtype=np.int32)
         self._term = None if system.cables is None else system.cables.tension
         if self._term is not None:
             self._keep_parts(self._term)
@@ -120,7 +122,7 @@ class TautParts:
         """Count all parts at the threshold as taut from now on."""
         self.settled = {one.name for one in self.owners}
         self.choose(np.ones(len(self.owners), dtype=bool))
-        self._parts = self._guys = np.zeros(0, dtype=np.int32)
+        self._parts = self._guys = self._parts[:0]
         self.owners = []
 
     def force(self, bar: PlacedBar) -> float:
@@ -188,10 +190,10 @@ class Tightening:
         self._comm = parts.system.scene.comm
         self._columns = parts.gradients()
         self._moves = np.zeros_like(self._columns)
-        for k, column in enumerate(self._columns.T):
-            self._moves[:, k] = solve(column)
+        for k in range(len(parts.owners)):
+            self._moves[:, k] = solve(self._columns[:, k])
         own: Array = np.asarray(self._columns.T @ self._moves)
-        flexible = self._comm.allreduce(own, op=MPI.SUM)
+        flexible: Array = self._comm.allreduce(own, op=MPI.SUM)
         flexible = (flexible + flexible.T) / 2 + np.diag(1 / parts.stiffnesses())
         try:
             self._root = cholesky(self._comm.bcast(flexible))  # R^T R
