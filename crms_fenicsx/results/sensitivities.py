@@ -4,8 +4,8 @@ With the gradient g of the potential energy and the tangent K, a parameter p mov
 by du/dp = -K^-1 dg/dp, one solve each with the factors of K. A result changes with p directly and
 through du. With fewer results than parameters, one solve per result is used instead, K^-1 grad(R).
 Contacts and the cells that cables cross are kept, and so is whether parts of cables are taut or
-slack. Where parts are about to become taut or slack, or a cable to pass a vertex, derivatives for
-an increase and for a decrease of p differ (see `taut_parts`).
+slack. Where parts are about to become taut or slack, derivatives for an increase and for a decrease
+of p differ (see `taut_parts`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.results.residual import tangent
 from crms_fenicsx.results.taut_parts import TautParts, Tightening
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
@@ -34,10 +34,10 @@ MOVE = 1e-6
 """Largest movement of a point, relative to the membrane's size, in differences of results."""
 SOLVED, ITERATIONS = 1e-11, 50
 """Relative residual of the tangent solves, and largest number of iterative refinements."""
-NEAR_VERTEX = 0.02
-"""Part of an edge within which a cable may be about to pass a vertex."""
 SAME = 1e-6
 """Relative difference of derivatives in two directions that counts as none."""
+ROUNDING = 100 * EPSILON
+"""Rounding error of results, relative to their size."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,9 @@ class Sensitivities:
     inexact
         Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided
-        Names of cables and guys that make the derivatives for an increase and a decrease differ: by
-        parts that become taut or slack, or by passing a mesh vertex, for which both hold the
-        derivative before it. Where only guys and belts without force make the equilibrium stable,
-        both hold the derivative with all of them taut.
+        Names of cables and guys that make the derivatives for an increase and a decrease differ, by
+        parts that become taut or slack. Where only guys and belts without force make the
+        equilibrium stable, both hold the derivative with all of them taut.
     """
 
     values: Array
@@ -116,13 +115,12 @@ def _differentiated(
     solver = _TangentSolver(K.matrix, K.sparse)
     try:
         changes = _Changes(system, read, parts)
-        near = _near_vertices(scene)
-        backward = len(of) < len(by) and not near and not parts.owners
+        backward = len(of) < len(by) and not parts.owners
         if backward and all(_has_slope(scene, one) for one in of):
             values, named = _by_results(changes, solver, of, setters), set[str]()
             both = np.array([values, values])
         else:
-            both, named = _by_parameters(changes, solver, setters, near)
+            both, named = _by_parameters(changes, solver, of, setters)
     finally:
         solver.destroy()
         K.destroy()
@@ -135,7 +133,7 @@ def _differentiated(
 
 
 def _by_parameters(
-    changes: _Changes, solver: _TangentSolver, setters: Sequence[Setter], near: Sequence[LaidCable]
+    changes: _Changes, solver: _TangentSolver, of: Sequence[object], setters: Sequence[Setter]
 ) -> tuple[Array, set[str]]:
     """Derivatives with one solve per parameter, for its increase and its decrease, (2, n, m), and
     the names of the cables that make them differ."""
@@ -146,20 +144,23 @@ def _by_parameters(
         slope, shortened = changes.slope(setter)
         way = solver.solve(slope)
         if tightening is None:
-            both[:, :, j] = changes.along(setter, way, near)
+            both[:, :, j], _ = changes.along(setter, way)
         else:
-            turned = []
+            turned, rounding = [], np.zeros(len(changes.read))
             for k, sign in enumerate((1.0, -1.0)):
                 moved, taut = tightening.of(way, shortened, sign)
                 parts.choose(taut)
-                both[k, :, j] = changes.along(setter, sign * moved, near)
+                both[k, :, j], errors = changes.along(setter, sign * moved)
                 turned.append(taut)
+                rounding += errors
             parts.choose(np.zeros(len(parts.owners), dtype=bool))
-            largest = np.abs(both[:, :, j]).max(axis=0)
-            if np.any(np.abs(both[0, :, j] - both[1, :, j]) > SAME * largest):
+            energy = [one == "energy" for one in of]  # its first derivatives have no jumps
+            both[:, energy, j] = both[:, energy, j].mean(axis=0)
+            same = SAME * np.abs(both[:, :, j]).max(axis=0) + rounding
+            if np.any(np.abs(both[0, :, j] - both[1, :, j]) > same):
                 own = np.flatnonzero(turned[0] != turned[1])
                 named |= {parts.owners[i].name for i in own}
-    return both, named | changes.passing
+    return both, named
 
 
 Setter = tuple[Callable[[float], None], float]
@@ -167,16 +168,13 @@ Setter = tuple[Callable[[float], None], float]
 
 
 class _Changes:
-    """Effects of parameters on a scene's equilibrium, by central differences. Collective.
-
-    Attributes: `passing`: names of cables that the largest changes would move past a vertex.
-    """
+    """Effects of parameters on a scene's equilibrium, by central differences. Collective."""
 
     def __init__(
         self, system: System, read: Sequence[Callable[[], float]], parts: TautParts
     ) -> None:
         self.system, self.scene, self.read = system, system.scene, read
-        self.parts, self.passing = parts, set[str]()
+        self.parts = parts
         self.state = system.scene.state
         self.start = system.potential.x.copy()
 
@@ -196,15 +194,15 @@ class _Changes:
         slope, shortened = (np.asarray((two[1] - two[0]) / (2 * step)) for two in (slopes, lengths))
         return slope, shortened
 
-    def along(self, setter: Setter, way: Array, near: Sequence[LaidCable] = ()) -> Array:
-        """Derivatives of the results by a parameter that moves the unknowns along `way`, (n,).
-        Notes which cables `near` vertices pass these."""
+    def along(self, setter: Setter, way: Array) -> tuple[Array, Array]:
+        """Derivatives of the results by a parameter that moves the unknowns along `way`, (n,), and
+        bounds of their rounding errors."""
         (change, step), system = setter, self.system
         comm, n = self.scene.comm, system.unknowns.n_owned
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
         size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
         place = system.potential.x_vector.duplicate()
-        found, places = [], []
+        found = []
         for sign in (1.0, -1.0):
             change(sign * size)
             system.read_scene()
@@ -213,15 +211,10 @@ class _Changes:
             system.potential.sum_up()
             system.write_scene()
             found.append(np.array([one() for one in self.read]))
-            places.append([cable.fractions for cable in near])
             self.scene.state = self.state
         place.destroy()
-        for cable, ahead, behind in zip(near, *places, strict=True):
-            moved = np.abs(ahead - behind) / (2 * size) * step
-            left = np.minimum(cable.fractions, 1 - cable.fractions)
-            if np.any((moved >= left) & ~cable.lifted):
-                self.passing.add(cable.name)
-        return np.asarray((found[0] - found[1]) / (2 * size))
+        slope = np.asarray((found[0] - found[1]) / (2 * size))
+        return slope, np.asarray(ROUNDING * np.abs(found[0]) / size)
 
 
 def _by_results(
@@ -233,7 +226,8 @@ def _by_results(
     values = np.zeros((len(of), len(setters)))
     for j, setter in enumerate(setters):
         work = np.array(adjoints) @ changes.slope(setter)[0]
-        values[:, j] = changes.along(setter, still) + changes.scene.comm.allreduce(work)
+        directly, _ = changes.along(setter, still)
+        values[:, j] = directly + changes.scene.comm.allreduce(work)
     return values
 
 
@@ -382,13 +376,3 @@ def _parameter(scene: Scene, one: object) -> Setter:
         f"sensitivities: by has {one!r}; give cables and bars (their unstressed lengths), "
         '"pressure" where the air is not sealed, names of loads, or ("EA", cable).'
     )
-
-
-def _near_vertices(scene: Scene) -> list[LaidCable]:
-    """Taut cables with a point near a vertex of the mesh that they can pass."""
-    found = []
-    for cable in scene.cables:
-        s = cable.fractions[~cable.lifted]
-        if cable.taut and not cable.keeps_line and np.any(np.minimum(s, 1 - s) < NEAR_VERTEX):
-            found.append(cable)
-    return found
