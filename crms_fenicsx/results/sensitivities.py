@@ -58,8 +58,9 @@ class Sensitivities:
         Names of loads and terms without an exact tangent, which make the derivatives inexact.
     one_sided
         Names of cables and guys that make the derivatives for an increase and a decrease differ, by
-        parts that become taut or slack. Where only guys and belts without force make the
-        equilibrium stable, both hold the derivative with all of them taut.
+        parts that become taut or slack. Both hold the derivative with slack cables for cables that
+        slide sideways, and the one with all parts taut where only guys and belts without force make
+        the equilibrium stable.
     """
 
     values: Array
@@ -115,7 +116,7 @@ def _differentiated(
     solver = _TangentSolver(K.matrix, K.sparse)
     try:
         changes = _Changes(system, read, parts)
-        backward = len(of) < len(by) and not parts.owners
+        backward = len(of) < len(by) and not parts.owners and not parts.loose
         if backward and all(_has_slope(scene, one) for one in of):
             values, named = _by_results(changes, solver, of, setters), set[str]()
             both = np.array([values, values])
@@ -139,20 +140,22 @@ def _by_parameters(
     the names of the cables that make them differ."""
     parts, named = changes.parts, set[str]()
     tightening = Tightening(parts, solver.solve) if len(parts.owners) else None
-    both = np.zeros((2, len(changes.read), len(setters)))
+    both = np.zeros((2, len(of), len(setters)))
     for j, setter in enumerate(setters):
         slope, shortened = changes.slope(setter)
         way = solver.solve(slope)
         if tightening is None:
             both[:, :, j], _ = changes.along(setter, way)
+            named |= changes.stretched
         else:
-            turned, rounding = [], np.zeros(len(changes.read))
+            turned, rounding = [], np.zeros(len(of))
             for k, sign in enumerate((1.0, -1.0)):
                 moved, taut = tightening.of(way, shortened, sign)
                 parts.choose(taut)
                 both[k, :, j], errors = changes.along(setter, sign * moved)
                 turned.append(taut)
                 rounding += errors
+                named |= changes.stretched
             parts.choose(np.zeros(len(parts.owners), dtype=bool))
             energy = [one == "energy" for one in of]  # its first derivatives have no jumps
             both[:, energy, j] = both[:, energy, j].mean(axis=0)
@@ -168,13 +171,16 @@ Setter = tuple[Callable[[float], None], float]
 
 
 class _Changes:
-    """Effects of parameters on a scene's equilibrium, by central differences. Collective."""
+    """Effects of parameters on a scene's equilibrium, by central differences. Collective.
+
+    Attributes: `stretched`: names of loose cables that the last change would tighten or loosen.
+    """
 
     def __init__(
         self, system: System, read: Sequence[Callable[[], float]], parts: TautParts
     ) -> None:
         self.system, self.scene, self.read = system, system.scene, read
-        self.parts = parts
+        self.parts, self.stretched = parts, set[str]()
         self.state = system.scene.state
         self.start = system.potential.x.copy()
 
@@ -202,7 +208,7 @@ class _Changes:
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
         size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
         place = system.potential.x_vector.duplicate()
-        found = []
+        found, excess = [], []
         for sign in (1.0, -1.0):
             change(sign * size)
             system.read_scene()
@@ -211,8 +217,12 @@ class _Changes:
             system.potential.sum_up()
             system.write_scene()
             found.append(np.array([one() for one in self.read]))
+            excess.append(np.array([cable.length - cable.L0 for cable in self.parts.loose]))
             self.scene.state = self.state
         place.destroy()
+        grown = np.abs(excess[0] - excess[1])
+        loose = zip(self.parts.loose, grown, strict=True)
+        self.stretched = {cable.name for cable, much in loose if much > ROUNDING * cable.L0}
         slope = np.asarray((found[0] - found[1]) / (2 * size))
         return slope, np.asarray(ROUNDING * np.abs(found[0]) / size)
 

@@ -45,22 +45,18 @@ class TautParts:
     Slack cables with parts at the threshold, such as belts laid without force, are added to the
     system, except those that slide sideways: without tension nothing would hold their points.
 
-    Attributes: `owners`: cables and guys of the parts at the threshold, which are taken as slack
-    until `choose`; `settled`: names of those counted as taut by `settle`.
+    Attributes: `loose`: those, which stay slack; `owners`: cables and guys of the other parts at
+    the threshold, which are taken as slack until `choose`; `settled`: names of those counted as
+    taut by `settle`.
     """
 
     def __init__(self, system: System) -> None:
         self.system, scene, self._before = system, system.scene, system.scene.state
-        self._added = [
-            cable for cable in scene.cables if not cable.taut and _is_sewn_at_threshold(cable)
-        ]
+        slack = [cable for cable in scene.cables if not cable.taut and _is_at_threshold(cable)]
+        self._added = [cable for cable in slack if cable.keeps_line]
+        self.loose = [cable for cable in slack if not cable.keeps_line]
         if self._added:
-            for cable in self._added:
-                cable.update(taut=True)
-            system.rebuild()
-            system.update()
-            system.potential.bring_up_to_date()
-            system.renew_smoothing_length()
+            self._add()
         self.owners: list[LaidCable | PlacedBar] = []
         self.settled: set[str] = set()
         # numbers of those at the threshold
@@ -72,6 +68,21 @@ class TautParts:
         self._bars: BarTable | None = None
         if any(bar.bar.tension_only for bar in scene.bars):
             self._keep_guys()
+
+    def _add(self) -> None:
+        """Add the slack cables with parts at the threshold to the system."""
+        system = self.system
+        try:
+            for cable in self._added:
+                cable.update(taut=True)
+            system.rebuild()
+            system.update()
+            system.potential.bring_up_to_date()
+            system.renew_smoothing_length()
+        except BaseException:
+            system.scene.state = self._before
+            system.invalidate()
+            raise
 
     def _keep_parts(self, term: CableTension) -> None:
         """Keep the parts of the cables."""
@@ -218,6 +229,6 @@ def strains_of(cable: LaidCable) -> Array:
     return np.asarray(current_lengths(cable) / cable.part_lengths - 1)
 
 
-def _is_sewn_at_threshold(cable: LaidCable) -> bool:
-    """Whether a cable keeps its line and has parts at the threshold."""
-    return cable.keeps_line and bool(np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD))
+def _is_at_threshold(cable: LaidCable) -> bool:
+    """Whether a cable has parts at the threshold."""
+    return bool(np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD))

@@ -177,6 +177,19 @@ def test_a_belt_with_slack_parts(
 
 
 @pytest.mark.ranks
+def test_a_free_cable_without_force_is_named(comm: MPI.Intracomm) -> None:
+    """Where a change would tighten it; its derivatives are those of the slack one."""
+    scene, solver = sheet(comm, 1.4)
+    cable = scene.lay_cable(Cable(500.0), [(0.0, 1.3), (6.0, 4.1)])
+    scene.put_load((0.0, 0.0, -0.1), name="snow")
+    solver.advance()
+    assert not cable.taut
+    for one, names in ((cable, ("cable 1",)), ("snow", ()), (("EA", cable), ())):
+        found = solver.sensitivities([cable], [one])
+        assert found.one_sided == names and found.values[0, 0] == 0.0
+
+
+@pytest.mark.ranks
 def test_a_tight_belt_and_a_cable_near_a_vertex_have_equal_sides(comm: MPI.Intracomm) -> None:
     """And are not named, as a small change does not take a cable past it."""
     scene, solver = sheet(comm, 1.2, pressure=0.4)
