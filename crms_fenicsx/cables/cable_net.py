@@ -138,7 +138,10 @@ class CableNet:
         self.clamps = tuple(clamp for clamp in self.clamps if gone.name not in clamp.cables)
         points = (node.point for own in self.cables for node in own.nodes)
         vertices = [vertex for point in points if point is not None for vertex in point.support]
-        self.strip = cells_at(self.membrane, vertices) if vertices else None
+        covers = EMPTY.cells if self.strip is None else self.strip.covers
+        vertices += covers.ravel().tolist() if vertices else []
+        strip = cells_at(self.membrane, vertices).with_covers(covers) if vertices else None
+        self.strip = strip
         self.arrange_crossings()
 
     def clamp(
