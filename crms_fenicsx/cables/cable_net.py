@@ -190,10 +190,11 @@ class CableNet:
         elif apart and self.membrane.comm.rank == 0:
             text = f"clamp: {counted(len(apart), 'crossing')} left open: {apart[0]}."
             warnings.warn(text, NetWarning, stacklevel=5)
-        if not new and len(own) == 2 and not self._between(own):
+        if not new and not apart and not self._between(own):
+            *first, last = (repr(one.name) for one in own)
             raise InputError(
-                f"clamp: {own[0].name!r} and {own[1].name!r} do not cross; lay them across each "
-                "other, or clamp others."
+                f"clamp: {', '.join(first)} and {last} do not cross; lay one of them so that it "
+                "crosses another, or clamp those that do."
             )
         self.clamps = (*self.clamps, *new)
         self._divide_again()
