@@ -239,7 +239,7 @@ class EnergyTerm(ABC):
 NAMES = frozenset(
     (
         *("bars", "cables", "dead load", "friction", "held lines", "membrane", "penalty", "pond"),
-        *("pressure", "residual stress", "wind"),
+        *("pressure", "wind"),
     )
 )
 """Names of the package's own terms, whether a scene has them or not."""

@@ -153,10 +153,11 @@ def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) 
     # An end on the rim of a hole that the cable spans is passed.
     onward = cell_between(points[-2].support, way[0].support)
     points = [*(points[:-1] if shape.strip.rows(onward) else points), *way]
-    if shape.strip.over_hole(points[-1].support):
+    on = [point for point in points if not shape.strip.over_hole(point.support)]
+    if points[-1] not in on and len(on) < 2:
         raise PathError(
-            f"an end of {cable.name!r} has been moved to {place}, over a hole of the membrane that "
-            "the cable spans; move it elsewhere, or lay the cable anew."
+            f"an end of {cable.name!r} has been moved to {place}, over a hole, and the cable leaves "
+            "the membrane; move it elsewhere, or lay the cable anew."
         )
     points = points if last else points[::-1]
     change.move_ends(cable, points, (ends[0], ends[1]))

@@ -219,7 +219,7 @@ def test_bad_terms_are_refused(comm: MPI.Intracomm) -> None:
 
     refused(lambda: scene.add_term(Springs), "Springs", "EnergyTerm")  # type: ignore[arg-type]
     refused(bad(name=""), "name", "Bad")
-    for name in ("pressure", "bars", "pond", "wind", "residual stress"):  # in the scene or not
+    for name in ("pressure", "bars", "pond", "wind", "held lines"):  # in the scene or not
         refused(bad(name=name), f"'{name}' is the name of a term of the package", "Bad")
     refused(bad(n_sums=0), "n_sums", "'springs'")
     refused(bad(sums=lambda x, out: None), "sums of 'springs'", "finite")
