@@ -156,8 +156,8 @@ def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) 
     on = [point for point in points if not shape.strip.over_hole(point.support)]
     if points[-1] not in on and len(on) < 2:
         raise PathError(
-            f"an end of {cable.name!r} has been moved to {place}, over a hole, and the cable leaves "
-            "the membrane; move it elsewhere, or lay the cable anew."
+            f"an end of {cable.name!r} has been moved to {place}, over a hole, and the cable "
+            "leaves the membrane; move it elsewhere, or lay the cable anew."
         )
     points = points if last else points[::-1]
     change.move_ends(cable, points, (ends[0], ends[1]))
