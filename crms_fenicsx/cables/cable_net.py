@@ -138,7 +138,10 @@ class CableNet:
         self.clamps = tuple(clamp for clamp in self.clamps if gone.name not in clamp.cables)
         points = (node.point for own in self.cables for node in own.nodes)
         vertices = [vertex for point in points if point is not None for vertex in point.support]
-        self.strip = cells_at(self.membrane, vertices) if vertices else None
+        covers = EMPTY.cells if self.strip is None else self.strip.covers
+        vertices += covers.ravel().tolist() if vertices else []
+        strip = cells_at(self.membrane, vertices).with_covers(covers) if vertices else None
+        self.strip = strip
         self.arrange_crossings()
 
     def clamp(
@@ -187,10 +190,11 @@ class CableNet:
         elif apart and self.membrane.comm.rank == 0:
             text = f"clamp: {counted(len(apart), 'crossing')} left open: {apart[0]}."
             warnings.warn(text, NetWarning, stacklevel=5)
-        if not new and len(own) == 2 and not self._between(own):
+        if not new and not apart and not self._between(own):
+            *first, last = (repr(one.name) for one in own)
             raise InputError(
-                f"clamp: {own[0].name!r} and {own[1].name!r} do not cross; lay them across each "
-                "other, or clamp others."
+                f"clamp: {', '.join(first)} and {last} do not cross; lay one of them so that it "
+                "crosses another, or clamp those that do."
             )
         self.clamps = (*self.clamps, *new)
         self._divide_again()

@@ -150,6 +150,9 @@ def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
     counts, around = strip.simplices.around(links.around[own])
     size = np.minimum.reduceat(sizes[around], pointers(counts)[:-1]) if len(own) else np.zeros(0)
     first, second = links.first[own], links.second[own]
+    over = np.isinf(size)  # between crossings over a hole
+    parts = [cable.length / max(len(cable.contacts()) - 1, 1) for cable in numbering.cables]
+    size[over] = np.array(parts)[nodes.cable[first[over]]]
 
     def one(of: Booleans) -> Booleans:
         return of[first] | of[second]

@@ -25,7 +25,7 @@ from crms_fenicsx.cables.points_on_edges import (
     fractions_of,
     positions_of,
 )
-from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip import NOBODY, Strip
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns, vertex_places
 from crms_fenicsx.meshes.triangles import lists
 from crms_fenicsx.model.cable_state import NodeId
@@ -89,8 +89,13 @@ class CableNumbering:
         self.nodes = NodeTable.of(self.cables, nodes)
         # (nodes,) number of the simplex of each node in the strip; -1 for anchors
         self.on = self.nodes.on(strip.simplices)
-        # All points of a slack cable are tied to the membrane.
-        self._used = np.flatnonzero(~(self.nodes.taut & self.nodes.lifted))
+        # (m,) owner of points on each simplex; over holes, where only crossings are, the first rank
+        owner = strip.simplices.owner
+        self._open = owner == NOBODY
+        self._owner = np.where(self._open, 0, owner)
+        # All points of a slack cable are tied to the membrane, but those over holes.
+        over = (self.on >= 0) & np.append(self._open, False)[self.on]
+        self._used = np.flatnonzero(~(self.nodes.lifted & (self.nodes.taut | over)))
         self.links = self._find_links()
         self._number_points()
         self._number_vertices()
@@ -109,10 +114,13 @@ class CableNumbering:
         same = nodes.cable[first] == nodes.cable[second]
         first, second = first[same], second[same]
         on = simplices.spanned(self.on[first], self.on[second])
+        on[np.append(self._open, False)[on]] = -1
         around = on.copy()
-        off = on < 0
+        off = np.flatnonzero(on < 0)
         around[off] = self._places(first[off])
-        return Links(first, second, on, around, simplices.owner[around])
+        open_ = off[self._open[around[off]]]
+        around[open_] = self._places(second[open_])
+        return Links(first, second, on, around, self._owner[around])
 
     def _number_points(self) -> None:
         """Number the points that are not vertices, and find their owners."""
@@ -129,7 +137,7 @@ class CableNumbering:
         self.number = np.full(len(nodes.kind), -1)
         self.number[points] = (np.cumsum(new) - 1)[same]
         self.first = points[new]  # row of one node of each point
-        self.owners = self.strip.simplices.owner[self._places(self.first)].astype(np.int64)
+        self.owners = self._owner[self._places(self.first)].astype(np.int64)
         self.node_owners = np.where(self.number >= 0, np.append(self.owners, -1)[self.number], -1)
         at_vertex = nodes.kind == VERTEX  # nodes at a vertex belong to its owner
         self.node_owners[at_vertex] = self.strip.simplices.owner[self.on[at_vertex]]

@@ -114,6 +114,10 @@ def _spanned(corners, keys, base, first, second):  # type: ignore[no-untyped-def
     return found
 
 
+NOBODY = np.iinfo(np.int32).max
+"""Owner of covers, the cells without material that close holes below cables."""
+
+
 class CellsAround(dict[tuple[int, ...], list[int]]):
     """Cache of rows, ascending, of the cells around a vertex (a,), an edge (a, b) or a cell (a, b,
     c), vertices in any order or repeated. `some` (k,): rows of the cells considered."""
@@ -146,8 +150,8 @@ class Strip:
     # (n, 3) vertex ids (numbers in the given mesh), in each cell's own order; cells in the order of
     # `ascending`, so that sums over cells round alike for any number of ranks
     cells: Integers
-    owner: Integers  # (n,) owning rank
-    local: Integers  # (n,) local number on its owner
+    owner: Integers  # (n,) owning rank; `NOBODY` for covers of holes
+    local: Integers  # (n,) local number on its owner; -1 for covers
     complete: frozenset[int] = frozenset()  # vertices with all their cells in the strip
     held_edges: frozenset[Edge] = frozenset()  # held over their whole length
     # cells (a, b, c), a < b < c, behind a seam, which cables fold but do not lie on
@@ -174,6 +178,23 @@ class Strip:
         """Whether each cell is not behind a seam, (n,)."""
         outer = [tuple(sorted(cell)) not in self.hidden for cell in self.corners]
         return np.array(outer, dtype=bool)
+
+    @cached_property
+    def covers(self) -> Integers:
+        """Cells without material over holes that cables span, (m, 3)."""
+        return self.cells[self.owner == NOBODY]
+
+    def with_covers(self, covers: Integers) -> Strip:
+        """The strip with covers of holes, around whose vertices it must be complete."""
+        if not len(covers):
+            return self
+        none = np.full(len(covers), -1)
+        return self.merged(Strip(covers[ascending(covers)], np.full(len(covers), NOBODY), none))
+
+    def over_hole(self, support: tuple[int, ...]) -> bool:
+        """Whether a vertex, an edge or a cell belongs to covers only, where no cable touches."""
+        rows = self.rows(support)
+        return len(rows) > 0 and all(self.owners[row] == NOBODY for row in rows)
 
     @cached_property
     def simplices(self) -> Simplices:
@@ -212,8 +233,13 @@ class Strip:
         return self._around[vertices]
 
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
-        """Rows of the cells with all these vertices on which cables can lie."""
+        """Rows of the cells with all these vertices over which cables can run."""
         return self._outer_around[vertices]
+
+    def solid_rows(self, vertices: tuple[int, ...]) -> list[int]:
+        """The same without covers, unless there are no others."""
+        rows = self.outer_rows(vertices)
+        return [row for row in rows if self.owners[row] != NOBODY] or rows
 
     def merged(self, other: Strip) -> Strip:
         """Union of two strips."""
@@ -360,7 +386,7 @@ class StripShape:
 
     def stress_free_size(self, support: tuple[int, ...]) -> float:
         """Stress-free cell size around a vertex or an edge (length)."""
-        around = self.stress_free_normals[self.strip.outer_rows(support)]
+        around = self.stress_free_normals[self.strip.solid_rows(support)]
         return float(np.linalg.norm(around, axis=1).mean() ** 0.5)
 
     def stress_free_at(self, vertex: int) -> Array:
@@ -370,17 +396,20 @@ class StripShape:
     def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
         """Current unit normals (m, 3) at vertices, edges or cells, and sizes (m,): square roots of
         twice the mean area of the cells around (length)."""
-        around = [self.strip.outer_rows(support) for support in supports]
+        around = [self.strip.solid_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
         return self._means(counts, np.fromiter(chain.from_iterable(around), np.int64))
 
     def around(self, simplices: Integers) -> tuple[Array, Array]:
         """The same for simplices given by number, (m,)."""
         counts, rows = self.strip.simplices.around(simplices)
-        if self.strip.hidden:
-            outer = self.strip.is_outer[rows]
-            of = np.repeat(np.arange(len(counts)), counts)[outer]
-            counts, rows = np.bincount(of, minlength=len(counts)), rows[outer]
+        strip = self.strip
+        if strip.hidden or len(strip.covers):
+            of = np.repeat(np.arange(len(counts)), counts)
+            kept = (strip.owner[rows] != NOBODY) | (strip.simplices.owner[simplices] == NOBODY)[of]
+            if strip.hidden:
+                kept &= strip.is_outer[rows]
+            counts, rows = np.bincount(of[kept], minlength=len(counts)), rows[kept]
         return self._means(counts, rows)
 
     def _means(self, counts: Integers, rows: Integers) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from crms_fenicsx.checkpoint.contents import Contents, Run, check, check_same, f
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.membrane_mesh import vertex_ids
+from crms_fenicsx.meshes.triangles import lists
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
@@ -74,9 +75,10 @@ class SceneStorage:
         self._handles: dict[tuple[type, str], Any] = {(type(one), one.name): one for one in held}
 
     def reduce(self, value: Any) -> Any:
-        """A strip as its complete vertices, those with all their cells; a material as numbers."""
+        """A strip as its complete vertices, those with all their cells, and the corners of its
+        covers; a material as numbers."""
         if isinstance(value, Strip):
-            return sorted(value.complete)
+            return [*sorted(value.complete), *lists(value.covers)]
         return numbers(value) if isinstance(value, MembraneMaterial) else value
 
     def restore(self, kind: type, data: Any, path: str) -> Any:
@@ -86,7 +88,10 @@ class SceneStorage:
                 raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
             return self._handles.setdefault((kind, data), kind(data, None))
         if kind is Strip:
-            return cells_at(self.scene.membrane, [int(one) for one in data], self._held_edges)
+            complete = [int(one) for one in data if not isinstance(one, list)]
+            covers = [[int(v) for v in one] for one in data if isinstance(one, list)]
+            strip = cells_at(self.scene.membrane, complete, self._held_edges)
+            return strip.with_covers(np.array(covers, dtype=np.int64).reshape(-1, 3))
         if kind is MembraneMaterial:
             return with_numbers(self.scene.materials[int(path.rpartition(".")[2])], data)
         return NotImplemented

@@ -71,8 +71,8 @@ STRENGTH = {
 }
 """Load factors of snow and rain in 2.3.1, leading; and of snow as an accompanying load."""
 
-ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7, "rain": 0.6}}
-"""Load factors of snow and rain in 2.4.1."""
+ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7, "rain": 1.0}}
+"""Load factors of snow and rain in 2.4.1; of rain as quoted from 7-22 in one place."""
 
 
 def combinations(
@@ -190,7 +190,7 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
                 index = 1 if state == "frequent" else 2
                 steady, first = (1.0,), psi[lead][index] if lead is not None else 0.0
                 rest = {k: p[2] for k, p in others.items()}
-            else:  # reduced: 6.10b, with xi = 0.85
+            else:  # reduced: 6.10b, with the recommended xi = 0.85, table A1.2(B)
                 steady = (1.35 if state == "ULS" else 0.85 * 1.35, 1.0)
                 first, rest = 1.5, {k: 1.5 * p[0] for k, p in others.items()}
             for factor in steady:

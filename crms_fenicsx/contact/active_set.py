@@ -167,6 +167,9 @@ class ActiveSet:
         released: dict[int, list[int]] = defaultdict(list)
         for c, k in nodes.ids(pulling):
             released[c].append(k)
+        # Cables in sleeves span holes of the membrane.
+        spanning = np.array([cable.taut and cable.lifted.any() for cable in net.cables], dtype=bool)
+        held |= spanning
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
         changes: list[str] = []
         free = FreeSpans(net.cables, nodes, shape, held, folded=True)

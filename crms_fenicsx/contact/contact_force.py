@@ -245,7 +245,7 @@ def _left_at_vertices(
     resultant has no component in this direction, whatever the cells. At the boundary `left` is
     returned. Shapes: vertices (m,), along, left (m, 3)."""
     strip = shape.strip
-    around = [strip.outer_rows((vertex,)) for vertex in vertices]
+    around = [strip.solid_rows((vertex,)) for vertex in vertices]
     of = np.repeat(np.arange(len(vertices)), [len(rows) for rows in around])
     cells = strip.cells[list(itertools.chain.from_iterable(around))]
     centres = np.asarray(vertices)[of, None]

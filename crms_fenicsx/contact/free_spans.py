@@ -19,7 +19,7 @@ from crms_fenicsx.cables.points_on_edges import (
     fractions_of,
     positions_of,
 )
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip import NOBODY, StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST
 from crms_fenicsx.runtime.arrays import (
@@ -113,7 +113,9 @@ class FreeSpans:
         points[first[1:] - 1] = shape.current[last]
         self.found = lines.passed_by_spans(points, first, self.ends, normals, INSIDE, reach)
         gaps, along, _, above, self.inside, end = self.found
-        self.heights = gaps  # (m,), along the normals
+        over_hole = simplices.owner[on[self.rows]] == NOBODY
+        self.heights = np.where(over_hole, np.inf, gaps)  # (m,), along the normals
+        self.inside, end = self.inside & ~over_hole, np.where(over_hole, -1, end)
         ids = nodes.support[self.rows]
         past = np.where(end == 0, ids[:, 0], ids[np.arange(len(ids)), nodes.size[self.rows] - 1])
         self.past = np.where(end >= 0, past, -1)  # (m,) as in `Gap`

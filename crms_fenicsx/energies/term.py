@@ -236,8 +236,13 @@ class EnergyTerm(ABC):
         """Mark the current state as the end of an accepted load step."""
 
 
-NAMES = ("membrane", "pressure", "dead load", "penalty", "cables", "friction")
-"""Names of the package's own terms."""
+NAMES = frozenset(
+    (
+        *("bars", "cables", "dead load", "friction", "held lines", "membrane", "penalty", "pond"),
+        *("pressure", "wind"),
+    )
+)
+"""Names of the package's own terms, whether a scene has them or not."""
 
 
 def checked_energy(
@@ -254,7 +259,12 @@ def checked_energy(
             f"add_term: the name of {owner} is {name!r}; tables need text without blanks around "
             'it, as in name = "springs".'
         )
-    if name in NAMES or name in taken:
+    if name in NAMES:
+        raise InputError(
+            f"add_term: {name!r} is the name of a term of the package, whose energy the scene's "
+            f"energies list under it; give {owner} another name."
+        )
+    if name in taken:
         raise InputError(f"add_term: there is a term {name!r} already; give {owner} another name.")
     checks.whole(f"add_term: n_sums of {name!r}", term.n_sums, 1)
     _check_integral(name, term.integral, u.function_space, cell_tags)
@@ -271,8 +281,9 @@ def _check_integral(name: str, integral: object, V: fem.FunctionSpace, cell_tags
         )
     if integral.cell_tags is not None and integral.cell_tags is not cell_tags:
         raise InputError(
-            f"add_term: the integral of {name!r} has cell tags of its own; all share one pass over "
-            "the mesh, so give it scene.cell_tags."
+            f"add_term: the integral of {name!r} has cell tags of its own; all integrals share one "
+            "pass over the mesh, with the cells of the scene's materials: give a factor by cell, "
+            "such as a DG 0 function, instead of measures of parts."
         )
 
 

@@ -25,7 +25,7 @@ def from_compas(comm: MPI.Intracomm, mesh: Any, **options: Any) -> MembraneMesh:
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective.
+        Communicator of the mesh; the call is collective, and rank 0 holds the whole mesh first.
     mesh
         A ``compas.datastructures.Mesh``, or ``(vertices, faces)``: coordinates (x, y, z) (length),
         and the vertices of each face. Faces with more than three vertices are split into triangles

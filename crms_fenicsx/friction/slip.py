@@ -93,7 +93,7 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     fractions, sides = cable.fractions[nodes], ends[:, 1] - ends[:, 0]
     at, feet, parts = curve.nearest(ends[:, 0] + fractions[:, None] * sides)
     size = np.array([shape.stress_free_size(s) for s in supports])
-    around = (shape.stress_free_normals[shape.strip.outer_rows(s)] for s in supports)
+    around = (shape.stress_free_normals[shape.strip.solid_rows(s)] for s in supports)
     normals = np.array([own.sum(axis=0) for own in around]).reshape(-1, 3)
     first, last = np.full((2, len(nodes)), np.nan)
     for part in np.unique(parts[parts >= 0]):

@@ -34,6 +34,7 @@ def from_dolfinx(
 ) -> MembraneMesh:
     """Make a membrane from a DOLFINx triangle mesh. Collective.
 
+    The whole mesh is gathered on rank 0, which checks and orients it.
     The membrane gets a new mesh, with oriented cells and no ghost cells. Each rank keeps its cells
     of `mesh`, except those that meet cells of another rank at a seam. Data are transferred through
     ``membrane.mesh.topology.original_cell_index`` and

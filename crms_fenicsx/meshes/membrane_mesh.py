@@ -125,7 +125,7 @@ def from_arrays(
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective.
+        Communicator of the mesh; the call is collective, and rank 0 holds the whole mesh first.
     points
         Coordinates (length) of the stress-free shape, shape (n, 3), or (n, 2) for z = 0.
     cells
@@ -253,7 +253,7 @@ def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
 
 
 def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMesh]:
-    """Turn a function that meshes a shape on one rank into a collective mesh generator."""
+    """Turn a function that meshes a shape on rank 0 into a collective mesh generator."""
     signature = inspect.signature(shape)
 
     @functools.wraps(shape)

@@ -47,7 +47,8 @@ def from_gmsh(
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective. Other ranks need no model.
+        Communicator of the mesh; the call is collective, and rank 0 holds the whole mesh first.
+        Other ranks need no model.
     outside, ranks
         As for `from_arrays`.
 
@@ -90,7 +91,8 @@ def from_file(
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective. Rank 0 reads.
+        Communicator of the mesh; the call is collective. Rank 0 reads, and holds the whole mesh
+        first.
     path
         The file.
     outside, ranks
@@ -149,7 +151,8 @@ def from_step(
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective. Rank 0 reads.
+        Communicator of the mesh; the call is collective. Rank 0 reads, and holds the whole mesh
+        first.
     path
         The file, ending in .step or .stp.
     size

@@ -92,7 +92,7 @@ def rectangle(
     Parameters
     ----------
     comm
-        Communicator of the mesh; the call is collective.
+        Communicator of the mesh; the call is collective, and rank 0 holds the whole mesh first.
     width, depth
         Extents in x and y (length).
     size

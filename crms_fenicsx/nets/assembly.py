@@ -14,7 +14,7 @@ from crms_fenicsx.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 from crms_fenicsx.nets.whole_surface import SAME_POINT, WholeSurface
-from crms_fenicsx.paths.laying import shortened, traced
+from crms_fenicsx.paths.routes import shortened, traced
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Scene

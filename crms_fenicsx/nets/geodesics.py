@@ -12,7 +12,7 @@ from crms_fenicsx.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.nets.assembly import assembled, checked_scene, route_of_call
 from crms_fenicsx.nets.whole_surface import WholeSurface
-from crms_fenicsx.paths.laying import traced
+from crms_fenicsx.paths.routes import traced
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective

@@ -27,6 +27,7 @@ from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.corridor import cell_between
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import (
     CellPoint,
@@ -148,7 +149,17 @@ def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) 
     points = list(cable.path.points)
     ends = list(cable.ends)
     ends[anchor] = "held" if isinstance(way[-1], CellPoint) else "off"
-    points = [*points[:-1], *way] if last else [*way[::-1], *points[1:]]
+    points = points if last else points[::-1]
+    # An end on the rim of a hole that the cable spans is passed.
+    onward = cell_between(points[-2].support, way[0].support)
+    points = [*(points[:-1] if shape.strip.rows(onward) else points), *way]
+    on = [point for point in points if not shape.strip.over_hole(point.support)]
+    if points[-1] not in on and len(on) < 2:
+        raise PathError(
+            f"an end of {cable.name!r} has been moved to {place}, over a hole, and the cable "
+            "leaves the membrane; move it elsewhere, or lay the cable anew."
+        )
+    points = points if last else points[::-1]
     change.move_ends(cable, points, (ends[0], ends[1]))
     return True
 

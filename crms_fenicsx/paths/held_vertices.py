@@ -231,6 +231,6 @@ def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
     found = set[int]()
     for k, (a, b) in enumerate(pairwise(nodes)):
         if a.kind == b.kind == "vertex" and a.support != b.support:
-            if len(shape.strip.outer_rows(edge_of(a.support[0], b.support[0]))) == 1:
+            if len(shape.strip.solid_rows(edge_of(a.support[0], b.support[0]))) == 1:
                 found |= {k, k + 1}
     return found

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence, Set
-from contextlib import suppress
 from dataclasses import replace
-from itertools import count
+from itertools import count, pairwise
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.cables.bonding import bonded_parts, bonds_of
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near, grown
+from crms_fenicsx.cables.strip import NOBODY, Strip, StripShape
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.smooth_surface import SmoothSurface, arc_lengths_on
@@ -25,22 +23,17 @@ from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.paths.creased_surface import (
-    NO_FOLDS,
-    CreasedSurface,
-    refuse_forks,
-    refuse_places_behind,
-)
+from crms_fenicsx.paths.creased_surface import refuse_forks, refuse_places_behind
 from crms_fenicsx.paths.path_change import fractions_of, nodes_of
+from crms_fenicsx.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError, PathError
+from crms_fenicsx.surface.corridor import cell_between
 from crms_fenicsx.surface.feet import pairs_within
-from crms_fenicsx.surface.flip_geodesic import shorten
-from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.trace import IndirectLeg, route_points, trace
+from crms_fenicsx.surface.trace import route_points
 
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
@@ -112,20 +105,20 @@ def lay(
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     try:
-        way = traced(net.membrane, route, known)
+        way, covers = traced_over_holes(net.membrane, route, known, HOLDS[hold].sideways)
         if shortest:
-            way = shortened(net.membrane, way)
+            way = shortened(net.membrane, way, covers)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
     _refuse_joints_on_the_membrane(name, joints, way)
-    strip = cells_at(net.membrane, [v for point in way.points for v in point.support])
+    strip = cells_below(net.membrane, way, covers)
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(way, shape, name)
     nodes = nodes_of(way.points, strip, _ends(net.membrane, strip, way))
     positions = _positions(nodes, way, shape)
     in_fold = dict(zip(known.values(), folds, strict=False))
     folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
-    off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
+    off, nowhere = _over_holes(nodes, strip), np.full_like(positions, np.nan)
     if HOLDS[hold].sideways and _follows_free_edge(way, strip):
         hold = "pocket"
     state = CableState(
@@ -161,6 +154,11 @@ def lay(
         start_elements(laid, material_curve(laid, shape), shape)
     net.add(laid, strip)
     return laid
+
+
+def _over_holes(nodes: Sequence[CableNode], strip: Strip) -> Booleans:
+    """Whether each node lies over a hole, (n,)."""
+    return np.array([k.point is not None and strip.over_hole(k.support) for k in nodes], dtype=bool)
 
 
 def _held_kind(cable: Cable, hold: Hold) -> Cable:
@@ -239,7 +237,7 @@ def _follows_free_edge(path: Path, strip: Strip) -> bool:
     if len(vertices) < max(len(path.points), 2):
         return False
     table = EdgeTable.of(strip.cells)
-    edges = np.sort([*itertools.pairwise(vertices)], axis=1)
+    edges = np.sort([*pairwise(vertices)], axis=1)
     at_boundary = np.isin(edge_keys(edges), edge_keys(table.vertices[table.counts == 1]))
     held = any((int(a), int(b)) in strip.held_edges for a, b in edges)
     return bool(at_boundary.all()) and not held
@@ -249,7 +247,9 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
     """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it: in
     a stiff membrane they shorten the path by as much as the cable's elastic strain."""
     vertices = shape.strip.vertices
-    surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
+    strip = shape.strip
+    solid = strip.cells[strip.is_outer & (strip.owner != NOBODY)]
+    surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, solid))
     nodes = cable.contacts()
     on = np.array([
         node.point is not None and node.kind != "edge slider" and node.point not in folded
@@ -264,32 +264,11 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
         points[on] += offsets
     ends_on = on | np.array([cable.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
+    for i in np.flatnonzero(~straight):
+        straight[i] = strip.over_hole(
+            cell_between(cable.nodes[nodes[i]].support, cable.nodes[nodes[i + 1]].support)
+        )
     return float(arc_lengths_on(points, normals, straight).sum())
-
-
-def traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:
-    """Trace a route on the cells along it, or on the whole mesh if these do not suffice."""
-    for along_legs in (True, False):
-        near = cells_near(membrane, route, along_legs)
-        shape = StripShape.of(membrane, near)
-        rows = np.searchsorted(near.vertices, near.cells)
-        with suppress(IndirectLeg):
-            return trace(
-                near.vertices, shape.current, rows, route, known=known, along_legs=along_legs
-            )
-    raise AssertionError("the whole mesh is enough")
-
-
-def shortened(membrane: Membrane, path: Path) -> Path:
-    """Shortest nearby path between the same ends, pulled taut over vertices. Collective."""
-    strip = cells_at(membrane, [v for point in path.points for v in point.support])
-    for rings in count(1):
-        try:
-            found = shorten(path.points, CreasedSurface(StripShape.of(membrane, strip), NO_FOLDS))
-            break
-        except MissingCells as missing:
-            strip = grown(membrane, strip, missing.vertices, rings)
-    return replace(path, points=found.points)
 
 
 def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:

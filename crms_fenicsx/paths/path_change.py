@@ -192,7 +192,10 @@ class PathChange:
         nodes = nodes_of(clipped, surface.strip, ends)
         fractions = fractions_of(nodes)
         flags = np.zeros(len(nodes), dtype=bool)
-        flags[[k for k, node in enumerate(nodes) if node.point is not None]] = lifted
+        flags[[k for k, node in enumerate(nodes) if node.point is not None]] = [
+            is_off or surface.strip.over_hole(point.support)
+            for is_off, point in zip(lifted, clipped, strict=True)
+        ]
         positions = np.zeros((len(nodes), 3))
         for k, node in enumerate(nodes):
             old = before.get(_key(node))

@@ -111,7 +111,8 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
         kind: Literal["edge slider", "fold"] = "fold"
         if (a, b) in shape.strip.held_edges:
             kind = "edge slider"
-        nodes[i], lifted[i] = CableNode(kind, EdgePoint((a, b), fraction)), False
+        nodes[i] = CableNode(kind, EdgePoint((a, b), fraction))
+        lifted[i] = shape.strip.over_hole((a, b))
         positions[i] = surface.place((a, b), fraction)
     cable.set_nodes(nodes, positions, fractions, lifted)
     on_path = cable.path_nodes()

@@ -156,7 +156,8 @@ def lengths_to_order(
     Raises
     ------
     InputError
-        On all ranks: a scene without cables, or an invalid number.
+        On all ranks: a scene without cables, an invalid number, a tension below 0 or above 0.1 EA,
+        a difference of more than 200 K, an expansion of more than 0.001 per kelvin.
 
     Examples
     --------
@@ -185,11 +186,40 @@ def lengths_to_order(
         raise InputError(f"{call}: allowance = {allowance!r}; give one, or (start, end).")
     ends = [checks.finite(f"{call}: allowance", one) for one in both]
     warm = 1 + expansion * temperature
+    _refuse_impossible(call, scene, forces, temperature, expansion)
     found = {
         cable.name: _order(scene, cable, forces.get(cable.name, 0.0), warm, sum(ends))
         for cable in scene.cables
     }
     return Order(found, temperature, expansion, (ends[0], ends[1]), scene.comm)
+
+
+STRAINED, WARMER, EXPANDING = 0.1, 200.0, 1e-3
+"""Limits of a tension relative to EA, of a difference of temperatures (K), and of an expansion (per
+kelvin): numbers beyond are in another unit, or absolute temperatures."""
+
+
+def _refuse_impossible(
+    call: str, scene: Scene, forces: Mapping[str, float], temperature: float, expansion: float
+) -> None:
+    """Refuse tensions and temperatures at which no cable is measured."""
+    for name, force in forces.items():
+        EA = scene.cable(name).cable.EA
+        if not 0.0 <= force <= STRAINED * EA:
+            raise InputError(
+                f"{call}: tension of {name!r} = {force!r}, a strain of {force / EA:.3g} with its "
+                f"EA = {EA:.6g}; give its tension when it is measured, from 0 to {STRAINED} EA."
+            )
+    if abs(temperature) > WARMER:
+        raise InputError(
+            f"{call}: temperature = {temperature!r}; give the difference to the model's "
+            f"temperature in kelvin, from -{WARMER:g} to {WARMER:g}."
+        )
+    if abs(expansion) > EXPANDING:
+        raise InputError(
+            f"{call}: expansion = {expansion!r}; give it per kelvin, at most {EXPANDING:g}: that "
+            f"of steel is {STEEL:g}."
+        )
 
 
 def _order(scene: Scene, cable: LaidCable, tension: float, warm: float, more: float) -> CableOrder:

@@ -373,8 +373,9 @@ class Scene:
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
-        The cable lies on the membrane's outer side and spans hollows in a straight line; at a seam
-        of three or more parts it stays on those that bound the outer side. It is just taut unless
+        The cable lies on the membrane's outer side and spans hollows in a straight line, and holes
+        from edge to edge unless it is in a pocket or bonded; at a seam of three or more parts it
+        stays on those that bound the outer side. It is just taut unless
         `L0` or `tension` is given. An end on a held edge is held there; moved along the boundary it
         passes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an
         end is tied to its place. In load steps the cable slides as far as friction permits, also
@@ -425,8 +426,9 @@ class Scene:
         Raises
         ------
         PathError
-            The path leaves the membrane, could only pass behind it, starts inside it, leads to a
-            part behind a seam, or returns through the cells where it left.
+            The path leaves the membrane for good or with a cable that cannot span the hole, could
+            only pass behind it, starts inside it, leads to a part behind a seam, or returns through
+            the cells where it left.
         InputError
             An L0 or tension that is not positive, both of them, or a name in use.
         """

@@ -7,6 +7,7 @@ with a plane.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -161,15 +162,19 @@ def trace(
     snap: float = 1e-3,
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
+    covers: ArrayLike = (),
 ) -> Path:
     """Path of a cable over a surface along a route (k, 2) or (k, 3). Route corners inside cells are
-    cut off, by at most a cell's size."""
+    cut off, by at most a cell's size. Legs may cross `covers` (q, 3), more cells over holes."""
     surface = TargetSurface.checked(vertices, points, cells)
     course = checked_route(route, snap)
     if course.shape[1] == 2:
         places = places_in_plan(surface, course, snap)
     else:
         places = places_in_space(surface, course, snap, known)
+    more = np.asarray(covers, dtype=np.int64).reshape(-1, 3)
+    if len(more):
+        surface = replace(surface, cells=np.concatenate([surface.cells, more]))
     found: list[SurfacePoint] = []
     ways = _direct_ways(surface, places, snap)
     for i, (first, last) in enumerate(pairwise(places)):

@@ -236,6 +236,14 @@ def test_lengths_to_order(comm, tmp_path) -> None:
         nets.lengths_to_order(square(comm))
     with pytest.raises(InputError, match="tension of 'a' = 'much'"):
         nets.lengths_to_order(scene, tension={"a": "much"})
+    for given, message in (
+        ({"tension": -0.1}, "tension of 'a' = -0.1, a strain of"),
+        ({"tension": {"b": 0.2 * EA}}, "tension of 'b' = .* strain of 0.2 .* from 0 to 0.1 EA"),
+        ({"temperature": 293.0}, "temperature = 293.0; give the difference"),
+        ({"expansion": 12.0}, "expansion = 12.0; give it per kelvin"),
+    ):
+        with pytest.raises(InputError, match=message):
+            nets.lengths_to_order(scene, **given)
 
 
 @pytest.mark.ranks
@@ -245,12 +253,14 @@ def test_bad_clamps_are_refused(comm) -> None:
     stepwise = Cable(EA, law="step")
     scene.lay_cable(stepwise, [(0.0, 9.0), (10.0, 9.0)], tension=5.0, name="f")
     scene.lay_cable(Cable(EA), [(3.0, 0.0, 0.0), (3.0, 5.0, 2.0)], tension=5.0, name="e")
+    scene.lay_cable(Cable(EA), [(0.0, 7.0), (10.0, 7.3)], tension=5.0, name="g")
     bad = [
         (lambda: scene.clamp("a", "a"), "the cables are a, a; give two or more different ones"),
         (lambda: scene.clamp("a"), "two or more different"),
         (lambda: scene.clamp("a", "x"), "no cable 'x'"),
         (lambda: scene.clamp("a", 3), "3 is not a cable of this scene"),
-        (lambda: scene.clamp("a", "c"), "'a' and 'c' do not cross"),
+        (lambda: scene.clamp("a", "c"), "'a' and 'c' do not cross; lay one of them so that it"),
+        (lambda: scene.clamp("a", "c", "g"), "'a', 'c' and 'g' do not cross"),
         (lambda: scene.clamp("b", "f"), """'f' has law="step", with which its tension"""),
         (lambda: scene.clamp("a", "b", slip=-1.0), "clamp: slip"),
         (lambda: scene.clamp("c", "e"), "'c' and 'e' lie 0.798 apart where they cross"),

@@ -81,6 +81,13 @@ def test_american_combinations_by_hand() -> None:
     allowable = factors(combinations(asce7_16, ["d"], ["live", "snow"], state="allowable stress"))
     assert (("d", 1.0), ("live", 0.75), ("snow", 0.75)) in allowable
     assert (("d", 0.6),) in allowable
+    for rules, snow in ((asce7_16, 1.0), (asce7_22, 0.7)):  # 3: D + (Lr or S, .7 S or R); 4
+        found = factors(
+            combinations(rules, ["d"], ["live", "snow", "rain"], state="allowable stress")
+        )
+        for roof, factor in (("snow", snow), ("rain", 1.0)):
+            assert (("d", 1.0), (roof, factor)) in found
+            assert (("d", 1.0), ("live", 0.75), (roof, round(0.75 * factor, 12))) in found
 
 
 def test_the_combinations_of_a_building_code() -> None:

@@ -219,7 +219,8 @@ def test_bad_terms_are_refused(comm: MPI.Intracomm) -> None:
 
     refused(lambda: scene.add_term(Springs), "Springs", "EnergyTerm")  # type: ignore[arg-type]
     refused(bad(name=""), "name", "Bad")
-    refused(bad(name="pressure"), "'pressure' already", "Bad")
+    for name in ("pressure", "bars", "pond", "wind", "held lines"):  # in the scene or not
+        refused(bad(name=name), f"'{name}' is the name of a term of the package", "Bad")
     refused(bad(n_sums=0), "n_sums", "'springs'")
     refused(bad(sums=lambda x, out: None), "sums of 'springs'", "finite")
     refused(bad(energy=lambda sums: np.inf), "energy of 'springs'", "finite")
@@ -227,7 +228,9 @@ def test_bad_terms_are_refused(comm: MPI.Intracomm) -> None:
     refused(bad(add_gradient=lambda x, s, g: x.fill(1.0)), "changes the displacements")
     refused(bad(integral=ufl.dx), "integral of 'springs'", "scene.V")
     tagged = Foundation(scene, 1.0, cell_tags=object())
-    refused(lambda: scene.add_term(tagged), "'foundation'", "scene.cell_tags")
+    refused(
+        lambda: scene.add_term(tagged), "'foundation'", "cell tags of its own", "factor by cell"
+    )
     assert scene.terms == () and scene.energies == {}
     scene.add_term(Springs())
     refused(lambda: scene.add_term(Springs()), "'springs' already")
