@@ -97,10 +97,11 @@ class Membrane:
         # (n, 2, 3) images in the mesh of the unit vectors along warp and weft of the cells' own
         # stress-free shapes; None where the mesh is stress-free
         self.frames = None if frames is None else _checked_frames(mesh, frames)
-        # for results only, not part of the state: strengths by part, and their partial factors by
-        # the names of the acting loads
+        # for results only, not part of the state: strengths by part, their partial factors by the
+        # names of the acting loads, and radii of reinforcement by group of points
         self.strengths: dict[str, Strengths] = {}
         self.strength_factors: dict[str, float] = {}
+        self.patches: dict[str, float] = {}
 
     @property
     def has_warp(self) -> bool:
