@@ -120,7 +120,7 @@ for name, file in ((fabric, "fabric"), (cable, "cable")):
     solver.restore(found[name].snapshot)
     draw(
         solver, f"{RESULTS}/{file}.png", colour="utilisation", unit="m", force="kN", view=VIEW,
-        title=name, dpi=110,
+        title=name, dpi=110, limits=(0.0, used[fabric]), line_limits=(0.0, pull[cable]),
     )  # fmt: skip
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/fabric.png", f"{RESULTS}/cable.png"])

@@ -100,7 +100,10 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance()
 moved = solver.summary().displacement.value
 pretension = {bar.name: bar.force for bar in scene.bars}
-draw(solver, f"{RESULTS}/form.png", colour="height", unit="m", force="kN", view=VIEW, dpi=110)
+draw(
+    solver, f"{RESULTS}/form.png", title="Found form", colour="height", unit="m", force="kN",
+    view=VIEW, dpi=110,
+)  # fmt: skip
 
 
 # %%
@@ -143,14 +146,16 @@ solver.report(
 
 # %%
 # The summary has the forces for the design checks: fabric, edge cables, buckling of masts.
+# Pictures to be compared have the same colours.
 summaries = {}
 for name, one in combinations.items():
     solver.restore(one.snapshot)
     summaries[name] = solver.summary()
     if name in ("Snow", "Uplift"):
         draw(
-            solver, f"{RESULTS}/{name.lower()}.png", colour="utilisation", unit="m", force="kN",
-            view=VIEW, dpi=110,
+            solver, f"{RESULTS}/{name.lower()}.png", title=name, colour="utilisation",
+            limits=(0.0, 0.8), line_limits=(-210.0, 210.0), unit="m", force="kN", view=VIEW,
+            dpi=110,
         )  # fmt: skip
 figures = {}
 for name, one in summaries.items():

@@ -59,8 +59,8 @@ def checked_patches(
     call: str, patches: float | Mapping[str, float] | None, mesh: MembraneMesh
 ) -> dict[str, float]:
     """Checked radii of reinforcement by group of points, or under `ALL` that of every corner."""
-    given: Mapping[str, float | None] = patches if isinstance(patches, Mapping) else {ALL: patches}
-    found = {}
+    given: dict[str, Any] = {**patches} if isinstance(patches, Mapping) else {ALL: patches}
+    found = dict[str, float]()
     for name, radius in given.items():
         if isinstance(patches, Mapping):
             checks.named("group of points", mesh.points, name)

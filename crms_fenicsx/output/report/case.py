@@ -182,5 +182,5 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
         return None
     low = min(part.least[name].value for part in parts if name in part.least)
     high = max(part.largest[name].value for part in parts if name in part.largest)
-    low = 0.0 if -1e-9 * high < low < 0.3 * high else low
-    return (low, high) if low < high else None
+    low = 0.0 if low > -1e-9 * high else low
+    return (low, max(high, 0.0)) if low < high else None
