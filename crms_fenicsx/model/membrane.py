@@ -103,6 +103,12 @@ class Membrane:
         self.strength_factors: dict[str, float] = {}
         self.patches: dict[str, float] = {}
 
+    def strength_factor(self, factors: Mapping[str, float]) -> float:
+        """The largest divisor of the strengths of the loads whose factors are not 0; 1 without."""
+        acting = [name for name, factor in factors.items() if factor != 0.0]
+        known = self.strength_factors
+        return max((known[name] for name in acting if name in known), default=1.0)
+
     @property
     def has_warp(self) -> bool:
         """Whether a material or the cells' own shapes have a warp direction."""

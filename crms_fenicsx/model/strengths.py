@@ -55,7 +55,7 @@ def checked_factors(
     }
 
 
-def checked_patches(
+def patch_radii(
     call: str, patches: float | Mapping[str, float] | None, mesh: MembraneMesh
 ) -> dict[str, float]:
     """Checked radii of reinforcement by group of points, or under `ALL` that of every corner."""

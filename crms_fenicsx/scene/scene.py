@@ -23,12 +23,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
-from crms_fenicsx.model.strengths import (
-    Strengths,
-    checked_factors,
-    checked_patches,
-    checked_strengths,
-)
+from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths, patch_radii
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
@@ -741,15 +736,12 @@ class Scene:
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)
         found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
-        radii = checked_patches("set_strengths", patches, self.membrane.mesh)
+        self.membrane.patches = patch_radii("set_strengths", patches, self.membrane.mesh)
         self.membrane.strengths, self.membrane.strength_factors = found, divided
-        self.membrane.patches = radii
 
     def strength_factor(self) -> float:
         """Internal: divisor of the strengths under the current loads."""
-        acting = [name for name, factor in self.factors.items() if factor != 0.0]
-        known = self.membrane.strength_factors
-        return max((known[name] for name in acting if name in known), default=1.0)
+        return self.membrane.strength_factor(self.factors)
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""

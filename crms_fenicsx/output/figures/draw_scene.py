@@ -175,14 +175,13 @@ def draw(
         )
         named = units_of_results(unit, force).get(kind, "")
         options.setdefault("label", with_unit(label, named))
-    if colour == "state":
-        options.setdefault("limits", (0.0, 2.0))
-    options.setdefault("without", "reinforced corner" if colour == "utilisation" else "no value")
-    options.setdefault("held", held_rim(scene))
-    options.setdefault("supports", _supports(scene, options["held"]))
+    defaults = _supports(scene)
+    defaults |= {"limits": (0.0, 2.0)} if colour == "state" else {}
+    defaults |= {"without": "reinforced corner"} if colour == "utilisation" else {}
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
-        defaults = {"line_label": with_unit("tension", force), **_signed_colours(scene)}
-        options = {**defaults, **options, "line_values": "tension"}
+        defaults |= {"line_label": with_unit("tension", force), "line_values": "tension"}
+        defaults |= _signed_colours(scene)
+    options = {**defaults, **options}
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
@@ -223,8 +222,9 @@ def _recovered(system: System, colour: str | None) -> Array:
     return at_facets(results, corners)
 
 
-def _supports(scene: Scene, rim: Array) -> Array:
-    """Held points off the rim (h, 2, 3) of held edges, (k, 3), on all ranks. Collective."""
+def _supports(scene: Scene) -> dict[str, Any]:
+    """Held edges, (h, 2, 3), and held points off them, (k, 3), on all ranks. Collective."""
+    rim = held_rim(scene)
     own = scene.V.dofmap.index_map.size_local
     held = scene.positions()[:own][scene.held[:own].any(axis=1)]
     places = np.concatenate([
@@ -239,7 +239,7 @@ def _supports(scene: Scene, rim: Array) -> Array:
         share = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
         gaps = np.linalg.norm(start + share[:, None] * way - place, axis=1)
         off += [place] if gaps.min(initial=np.inf) > 1e-6 * scene.membrane.size else []
-    return np.reshape(off, (-1, 3))
+    return {"held": rim, "supports": np.reshape(off, (-1, 3))}
 
 
 def _principal_strokes(system: System) -> Array:

@@ -32,6 +32,7 @@ from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.views.view_data import Line, Surface, checked_points
 
 if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
@@ -200,20 +201,7 @@ def draw_shape(
 
     flat = camera.project(spatial)
     shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
-    strength, faces = _edge_strength(axes3d, flat), flat
-    if paint is not None and values is not None:  # unlit: the colours are those of the bar
-        if values.ndim == 2:
-            faces, values, parent, side = _fine(flat, values)
-            shown = np.column_stack([shown, np.zeros(len(flat), dtype=bool)])
-            shown, strength = shown[parent[:, None], side], strength[parent]
-        face_colours = paint.to_rgba(values)[:, :3]
-    else:
-        face_colours = np.tile(_FABRIC, (len(flat), 1))
-        if values is not None:
-            face_colours[~np.isfinite(values.reshape(len(flat), -1)).all(axis=1)] = NO_VALUE
-        diffuse, specular = brightness(camera, spatial)
-        face_colours = face_colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
-    _paint_triangles(axes3d, faces, face_colours, ghostly, shown, strength)
+    _paint_surface(axes3d, spatial, flat, values, paint, shown, ghostly)
     tolerance = _ON_SURFACE * size
     _paint_outline(axes3d, surface, flat, _BEHIND * size, INK)
     if faint is not None:
@@ -226,6 +214,27 @@ def draw_shape(
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
+
+
+def _paint_surface(
+    axes3d: Axes3D, spatial: Array, flat: Array, values: Array | None, paint: ScalarMappable | None,
+    shown: Booleans, ghostly: Array | None,
+) -> None:  # fmt: skip
+    """Paint triangles (m, 3, 3), projected to `flat`: in colours unlit, or else plain fabric."""
+    strength, faces = _edge_strength(axes3d, flat), flat
+    if paint is not None and values is not None:  # unlit: the colours are those of the bar
+        if values.ndim == 2:
+            faces, values, parent, side = _fine(flat, values)
+            shown = np.column_stack([shown, np.zeros(len(flat), dtype=bool)])
+            shown, strength = shown[parent[:, None], side], strength[parent]
+        colours = paint.to_rgba(values)[:, :3]
+    else:
+        colours = np.tile(_FABRIC, (len(flat), 1))
+        if values is not None:
+            colours[~np.isfinite(values.reshape(len(flat), -1)).all(axis=1)] = NO_VALUE
+        diffuse, specular = brightness(axes3d.camera, spatial)
+        colours = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
+    _paint_triangles(axes3d, faces, colours, ghostly, shown, strength)
 
 
 def _corners(surface: Surface) -> Array:
