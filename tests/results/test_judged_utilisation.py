@@ -188,4 +188,4 @@ def test_reentrant_corner_and_radii(comm: MPI.Intracomm) -> None:
     assert not Solver(scene).summary().patches
     for bad in (-1.0, {"nose": 0.2}, {"tip": np.nan}):
         with pytest.raises(InputError, match=r"patches|group of points"):
-            scene.set_strengths((1.0, 1.0), patches=bad)  # type: ignore[arg-type]
+            scene.set_strengths((1.0, 1.0), patches=bad)

@@ -111,7 +111,7 @@ class ResultTables:
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
             nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
             if nodal is None and change is not None:
-                peak = f"finer cells may change it by {per_cent(change)}"
+                peak = f"may change by {per_cent(change)}"
             elif nodal is not None and high.value > PEAK * max(nodal, 0.0):
                 peak = "single-cell peak"
             rows.append((
