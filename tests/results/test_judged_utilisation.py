@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.results.recovered_values import recovered
+from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
 from crms_fenicsx.results.reinforcement import patches
 
 UNITS = pytest.mark.parametrize("units", [(1.0, 1.0), (1000.0, 1e-3)], ids=["m, kN", "mm, MN"])
@@ -150,6 +150,21 @@ def test_one_verdict_on_all_meshes(comm: MPI.Intracomm, units: tuple[float, floa
         np.testing.assert_allclose(patch.patch.at[:2], 4.0 * units[0], rtol=1e-9)
     assert single[2] > 1.3 * single[1] > 1.69 * single[0], single
     assert max(judged) < 1.15 * min(judged), judged
+
+
+@pytest.mark.ranks
+def test_pictures_show_what_is_judged(comm: MPI.Intracomm) -> None:
+    """No value in the middle of the mast's patch, and the summary's largest one outside of it."""
+    solver = propped(comm, 32)
+    results, scene = solver.results(), solver.scene
+    shown = judged_utilisation(results, patches(scene)).shown
+    dofs = scene.V.dofmap.list[: len(shown)]
+    away = np.linalg.norm(scene.membrane.stress_free[dofs] - (4.0, 4.0, 0.0), axis=2)
+    np.testing.assert_array_equal(np.isnan(shown).any(axis=1), (away <= 1.0).all(axis=1))
+    most = comm.allreduce(float(np.nanmax(shown, initial=0.0)), op=MPI.MAX)
+    assert most == solver.summary().membrane.largest["utilisation"].value
+    facets = at_facets(results, shown)
+    np.testing.assert_allclose(facets, shown[results.surface.parents], atol=1e-9)
 
 
 def found_at(scene: Scene) -> set[tuple[float, float, str]]:

@@ -260,6 +260,7 @@ class Axes3D:
                 handles=handles, loc="upper right", bbox_to_anchor=self.frame(),
                 bbox_transform=self.axes.transData, fontsize=_SMALL + 0.5, labelcolor=INK,
                 framealpha=0.6, edgecolor="none", handlelength=1.6, borderaxespad=0.0,
+                ncols=1 + (len(handles) > 2), columnspacing=1.0,
             )  # fmt: skip
 
     def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:
