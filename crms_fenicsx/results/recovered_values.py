@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.membrane_results import MembraneResults, nodal_means
@@ -28,8 +27,8 @@ def recovered(results: MembraneResults, name: str) -> Array:
     space = results.membrane.nodal_values
     corners = space.dofmap.list[: len(values)]
     found = np.full((len(values), 3), np.nan)
-    count = results.comm.allreduce(int(kinds.max(initial=-1)) + 1, op=MPI.MAX)
-    for kind in range(count):
+    present = np.concatenate(results.comm.allgather(np.unique(kinds)))
+    for kind in np.unique(present):
         own = kinds == kind
         masked = np.where(own, values, np.nan)
         means = nodal_means(results.membrane, name, masked, results.stress_free_areas)
