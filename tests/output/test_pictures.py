@@ -628,6 +628,27 @@ def test_supports_and_held_edges_are_drawn(comm: MPI.Intracomm) -> None:
         np.testing.assert_allclose(options["supports"], [(4.0, 4.0, -2.0), (8.0, 8.0, 0.0)])
 
 
+def test_feet_are_drawn_within_the_box_where_nothing_hides_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.axes import Axes
+
+    points, triangles = grid(4, 20.0)
+    places = np.array([(-5.0, 50.0, 0.0), (50.0, 50.0, 0.0), (105.0, 50.0, 0.0), (200.0, 0.0, 0.0)])
+    drawn: list[Any] = []
+    monkeypatch.setattr(Axes, "scatter", lambda axes, x, *more, **named: drawn.append(x))
+    for view, box, seen in (
+        ((-90.0, 90.0), ((-10, -10, -20), (110, 110, 30)), 2),  # one is below the sheet
+        ((-90.0, -60.0), ((-10, -10, -20), (110, 110, 30)), 3),
+    ):
+        draw_shape(tmp_path / "a.png", points, triangles, supports=places[:3],
+                   view=view, box=box)  # fmt: skip
+        assert len(drawn.pop()) == seen
+    draw_shape(tmp_path / "a.png", points, triangles, supports=places, view=(-90.0, 90.0),
+               box=((-10, -10, -20), (110, 110, 30)))  # fmt: skip
+    assert len(drawn.pop()) == 2
+
+
 def test_cables_off_the_membrane_are_striped(tmp_path: Path) -> None:
     """Where a segment is off, about half of the cable's colour gives way to the rim's."""
     points, triangles = grid(4)

@@ -190,6 +190,7 @@ def draw_shape(
     without = how.without if values is not None and not np.isfinite(values).all() else ""
     held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
     feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
+    feet = feet[np.all((feet >= low - 1e-6 * size) & (feet <= high + 1e-6 * size), axis=1)]
     off_colour = style.off_colour if striped else CABLE
     axes3d.add_legend([
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
