@@ -497,7 +497,7 @@ class Solver:
         checks.positive("check_ponding: weight", weight)
         from crms_fenicsx.steps.rain import NAME, Rain, acting_loads
 
-        water, why, loads = Rain(self.scene, rain, weight), "", acting_loads(self.scene)
+        water, why, loads = Rain(self.scene, rain, weight), "", acting_loads(self.scene, self.case)
         before = self.snapshot()
         with nullcontext() if self.case else self.branch(NAME):
             try:

@@ -158,8 +158,8 @@ class Rain:
         return PondingCheck(settled, verdict, hollows, tuple(self.volumes), snapshot)
 
 
-def acting_loads(scene: Scene) -> str:
-    """The loads of a scene's state, in words."""
+def acting_loads(scene: Scene, case: str) -> str:
+    """The loads of a scene's state, in words, after the name of the load case if it has one."""
     words = [f"{name} {factor:.4g}" for name, factor in scene.factors.items() if factor != 0.0]
     words += [f"pressure {scene.pressure:.4g}"] if scene.pressure != 0.0 else []
-    return f"under {', '.join(words) or 'no load'}"
+    return f"{case}{', ' if case else ''}under {', '.join(words) or 'no load'}"

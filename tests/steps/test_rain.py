@@ -82,7 +82,7 @@ def test_a_roof_that_sheds_water(comm: MPI.Intracomm) -> None:
     with solver.branch("storm"):
         check = solver.check_ponding(rain=0.1)
     assert (check.dry, check.settled, check.depth) == (True, True, 0.0)
-    assert check.verdict == "under pressure 0.5: no water stands on the roof"
+    assert check.verdict == "storm, under pressure 0.5: no water stands on the roof"
     assert len(solver.steps) == 1
     for arguments, message in (
         ({"rain": 0.0}, "rain = 0.0 is not positive"),
