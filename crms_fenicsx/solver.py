@@ -494,14 +494,14 @@ class Solver:
         --------
         >>> check = solver.check_ponding(rain=0.1)
         >>> print(check)
-        >>> check.passed, check.depth
+        >>> check.dry, check.settled, check.depth
         """
         checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
         checks.positive("check_ponding: rain", rain)
         checks.positive("check_ponding: weight", weight)
-        from crms_fenicsx.steps.rain import NAME, Rain
+        from crms_fenicsx.steps.rain import NAME, Rain, acting_loads
 
-        water, why = Rain(self.scene, rain, weight), ""
+        water, why, loads = Rain(self.scene, rain, weight), "", acting_loads(self.scene, self.case)
         before = self.snapshot()
         with nullcontext() if self.case else self.branch(NAME):
             try:
@@ -513,7 +513,7 @@ class Solver:
             finally:
                 reached = self.snapshot()
                 self.restore(before)
-        return water.check(reached, why)
+        return water.check(reached, why, loads)
 
     @collective
     def results(self) -> MembraneResults:

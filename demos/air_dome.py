@@ -57,6 +57,8 @@ for angle in np.radians([45.0, -45.0]):
 LOOK = {
     "dpi": 110,
     "colour": "stress",
+    "limits": (0.0, 12.0),
+    "line_limits": (0.0, 600.0),
     "unit": "m",
     "force": "kN",
     "view": (-110.0, 28.0),

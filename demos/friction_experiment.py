@@ -68,7 +68,7 @@ def experiment(name):
         tensions.append(cable.tension)
     draw(
         solver, f"{RESULTS}/{name}.png", colour="stress", view=(-65.0, 35.0), unit="cm",
-        force="kgf", title=RUNS[name][1], width=6.0, dpi=100,
+        force="kgf", title=RUNS[name][1], width=6.0, dpi=100, limits=(0.0, 20.0),
     )  # fmt: skip
     return np.array(places), np.array(tensions), solver
 

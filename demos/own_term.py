@@ -88,7 +88,7 @@ solver = Solver(scene, results=RESULTS)
 solver.advance(pressure=0.01)
 cable = scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 20.0), (100.0, 30.0)])
 solver.advance(L0={cable: 0.99 * cable.L0})
-draw(solver, f"{RESULTS}/tied_down.png", unit="cm", force="kgf")
+draw(solver, f"{RESULTS}/tied_down.png", title="Tied down", unit="cm", force="kgf")
 # %%
 # Balance
 # -------

@@ -89,7 +89,10 @@ for corner, place in LOW.items():
 # six times its strength. Polyester belts sewn along the pockets carry this pull. They start without
 # force.
 scene = found.scene(FABRIC, EDGE_CABLE, bars=bars, belts=BELT)
-scene.set_strengths(STRENGTHS)
+#
+# At the corners the fabric is doubled around the plates, within 0.5 m: its forces grow there as
+# cells become finer, so that the plain fabric is judged outside of these patches.
+scene.set_strengths(STRENGTHS, patches=0.5)
 
 # %%
 # The first load step moves nothing: masts and guys hold the form in equilibrium.
@@ -97,7 +100,10 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance()
 moved = solver.summary().displacement.value
 pretension = {bar.name: bar.force for bar in scene.bars}
-draw(solver, f"{RESULTS}/form.png", colour="height", unit="m", force="kN", view=VIEW, dpi=110)
+draw(
+    solver, f"{RESULTS}/form.png", title="Found form", colour="height", unit="m", force="kN",
+    view=VIEW, dpi=110,
+)  # fmt: skip
 
 
 # %%
@@ -140,16 +146,17 @@ solver.report(
 
 # %%
 # The summary has the forces for the design checks: fabric, edge cables, buckling of masts.
+# Pictures to be compared have the same colours.
 summaries = {}
 for name, one in combinations.items():
     solver.restore(one.snapshot)
     summaries[name] = solver.summary()
     if name in ("Snow", "Uplift"):
         draw(
-            solver, f"{RESULTS}/{name.lower()}.png", colour="utilisation", unit="m", force="kN",
-            view=VIEW, dpi=110,
+            solver, f"{RESULTS}/{name.lower()}.png", title=name, colour="utilisation",
+            limits=(0.0, 0.8), line_limits=(-210.0, 210.0), unit="m", force="kN", view=VIEW,
+            dpi=110,
         )  # fmt: skip
-buckling = scene.bar("mast west").buckling
 figures = {}
 for name, one in summaries.items():
     forces = {kind: [bar.force for bar in one.bars.values() if bar.name.startswith(kind)]
@@ -158,11 +165,12 @@ for name, one in summaries.items():
     edge = max(one.cables[name].largest for name in EDGES)
     belt = max(one.cables[f"belt {name}"].largest for name in EDGES)
     used = one.membrane.largest["utilisation"].value
+    stable = max(x.utilisation for x in one.bars.values() if x.name.startswith("mast"))
     figures[name] = (edge, mast, guy, belt, used, one.lowest.value, one.highest.value)
     if scene.comm.rank == 0:
         print(
             f"{name:12} tension of edges {edge:5.1f}, guys {guy:5.1f}, belts {belt:4.1f} kN; masts "
-            f"{mast:5.1f} kN, {mast / buckling:3.0%} of buckling; fabric {used:3.0%}; "
+            f"{mast:5.1f} kN, {stable:3.0%} used; fabric {used:3.0%}; "
             f"z {one.lowest.value:+.3f} to {one.highest.value:+.3f} m"
         )
 
@@ -182,12 +190,13 @@ assert moved < 1e-8
 np.testing.assert_allclose(found.area, 89.9, rtol=0.01)
 np.testing.assert_allclose(pretension["mast east"], -128.9, rtol=0.01)
 np.testing.assert_allclose(pretension["guy east south"], 56.3, rtol=0.01)
-# edges, masts, guys, belts; then the fabric's peaks, in single cells at the corners
+# edges, masts, guys; then belts, the fabric outside of its patches, and deflections, of all sizes
+# of cells from 0.21 to 0.84 m
 expected = {
     "Permanent": (44.8, 129.2, 56.5), "Snow": (42.8, 203.8, 86.4), "Uplift": (47.3, 131.8, 59.8),
     "Wind along x": (46.6, 130.1, 59.0),
 }  # fmt: skip
 for name, forces in expected.items():
     np.testing.assert_allclose(figures[name][:3], forces, rtol=0.01)
-np.testing.assert_allclose(figures["Snow"][3:6], (26.8, 0.87, -0.325), rtol=0.15)
+np.testing.assert_allclose(figures["Snow"][3:6], (26.8, 0.79, -0.325), rtol=0.1)
 np.testing.assert_allclose(figures["Uplift"][6], 0.253, rtol=0.03)

@@ -97,10 +97,17 @@ class Membrane:
         # (n, 2, 3) images in the mesh of the unit vectors along warp and weft of the cells' own
         # stress-free shapes; None where the mesh is stress-free
         self.frames = None if frames is None else _checked_frames(mesh, frames)
-        # for results only, not part of the state: strengths by part, and their partial factors by
-        # the names of the acting loads
+        # for results only, not part of the state: strengths by part, their partial factors by the
+        # names of the acting loads, and radii of reinforcement by group of points
         self.strengths: dict[str, Strengths] = {}
         self.strength_factors: dict[str, float] = {}
+        self.patches: dict[str, float] = {}
+
+    def strength_factor(self, factors: Mapping[str, float]) -> float:
+        """The largest divisor of the strengths of the loads whose factors are not 0; 1 without."""
+        acting = [name for name, factor in factors.items() if factor != 0.0]
+        known = self.strength_factors
+        return max((known[name] for name in acting if name in known), default=1.0)
 
     @property
     def has_warp(self) -> bool:

@@ -1,4 +1,4 @@
-"""Strengths of fabrics, and their partial factors under some loads."""
+"""Strengths of fabrics, their partial factors under some loads, and reinforced corners."""
 
 from __future__ import annotations
 
@@ -53,3 +53,21 @@ def checked_factors(
         checks.named("load", known, name): checks.positive(f"{call}: factor of {name!r}", value)
         for name, value in given.items()
     }
+
+
+def patch_radii(
+    call: str, patches: float | Mapping[str, float] | None, mesh: MembraneMesh
+) -> dict[str, float]:
+    """Checked radii of reinforcement by group of points, or under `ALL` that of every corner."""
+    given: dict[str, Any] = {**patches} if isinstance(patches, Mapping) else {ALL: patches}
+    found = dict[str, float]()
+    for name, radius in given.items():
+        if isinstance(patches, Mapping):
+            checks.named("group of points", mesh.points, name)
+        if radius is not None:
+            found[name] = checks.finite(f"{call}: patches, radius", radius)
+            if found[name] < 0.0:
+                raise InputError(
+                    f"{call}: patches, radius = {radius:g} is negative; give 0 or more."
+                )
+    return found

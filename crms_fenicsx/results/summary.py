@@ -15,6 +15,7 @@ from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning
 from crms_fenicsx.results.cable_and_bar_results import (
     BarResults,
@@ -37,6 +38,8 @@ from crms_fenicsx.results.reactions import (
     held_there,
     support_forces,
 )
+from crms_fenicsx.results.recovered_values import JudgedUtilisation, judged_utilisation
+from crms_fenicsx.results.reinforcement import Patch, patches, reinforced
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.checks import span
 from crms_fenicsx.runtime.errors import as_text
@@ -65,9 +68,29 @@ class PartSummary:
     area: float  # stress-free (length squared)
     slack: float  # slack, wrinkled: shares of that area
     wrinkled: float
-    # least, largest: cell values by the names in `SUMMED_UP`; utilisation only with strengths
+    # least, largest: cell values by the names in `SUMMED_UP`; the utilisation, with strengths only,
+    # is the recovered one at the vertices outside of reinforcement
     least: Mapping[str, Extreme]
     largest: Mapping[str, Extreme]
+    # what finer cells may change of the largest utilisation, relative to it: largest difference
+    # between the utilisation of a cell and those recovered at its corners, in two rings of cells
+    change: float | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class PatchSummary:
+    """Reinforcement around a corner, where the utilisation of the plain fabric is not judged."""
+
+    patch: Patch
+    # largest recovered utilisation of the plain fabric in it, which grows as cells become finer
+    utilisation: float
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{x:.4g}" for x in self.patch.at)
+        return (
+            f"radius {self.patch.radius:.4g} at ({at}), {self.patch.reason}; plain fabric "
+            f"{self.utilisation:.3g}"
+        )
 
 
 @dataclass(frozen=True)
@@ -123,6 +146,8 @@ class Summary:
     hollows
         Hollows without drainage, the deepest first: place, depth and volume of the water in this
         shape, ignoring the deflection under it; see `Solver.check_ponding`.
+    patches
+        Reinforcement of the membrane's corners, by name; with strengths only.
     """
 
     pressure: float
@@ -142,6 +167,7 @@ class Summary:
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
     strength_factor: float = 1.0
     hollows: tuple[Hollow, ...] = ()
+    patches: Mapping[str, PatchSummary] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """A table with a row for each load, part, cable, bar and support."""
@@ -158,6 +184,8 @@ class Summary:
                 f"{one} {span([part.least[one].value, part.largest[one].value])}" for one in shown
             ]
             shares = f"{part.slack:.1%} slack, {part.wrinkled:.1%} wrinkled"
+            if part.change is not None:
+                values[-1] += f" (finer cells may change it by {part.change:.0%})"
             rows.append(("part" if name else "membrane", name, ", ".join([*values, shares])))
         for name, cable in self.cables.items():
             tension = "slack" if cable.slack else f"tension {span([cable.least, cable.largest])}"
@@ -166,6 +194,7 @@ class Summary:
         rows += [("clamp", name, f"force {one.size:.4g}") for name, one in self.clamps.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
+        rows += [("reinforcement", name, repr(one)) for name, one in self.patches.items()]
         rows += [("rain stands", "", repr(hollow)) for hollow in self.hollows]
         rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
@@ -191,9 +220,13 @@ def summary(system: System) -> Summary:
     places = results.surface.points  # includes cable points on folded cells
     moved = places - results.surface.stress_free
     centres = _centres(results.surface, len(results.state))
-    parts = {ALL: _part(results, centres, None)}
+    corners, used = dict[str, Patch](), None
+    if scene.membrane.strengths:
+        corners = patches(scene)
+        used = judged_utilisation(results, corners)
+    parts = {ALL: _part(results, centres, used, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, centres, name) for name in sorted(results.parts)}
+        parts |= {name: _part(results, centres, used, name) for name in sorted(results.parts)}
     return Summary(
         scene.pressure,
         scene.factors,
@@ -212,23 +245,61 @@ def summary(system: System) -> Summary:
         clamp_results(scene),
         results.strength_factor,
         find_hollows(scene.net).hollows,
+        {} if used is None else _patch_summaries(results, used, corners),
     )
 
 
-def _part(results: MembraneResults, centres: Array, name: str | None) -> PartSummary:
-    comm = results.comm
+def _patch_summaries(
+    results: MembraneResults, used: JudgedUtilisation, corners: Mapping[str, Patch]
+) -> dict[str, PatchSummary]:
+    places = results.membrane.stress_free[results.membrane.V.dofmap.list[: len(used.corners)]]
+    found = {}
+    for name, patch in corners.items():
+        own = used.corners[reinforced(places, {name: patch}) & np.isfinite(used.corners)]
+        most = results.comm.allreduce(float(own.max(initial=-np.inf)), op=MPI.MAX)
+        if np.isfinite(most) and patch.radius > 0.0:
+            found[name] = PatchSummary(patch, most)
+    return found
+
+
+def _part(
+    results: MembraneResults, centres: Array, used: JudgedUtilisation | None, name: str | None
+) -> PartSummary:
+    comm, change = results.comm, None
     cells = np.arange(len(results.state)) if name is None else results.parts[name]
     slack, wrinkled, _ = results.shares(name)
     least, largest = {}, {}
     for one in SUMMED_UP:
         if one not in results.names:
             continue
-        values = results.values(one)[cells]
+        values, places = results.values(one)[cells], centres[cells]
+        if used is not None and one == "utilisation":
+            vertices = results.membrane.V.dofmap.list[cells]
+            places = results.surface.points[vertices].reshape(-1, 3)
+            values = used.judged[cells].ravel()
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, centres[cells], largest=False)
-            largest[one] = _extreme(comm, values, centres[cells], largest=True)
+            least[one] = _extreme(comm, values, places, largest=False)
+            largest[one] = _extreme(comm, values, places, largest=True)
+    if used is not None and "utilisation" in largest:
+        change = _change(results, used, cells, largest["utilisation"])
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
-    return PartSummary(area, slack, wrinkled, least, largest)
+    return PartSummary(area, slack, wrinkled, least, largest, change)
+
+
+def _change(
+    results: MembraneResults, used: JudgedUtilisation, cells: Indices, largest: Extreme
+) -> float:
+    """Largest spread of two rings of cells around the largest utilisation, relative to it; at an
+    edge the first ring alone may have one value. Collective."""
+    dofs = results.membrane.V.dofmap.list[cells]
+    ids = results.membrane.vertex_ids[dofs]
+    away = np.linalg.norm(results.surface.points[dofs] - np.array(largest.at), axis=2)
+    there = away <= SAME_PLACE * results.membrane.size
+    around = results.comm.allgather(np.unique(ids[there.any(axis=1)]))
+    spread = used.spread[cells][np.isin(ids, np.concatenate(around)).any(axis=1)]
+    most = float(np.max(spread, initial=0.0, where=np.isfinite(spread)))
+    most = results.comm.allreduce(most, op=MPI.MAX)
+    return most / largest.value if largest.value > 0.0 else 0.0
 
 
 def _centres(surface: CurrentSurface, n: int) -> Array:

@@ -23,7 +23,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
-from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths
+from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths, patch_radii
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
@@ -698,6 +698,7 @@ class Scene:
         strengths: Strengths | Mapping[str, Strengths],
         *,
         factors: Mapping[str, float] | None = None,
+        patches: float | Mapping[str, float] | None = None,
     ) -> None:
         """Set the fabric's strengths, for the utilisation in results, files and reports.
 
@@ -711,30 +712,38 @@ class Scene:
         factors
             Divisors of the strengths for the duration and temperature of loads, by the names of
             existing loads and ponds. The largest of those that act counts, 1 without any.
+        patches
+            Radii on the stress-free membrane of the reinforcement around its corners (length), by
+            group of points, or one for all corners. Within them the strengths of the plain fabric
+            do not judge; 0: none. By default a twentieth of the distance to the next corner.
+            Corners are point supports, ends of bars, ends of cables on free fabric, ends of held
+            edges, re-entrant corners of free edges, and the named points: section forces there
+            grow without limit as cells become finer.
 
         Raises
         ------
         InputError
-            On all ranks: an unknown part or load, overlapping parts, or strengths or factors that
-            are not positive.
+            On all ranks: an unknown part, load or group of points, overlapping parts, strengths or
+            factors that are not positive, or a negative radius.
 
         Examples
         --------
         >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
         >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
+        >>> scene.set_strengths((84.0, 80.0), patches={"mast head": 0.6, "low point": 0.4})
         """
-        checks.same(self.comm, "set_strengths", strengths=strengths, factors=factors)
+        given = {"strengths": strengths, "factors": factors, "patches": patches}
+        checks.same(self.comm, "set_strengths", **given)
         divided = checked_factors("set_strengths", factors, self.factors)
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)
         found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
+        self.membrane.patches = patch_radii("set_strengths", patches, self.membrane.mesh)
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
         """Internal: divisor of the strengths under the current loads."""
-        acting = [name for name, factor in self.factors.items() if factor != 0.0]
-        known = self.membrane.strength_factors
-        return max((known[name] for name in acting if name in known), default=1.0)
+        return self.membrane.strength_factor(self.factors)
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""

@@ -19,6 +19,7 @@ from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.checks import counted
+from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 
@@ -36,10 +37,11 @@ class PondingCheck:
 
     Attributes
     ----------
-    passed
-        Whether the water reached equilibrium, or there are no hollows.
+    settled
+        Whether the water that stands is in equilibrium; True of a dry roof. A load case to be
+        designed for, not a verdict on the roof.
     verdict
-        The reason, in words.
+        What stands where and in which load case, in words.
     hollows
         Hollows of the last shape, with their water.
     volumes
@@ -48,11 +50,16 @@ class PondingCheck:
         Last state, water included; pass it to `Solver.restore`.
     """
 
-    passed: bool
+    settled: bool
     verdict: str
     hollows: tuple[Hollow, ...]
     volumes: tuple[float, ...]
     snapshot: SceneState
+
+    @property
+    def dry(self) -> bool:
+        """Whether no water stands anywhere."""
+        return self.settled and not self.hollows
 
     @property
     def depth(self) -> float:
@@ -126,21 +133,33 @@ class Rain:
         scene.versions.change_model()
         return True
 
-    def check(self, snapshot: SceneState, why: str) -> PondingCheck:
-        """Verdict on the ponding iteration."""
-        volume = self.volumes[-1] if self.volumes else 0.0
-        passed = self.settled and not why
-        if passed and not self.found.hollows:
-            verdict = "no water stands on the roof"
-        elif passed:
+    def check(self, snapshot: SceneState, why: str, case: str) -> PondingCheck:
+        """Verdict on the ponding iteration; `case` tells the loads besides the rain."""
+        volume, hollows = self.volumes[-1] if self.volumes else 0.0, self.found.hollows
+        settled, where = self.settled and not why, ""
+        if hollows:
+            at, count = as_text(hollows[0].at), counted(len(hollows), "hollow")
+            where = f" in {count}, up to {hollows[0].depth:.3g} deep at {at}"
+        water = f"water of the volume {volume:.4g}, weight {volume * self.weight:.4g},"
+        if settled and not hollows:
+            verdict = f"{case}: no water stands on the roof"
+        elif settled:
+            all_of_it = ", one of which takes all the rain" if self.takes_all else ""
             verdict = (
-                f"water of the volume {volume:.4g} stands in equilibrium in "
-                f"{counted(len(self.found.hollows), 'hollow')}"
-            ) + (", one of which takes all the rain" if self.takes_all else "")
+                f"{case}: {water} stands{where}{all_of_it}. It is in equilibrium: a load to be "
+                "designed for, or the roof is to be made to drain"
+            )
         else:
             why = why or f"it does not settle in {len(self.volumes)} fillings of the hollows"
             verdict = (
-                f"water gathers, a volume of {volume:.4g} at last: {why}. Give the roof more "
-                "prestress or slope, or the water a way out"
+                f"{case}: {water} gathers{where} at last: {why}. Give the roof more prestress or "
+                "slope, or the water a way out"
             )
-        return PondingCheck(passed, verdict, self.found.hollows, tuple(self.volumes), snapshot)
+        return PondingCheck(settled, verdict, hollows, tuple(self.volumes), snapshot)
+
+
+def acting_loads(scene: Scene, case: str) -> str:
+    """The loads of a scene's state, in words, after the name of the load case if it has one."""
+    words = [f"{name} {factor:.4g}" for name, factor in scene.factors.items() if factor != 0.0]
+    words += [f"pressure {scene.pressure:.4g}"] if scene.pressure != 0.0 else []
+    return f"{case}{', ' if case else ''}under {', '.join(words) or 'no load'}"

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.output import (
     History,
@@ -22,8 +22,15 @@ from crms_fenicsx.output import (
     draw_shape,
     join_pictures,
 )
-from crms_fenicsx.output.figures import plans
-from crms_fenicsx.output.figures.cable_lines import _subdivided, common_value, in_words, limits_of
+from crms_fenicsx.output.figures import draw_scene, plans
+from crms_fenicsx.output.figures.cable_lines import (
+    CABLE,
+    _subdivided,
+    common_value,
+    in_words,
+    limits_of,
+    line_style,
+)
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.draw_paths import _spaced_steps
 from crms_fenicsx.output.figures.draw_surface import outline_of, sides_among
@@ -136,6 +143,57 @@ def test_colours_are_those_of_the_bar(tmp_path: Path, n: int, view: tuple[float,
     fabric = pixels(tmp_path / "plain.png").mean(axis=2)
     fabric = fabric[fabric < 0.99]
     assert view[1] == 90.0 or np.std(fabric) > 0.05  # lit
+
+
+@pytest.mark.parametrize("n", [3, 12])
+def test_values_at_corners_are_seen_where_they_are(tmp_path: Path, n: int) -> None:
+    """A linear field, read back with the bar's colours, is off by a part of a cell at most."""
+    from matplotlib import colormaps
+
+    points, triangles = grid(n)
+    file = tmp_path / "linear.png"
+    draw_shape(file, points, triangles, values=points[:, 0], limits=(0.0, 100.0), view=(-90, 90),
+               box=False, edges=False)  # fmt: skip
+    image = pixels(file)
+    row = image[image.shape[0] // 2]
+    inside = np.flatnonzero(np.ptp(row, axis=1) > 0.08)
+    inside = inside[: int(np.argmax(np.diff(inside) > 5)) + 1]  # left of the bar
+    bar = colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3]
+    read = 100 / 255 * cKDTree(bar).query(row[inside])[1]
+    place = np.linspace(0.0, 100.0, len(inside))
+    assert np.median(np.abs(read - place)) < 100 / (4 * n) / 2 + 0.5
+    draw_shape(file, points, triangles, values=np.full((len(triangles), 3), 7.0), label="g [kN]",
+               view=(-90, 90), box=False)  # fmt: skip
+    fabric = pixels(file)
+    h, w = fabric.shape[:2]
+    middle = fabric[h // 3 : 2 * h // 3, w // 3 : w // 2].reshape(-1, 3)
+    assert np.ptp(np.median(middle, axis=0)) < 0.2, "no colour of the scale"
+
+
+@pytest.mark.parametrize("wide", [10.0, 61.0, 95.0])
+def test_an_edge_is_hidden_as_far_as_something_lies_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: float
+) -> None:
+    """A wall hides a part of the edge behind it, however long the edge is."""
+    from matplotlib.axes import Axes
+
+    points, triangles = grid(1)
+    wall = np.array([(0, -50, -40), (wide, -50, -40), (wide, -50, 90), (0, -50, 90.0)])
+    both = np.concatenate([triangles, [(4, 5, 6), (4, 6, 7)]])
+    drawn: list[Any] = []
+    monkeypatch.setattr(Axes, "add_collection", lambda axes, one, *more: drawn.append(one))
+    draw_shape(tmp_path / "wall.png", np.concatenate([points, wall]), both, view=(-90.0, 20.0),
+               box=False, perspective=False)  # fmt: skip
+    outline = next(one for one in drawn if type(one).__name__ == "LineCollection")
+    ends = np.array(outline.get_segments())
+    level = ends[..., 1].mean(axis=1)
+    flat = np.ptp(ends[..., 1], axis=1) < 1e-9
+    rise = 100.0 * np.sin(np.radians(20.0))  # of the back edge over the front edge
+    foot = level[flat].min()  # the wall's, 50 before the front edge and 40 below it
+    above = 50.0 * np.sin(np.radians(20.0)) + 40.0 * np.cos(np.radians(20.0)) + rise
+    at_back = ends[flat & np.isclose(level, foot + above)]
+    length = np.ptp(at_back[..., 0], axis=1).sum()
+    assert length == pytest.approx(100.0 - wide, abs=4.0)
 
 
 def test_pictures_show_something(tmp_path: Path) -> None:
@@ -370,23 +428,25 @@ def test_which_sides_are_among_pairs() -> None:
 
 
 def test_values_that_are_the_same_are_told_in_words() -> None:
-    assert common_value(np.array([250.0, np.nan, 250.02])) == pytest.approx(250.01)
-    assert common_value(np.zeros(3)) == 0.0
-    assert common_value(np.array([1.0, 1.01])) is None
+    assert common_value(np.array([250.0, np.nan, 250.02])) == (250.0, 250.02)
+    assert common_value(np.zeros(3)) == (0.0, 0.0)
+    assert common_value(np.array([0.010412, 0.010424])) == (0.010412, 0.010424)
+    assert common_value(np.array([1.0, 1.02])) is None
     assert common_value(np.array([np.nan])) is None
-    assert in_words("tension [kgf]", 249.97) == "tension 250 kgf"
-    assert in_words("tension", 1.0625) == "tension 1.062"
-    assert in_words("", 3.0) == "3"
+    assert in_words("tension [kgf]", 249.97, 250.01) == "tension 250 kgf"
+    assert in_words("weight [kN/m²]", 0.010412, 0.010424) == "weight 0.01041 to 0.01042 kN/m²"
+    assert in_words("tension", 1.0625, 1.0625) == "tension 1.062"
+    assert in_words("", 3.0, 3.0) == "3"
 
 
 def test_ends_of_the_colours() -> None:
     for values, ends in (
-        ([10.0, 100.0], (0.0, 100.0)),  # 0 is near
-        ([90.0, 100.0], (90.0, 100.0)),
+        ([10.0, 100.0], (0.0, 100.0)),
+        ([90.0, 100.0], (0.0, 100.0)),
         ([-100.0, -10.0], (-100.0, 0.0)),
         ([-5.0, 100.0], (-5.0, 100.0)),
-        ([2.0, 2.0], (1.9, 2.1)),
-        ([0.0, 0.0], (-1.0, 1.0)),
+        ([2.0, 2.0], (0.0, 2.0)),
+        ([0.0, 0.0], (0.0, 1.0)),
         ([np.nan], (0.0, 1.0)),
     ):
         assert limits_of(np.array(values)) == pytest.approx(ends)
@@ -533,6 +593,60 @@ def test_named_cables_have_colours_of_their_own(tmp_path: Path) -> None:
     assert blues[2] == pytest.approx(blues[0], rel=0.1)
     assert oranges[:2] == [0, 0]
     assert oranges[2] == pytest.approx(blues[2], rel=0.2)
+
+
+def test_the_legend_of_stripes_has_their_colour() -> None:
+    """Of the mean value of the segments that are off; plain lines have the cable's colour."""
+    place = np.column_stack([np.arange(4.0), np.zeros(4), np.zeros(4)])
+    lines = [
+        Line(place, {"tension": tension, "lifted": off})
+        for tension, off in ((np.array([5.0, 9.0, 7.0]), np.array([0.0, 1.0, 1.0])), (2.0, 0.0))
+    ]
+    style = line_style(lines, "tension", "", (0.0, 10.0), "viridis", "lifted")
+    assert style.paint is not None
+    np.testing.assert_allclose(style.off_colour, style.paint.to_rgba(np.array([8.0]))[0])
+    plain = line_style(lines, None, "", None, "viridis", "lifted")
+    assert plain.off_colour == CABLE
+
+
+@pytest.mark.ranks
+def test_supports_and_held_edges_are_drawn(comm: MPI.Intracomm) -> None:
+    """Held edges as lines; a mast's foot and a held point off the edges as triangles."""
+    mesh = meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
+    scene.fix("left")
+    scene.fix("back right")
+    scene.add_bar(Bar(EA=1e3), scene.vertex_at((4.0, 4.0, 0.0)), (4.0, 4.0, -2.0), name="mast")
+    drawn: list[dict[str, Any]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(draw_scene, "draw_shape", lambda *given, **named: drawn.append(named))
+        draw(Solver(scene))
+    assert len(drawn) == (comm.rank == 0)
+    for options in drawn:
+        np.testing.assert_allclose(options["held"][..., 0], 0.0)
+        assert options["held"].shape == (4, 2, 3)
+        np.testing.assert_allclose(options["supports"], [(4.0, 4.0, -2.0), (8.0, 8.0, 0.0)])
+
+
+def test_feet_are_drawn_within_the_box_where_nothing_hides_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.axes import Axes
+
+    points, triangles = grid(4, 20.0)
+    places = np.array([(-5.0, 50.0, 0.0), (50.0, 50.0, 0.0), (105.0, 50.0, 0.0), (200.0, 0.0, 0.0)])
+    drawn: list[Any] = []
+    monkeypatch.setattr(Axes, "scatter", lambda axes, x, *more, **named: drawn.append(x))
+    for view, box, seen in (
+        ((-90.0, 90.0), ((-10, -10, -20), (110, 110, 30)), 2),  # one is below the sheet
+        ((-90.0, -60.0), ((-10, -10, -20), (110, 110, 30)), 3),
+    ):
+        draw_shape(tmp_path / "a.png", points, triangles, supports=places[:3],
+                   view=view, box=box)  # fmt: skip
+        assert len(drawn.pop()) == seen
+    draw_shape(tmp_path / "a.png", points, triangles, supports=places, view=(-90.0, 90.0),
+               box=((-10, -10, -20), (110, 110, 30)))  # fmt: skip
+    assert len(drawn.pop()) == 2
 
 
 def test_cables_off_the_membrane_are_striped(tmp_path: Path) -> None:

@@ -23,7 +23,9 @@ from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.output import History, Line, draw, draw_history, draw_paths
 from crms_fenicsx.output.figures import draw_scene
+from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF
 from crms_fenicsx.output.figures.plots import default_panels
+from crms_fenicsx.results.recovered_values import at_facets, recovered
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
@@ -216,15 +218,16 @@ def test_pictures_get_the_whole_surface(
     draw(solver, folder / "shape.png", colour=colour, view=(0.0, 20.0))
     surface, results = current_surface(solver.scene.net), solver.results()
     moved = np.linalg.norm(surface.points - surface.stress_free, axis=1)
-    values = {
-        "stress": results.true_forces[surface.parents, 0],
-        "stress 2": results.true_forces[surface.parents, 1],
-        "warp": results.warp_weft[surface.parents, 0],
-        "utilisation": results.utilisation((2.0, 1.0))[surface.parents],
-        "strain": results.strains[surface.parents, 0],
-        "state": results.state[surface.parents],
-        "displacement": moved[surface.triangles].mean(axis=1),
-    }.get(colour or "", np.zeros(0))
+    values = np.zeros(0)
+    if colour == "displacement":
+        values = moved[surface.triangles].mean(axis=1)
+    elif colour is not None:
+        name = QUANTITY_OF[colour]
+        corners = (
+            np.repeat(results.values(name)[:, None], 3, axis=1)
+            if colour == "state" else recovered(results, name)
+        )  # fmt: skip
+        values = at_facets(results, corners).mean(axis=1)
     corners = np.concatenate(COMM.allgather(surface.points[surface.triangles]))
     everywhere = np.concatenate(COMM.allgather(values))
     assert len(drawn) == (COMM.rank == 0)
@@ -237,7 +240,7 @@ def test_pictures_get_the_whole_surface(
             assert options["values"] is None
         else:
             given = options["values"]
-            given = given if len(given) == len(triangles) else given[triangles].mean(axis=1)
+            given = (given if len(given) == len(triangles) else given[triangles]).mean(axis=1)
             np.testing.assert_allclose(given, everywhere, rtol=1e-9, atol=1e-12)
             assert options["label"]
 

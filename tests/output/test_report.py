@@ -118,6 +118,13 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     # the wall has no strengths, and no utilisation
     used = {row["Part"] for row in envelope if row["Result"] == "Utilisation [%]"}
     assert used == {"whole membrane", "roof"}
+    # the same utilisation in the summaries, the envelope, the card and the verdict
+    judged = max(one[2].membrane.largest["utilisation"].value for one in expected.values())
+    labels = ("whole membrane", "Utilisation [%]")
+    row = next(row for row in envelope if (row["Part"], row["Result"]) == labels)
+    assert float(row["Largest"]) == pytest.approx(100 * judged, rel=1e-9)
+    assert per_cent(judged) in page.words
+    assert any(f"is used to {per_cent(judged)} of its strength" in word for word in page.words)
     for case in read_csv(out / "tent_verification.csv"):
         assert case["Verdict"] == "passed", case
     assert any("passed all checks" in word for word in page.words)

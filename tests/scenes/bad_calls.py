@@ -385,7 +385,8 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
                 "strengths": (
                     *NO_NUMBERS, None, (1.0, 0.0), (1.0, -1.0), (NAN, 1.0), (1.0, "x"), ("a", "b"),
                     (1.0, 2.0, 3.0), {"unknown": (1.0, 2.0)}, {},
-                )
+                ),
+                "patches": (-1.0, NAN, "x", [1.0], {"unknown": 1.0}),
             },
         ),
         Call(

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from scipy.special import j0
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.steps.rain import NAME
 
 RADIUS, WEIGHT = 3.0, 10.0
@@ -34,7 +35,7 @@ def test_water_up_to_the_rim_of_a_drum(comm: MPI.Intracomm, k: float) -> None:
         solver = drum(comm, k, size, load)
         scene, u = solver.scene, solver.scene.u.x.array.copy()
         check = solver.check_ponding(rain=1.0)
-        assert check.passed, check
+        assert check.settled and not check.dry, check
         errors.append(check.depth / (load / WEIGHT * (1 / j0(k) - 1)) - 1)
         assert np.array_equal(scene.u.x.array, u)  # and all is as before
         assert scene.factors == {"weight": 1.0}
@@ -54,12 +55,19 @@ def test_water_that_gathers(comm: MPI.Intracomm) -> None:
     """Beyond k R = 2.4048 the rain alone is the limit: what does not settle is told soon."""
     solver = drum(comm, 2.6, 0.6, 0.01)
     check = solver.check_ponding(rain=10.0)
-    assert not check.passed
-    assert "water gathers" in check.verdict
+    assert not check.settled and not check.dry
+    assert check.verdict.startswith("under weight 1: water of the volume ")
+    assert "gathers in 1 hollow, up to" in check.verdict
     assert len(check.volumes) < 60
     little = solver.check_ponding(rain=1e-5)
-    assert little.passed
-    assert "takes all the rain" in little.verdict
+    assert little.settled and not little.dry
+    assert "takes all the rain" in little.verdict and "designed for" in little.verdict
+    volume = little.volumes[-1]
+    for words in (
+        f"volume {volume:.4g}, weight {WEIGHT * volume:.4g},",
+        f"up to {little.depth:.3g} deep at {as_text(little.hollows[0].at)},",
+    ):
+        assert words in little.verdict
     plan = np.pi * RADIUS**2
     assert little.volumes[-1] == pytest.approx(1e-5 * plan, rel=0.02)
 
@@ -73,7 +81,8 @@ def test_a_roof_that_sheds_water(comm: MPI.Intracomm) -> None:
     solver.advance(pressure=0.5)
     with solver.branch("storm"):
         check = solver.check_ponding(rain=0.1)
-    assert (check.passed, check.depth, check.verdict) == (True, 0.0, "no water stands on the roof")
+    assert (check.dry, check.settled, check.depth) == (True, True, 0.0)
+    assert check.verdict == "storm, under pressure 0.5: no water stands on the roof"
     assert len(solver.steps) == 1
     for arguments, message in (
         ({"rain": 0.0}, "rain = 0.0 is not positive"),

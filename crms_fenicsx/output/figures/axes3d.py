@@ -71,6 +71,15 @@ def check_view(view: tuple[float, float]) -> None:
         raise InputError(f"view {view!r}; give (azimuth, elevation) in degrees")
 
 
+def foot() -> Any:
+    """Marker of a support: a triangle below its place, on a piece of ground."""
+    from matplotlib.path import Path as Outline
+
+    places = [(0, 0), (-0.7, -1.1), (0.7, -1.1), (0, 0), (-1.1, -1.4), (1.1, -1.4)]
+    move, line, close = Outline.MOVETO, Outline.LINETO, Outline.CLOSEPOLY
+    return Outline(places, [move, line, line, close, move, line])
+
+
 class Axes3D:
     """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch."""
 
@@ -235,26 +244,23 @@ class Axes3D:
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
-        handles = [
-            Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
-            if kind == "patch"
-            else Line2D(
-                [],
-                [],
-                color=colour,
-                linewidth=2.2,
-                label=text,
-                gapcolor=RIM,
-                linestyle=STRIPES if kind == "stripes" else "solid",
-            )
-            for colour, text, kind in entries
-            if text
-        ]
+        def handle(colour: Any, text: str, kind: str) -> Any:
+            if kind == "patch":
+                return Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
+            if kind == "foot":
+                return Line2D([], [], linestyle="", marker=foot(), markersize=8, label=text,
+                              markerfacecolor="white", markeredgecolor=colour)  # fmt: skip
+            dashes = STRIPES if kind == "stripes" else "solid"
+            return Line2D([], [], color=colour, linewidth=2.2, label=text, gapcolor=RIM,
+                          linestyle=dashes)  # fmt: skip
+
+        handles = [handle(*entry) for entry in entries if entry[1]]
         if handles:
             self.axes.legend(
                 handles=handles, loc="upper right", bbox_to_anchor=self.frame(),
                 bbox_transform=self.axes.transData, fontsize=_SMALL + 0.5, labelcolor=INK,
                 framealpha=0.6, edgecolor="none", handlelength=1.6, borderaxespad=0.0,
+                ncols=1 + (len(handles) > 2), columnspacing=1.0,
             )  # fmt: skip
 
     def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:

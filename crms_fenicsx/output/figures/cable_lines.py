@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,37 +20,32 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
 
 NO_VALUE = (0.784, 0.784, 0.784)
-_SAME = 1e-3
-"""Relative range of equal values, which the ticks of a colour bar could not distinguish."""
+_SAME = 1e-2
+"""Relative range of values that get one colour."""
 
 
-def common_value(values: Array) -> float | None:
-    """The common value, to three digits; None if values differ or none is finite."""
+def common_value(values: Array) -> tuple[float, float] | None:
+    """Range of values that are nearly equal; None if they differ or none is finite."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
         return None
-    return float(finite.mean())
+    return float(finite.min()), float(finite.max())
 
 
-def in_words(label: str, value: float) -> str:
-    """Label with its value; a unit in brackets at the label's end is moved behind the value."""
+def in_words(label: str, low: float, high: float) -> str:
+    """Label with its values; a unit in brackets at the label's end is moved behind them."""
     found = re.fullmatch(r"(.*?)\s*\[(.*)\]", label)
     name, unit = found.groups() if found else (label, "")
-    return " ".join(part for part in (name, f"{value:.4g}", unit) if part)
+    ends = dict.fromkeys(f"{value:.4g}" for value in (low, high))
+    return " ".join(part for part in (name, " to ".join(ends), unit) if part)
 
 
 def limits_of(values: Array) -> tuple[float, float]:
-    """Ends of the colour scale: those of the values, or 0 if near enough."""
+    """Ends of the colour scale: those of the values and 0, from which they are counted."""
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    if 0.0 < low < 0.5 * high:
-        low = 0.0
-    elif 0.5 * low < high < 0.0:
-        high = 0.0
-    if low == high:
-        margin = 0.05 * abs(low) or 1.0
-        low, high = low - margin, high + margin
-    return low, high
+    low = float(finite.min(initial=0.0))
+    high = float(finite.max(initial=0.0))
+    return (low, high) if low < high else (0.0, 1.0)
 
 
 def colouring(
@@ -65,7 +60,7 @@ def colouring(
         return None, ""
     same = common_value(values) if limits is None else None
     if same is not None:
-        return None, in_words(label, same)
+        return None, in_words(label, *same)
     colormap = colormaps[colours].with_extremes(bad=NO_VALUE)
     scale = Normalize(*(limits_of(values) if limits is None else limits))
     return ScalarMappable(scale, colormap), ""
@@ -85,6 +80,17 @@ class LineStyle:
     paint: ScalarMappable | None
     note: str  # legend text of a value common to all lines, or ""
     off: list[Booleans]  # whether each line's segments are off the surface
+
+    @property
+    def off_colour(self) -> Any:
+        """Colour of the segments off the surface, of their mean value."""
+        if self.paint is None:
+            return CABLE
+        values = [
+            _per_segment(values, off)[off]
+            for values, off in zip(self.values, self.off, strict=True)
+        ]
+        return self.paint.to_rgba(np.concatenate(values).mean(keepdims=True))[0]
 
 
 def line_style(
@@ -191,6 +197,13 @@ def _seen(
         for start, end in _runs(seen[:, None]):
             seen[start:end] &= end - start >= _SHORTEST
     return seen
+
+
+def _per_segment(given: Array, off: Booleans) -> Array:
+    """Values of a line's segments from one value, one per point or one per segment."""
+    if given.shape == (len(off) + 1,):
+        return (given[1:] + given[:-1]) / 2
+    return np.broadcast_to(given, len(off))
 
 
 def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:

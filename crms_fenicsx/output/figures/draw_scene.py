@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.equilibrium.system import System
@@ -17,9 +18,13 @@ from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
 from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.output.figures.plots import units_of_results
+from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
+from crms_fenicsx.results.reactions import held_ends
+from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
+from crms_fenicsx.results.reinforcement import patches
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
@@ -43,6 +48,9 @@ picture can show."""
 
 MOST_STROKES = 12
 """Number of principal directions drawn along the size of a surface."""
+
+FLAT = 1e-6
+"""Range of heights, relative to the size, up to which they are one."""
 
 SIGNED = "RdYlBu_r"
 """Colour map of tension and compression."""
@@ -94,7 +102,9 @@ def draw(
 ) -> Figure | None:
     """Draw the current state of a solver's scene, with forces of cables and bars. Collective.
 
-    Cables are striped where off the membrane; compression of bars is negative and blue.
+    Cables are striped where off the membrane; compression of bars is negative and blue. Held edges
+    are thick lines, other supports triangles on the ground. Colours begin at 0, except heights;
+    pictures to be compared need the same ``limits`` and ``line_limits``.
 
     Parameters
     ----------
@@ -107,8 +117,10 @@ def draw(
         smaller principal true section force), "warp", "weft" and "shear" (true section forces;
         not of isotropic membranes),
         "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the strengths
-        of `Scene.set_strengths`), "load snow" (force per area of the load "snow" at factor 1;
-        pressure coefficients c_p for wind); None: plain fabric.
+        of `Scene.set_strengths`, grey in reinforced corners), "load snow" (force per area of the
+        load "snow" at factor 1; pressure coefficients c_p for wind); None: plain fabric. Forces,
+        strains and utilisation are the recovered ones, means at each vertex of the cells around of
+        one material.
     unit, force
         Units of length and force, for labels.
     ghost
@@ -154,8 +166,7 @@ def draw(
     fields: dict[str, Array] = {}
     if colour in loads:
         fields["values"] = load_values(scene, str(colour).removeprefix(LOAD))
-    if colour in QUANTITY_OF:
-        fields["values"] = membrane_results(system).values(QUANTITY_OF[colour])
+    smooth = _recovered(system, colour) if colour in QUANTITY_OF else None
     if directions:
         options["strokes"] = _principal_strokes(system)
     if colour is not None:
@@ -164,17 +175,20 @@ def draw(
         )
         named = units_of_results(unit, force).get(kind, "")
         options.setdefault("label", with_unit(label, named))
-    if colour == "state":
-        options.setdefault("limits", (0.0, 2.0))
+    defaults = _supports(scene)
+    defaults |= {"limits": (0.0, 2.0)} if colour == "state" else {}
+    defaults |= {"without": "reinforced corner"} if colour == "utilisation" else {}
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
-        defaults = {"line_label": with_unit("tension", force), **_signed_colours(scene)}
-        options = {**defaults, **options, "line_values": "tension"}
+        defaults |= {"line_label": with_unit("tension", force), "line_values": "tension"}
+        defaults |= _signed_colours(scene)
+    options = {**defaults, **options}
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
     piece = surface_piece(scene.membrane, shape, fields)
-    inner = {"inner": sides_among(shape.triangles, shape.inner)}
-    surface = whole_surface(scene.comm, replace(piece, cell_data={**piece.cell_data, **inner}))
+    more: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
+    more |= {} if smooth is None else {"values": smooth}
+    surface = whole_surface(scene.comm, replace(piece, cell_data={**piece.cell_data, **more}))
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
     with raised_together(scene.comm):
         if surface is not None:
@@ -183,6 +197,8 @@ def draw(
             values = surface.cell_data.get("values")
             if colour == "height":
                 values = np.asarray(surface.points)[:, 2]
+                if np.ptp(values) > FLAT * np.ptp(surface.points, axis=0).max():
+                    options.setdefault("limits", (float(values.min()), float(values.max())))
             elif colour == "displacement":
                 values = np.linalg.norm(surface.point_data["displacement"], axis=1)
             return draw_shape(
@@ -191,6 +207,39 @@ def draw(
                 ghost=None if free is None else (free.points, free.triangles), **options,
             )  # fmt: skip
     return None
+
+
+def _recovered(system: System, colour: str | None) -> Array:
+    """Values (m, 3) of a colour at the corners of the current surface's facets. Collective."""
+    results, name = membrane_results(system), QUANTITY_OF[str(colour)]
+    if name == "state":
+        values = results.values(name)[results.surface.parents]
+        return np.repeat(values[:, None], 3, axis=1)
+    if name == "utilisation" and "utilisation" in results.names:
+        corners = judged_utilisation(results, patches(system.scene)).shown
+    else:
+        corners = recovered(results, name)
+    return at_facets(results, corners)
+
+
+def _supports(scene: Scene) -> dict[str, Any]:
+    """Held edges, (h, 2, 3), and held points off them, (k, 3), on all ranks. Collective."""
+    rim = held_rim(scene)
+    own = scene.V.dofmap.index_map.size_local
+    held = scene.positions()[:own][scene.held[:own].any(axis=1)]
+    places = np.concatenate([
+        *scene.comm.allgather(held),
+        *(joint.position[None] for joint in scene.joints if joint.held.any()),
+        *(end.place[None] for end in held_ends(scene)),
+    ])  # fmt: skip
+    start, way = rim[:, 0], rim[:, 1] - rim[:, 0]
+    squared = np.maximum((way * way).sum(axis=1), 1e-300)
+    off = []
+    for place in np.unique(places, axis=0):
+        share = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
+        gaps = np.linalg.norm(start + share[:, None] * way - place, axis=1)
+        off += [place] if gaps.min(initial=np.inf) > 1e-6 * scene.membrane.size else []
+    return {"held": rim, "supports": np.reshape(off, (-1, 3))}
 
 
 def _principal_strokes(system: System) -> Array:

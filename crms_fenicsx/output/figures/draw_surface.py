@@ -16,6 +16,7 @@ from crms_fenicsx.output.figures.axes3d import (
     bounds,
     check_colours,
     check_view,
+    foot,
 )
 from crms_fenicsx.output.figures.cable_lines import (
     CABLE,
@@ -24,18 +25,23 @@ from crms_fenicsx.output.figures.cable_lines import (
     line_style,
     paint_lines,
 )
-from crms_fenicsx.output.figures.camera import Camera, brightness, visible
+from crms_fenicsx.output.figures.camera import Camera, brightness, offsets_within, visible
 from crms_fenicsx.output.figures.picture import checked_picture
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.views.view_data import Line, Surface, checked_points
 
 if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
 _ON_SURFACE = 0.006  # relative to the size: depth of a cable below unfolded triangles
+_BEHIND = 5e-4  # relative to the size: depth at which edges are hidden, which no fold lies above
+_PIECE = 6.0  # length of the parts of an edge that are seen or hidden (points)
 _GHOST = (0.20, 0.33, 0.60)
+FINEST, MOST_PARTS = 4, 40_000
+"""Parts along the sides of a triangle whose colour varies, and most parts in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,14 +50,21 @@ class ShapeOptions:
 
     Parameters
     ----------
-    values : (n,) or (m,) array, optional
-        Values per vertex or triangle, shown as colours; NaN is grey. By default plain fabric.
+    values : (n,), (m,) or (m, 3) array, optional
+        Values per vertex, triangle or triangle's corner, shown as colours, between corners
+        interpolated; NaN is grey. By default plain fabric.
     label : str
         Label of the values' colour bar, with the unit in brackets. Equal values get a legend
         instead of a bar, on plain fabric.
     limits : (low, high), optional
-        Ends of the colour scale, which then always gets a bar; by default those of the values, or 0
-        if near.
+        Ends of the colour scale, which then always gets a bar, as for pictures to be compared; by
+        default those of the values, and 0.
+    without : str
+        Legend of triangles whose value is NaN.
+    supports : (k, 3) array of length, optional
+        Held places, drawn as triangles on the ground.
+    held : (h, 2, 3) array of length, optional
+        End points of held edges, drawn as thick lines.
     colours : str
         Name of a matplotlib colour map.
     line_values : str, optional
@@ -89,6 +102,9 @@ class ShapeOptions:
     values: ArrayLike | None = None
     label: str = ""
     limits: tuple[float, float] | None = None
+    without: str = ""
+    supports: ArrayLike | None = None
+    held: ArrayLike | None = None
     colours: str = "viridis"
     line_values: str | None = None
     line_label: str = ""
@@ -143,7 +159,7 @@ def draw_shape(
     surface = Surface(points, triangles).checked()
     lines = [line.checked() for line in lines]
     faint = None if how.ghost is None else Surface(*how.ghost).checked()
-    values = _per_triangle(how.values, surface)
+    values = _per_corner(how.values, surface)
     check_colours(how.colours, how.line_colours)
     line_label = how.line_label or how.line_values or ""
     style = line_style(
@@ -171,32 +187,55 @@ def draw_shape(
     for place, (scale, text) in enumerate(bars):
         axes3d.add_bar(scale, text, place)
     striped = "off the membrane" if any(part.any() for part in style.off) else ""
-    axes3d.add_legend(
-        [(_FABRIC, note, "patch"), (CABLE, style.note, "line"), (CABLE, striped, "stripes")]
-    )
+    without = how.without if values is not None and not np.isfinite(values).all() else ""
+    held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
+    feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
+    feet = feet[np.all((feet >= low - 1e-6 * size) & (feet <= high + 1e-6 * size), axis=1)]
+    off_colour = style.off_colour if striped else CABLE
+    axes3d.add_legend([
+        (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
+        (off_colour, striped, "stripes"), (INK, "held edge" if len(held) else "", "line"),
+        (INK, "support" if len(feet) else "", "foot"),
+    ])  # fmt: skip
     if how.box is not False:
         axes3d.draw_box(how.unit)
 
     flat = camera.project(spatial)
-    if paint is not None and values is not None:  # unlit: the colours are those of the bar
-        face_colours = paint.to_rgba(values)[:, :3]
-    else:
-        face_colours = np.tile(_FABRIC, (len(flat), 1))
-        if values is not None:
-            face_colours[~np.isfinite(values)] = NO_VALUE
-        diffuse, specular = brightness(camera, spatial)
-        face_colours = face_colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
     shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
-    _paint_triangles(axes3d, flat, face_colours, ghostly, shown)
+    _paint_surface(axes3d, spatial, flat, values, paint, shown, ghostly)
     tolerance = _ON_SURFACE * size
-    _paint_outline(axes3d, surface, flat, tolerance, INK)
+    _paint_outline(axes3d, surface, flat, _BEHIND * size, INK)
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
+    _paint_seen(axes3d, held, flat, _BEHIND * size, INK, 2.4)
+    if len(feet):
+        _paint_feet(axes3d, camera.project(feet), flat, tolerance)
     if how.strokes is not None and np.size(how.strokes):
         _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
+
+
+def _paint_surface(
+    axes3d: Axes3D, spatial: Array, flat: Array, values: Array | None, paint: ScalarMappable | None,
+    shown: Booleans, ghostly: Array | None,
+) -> None:  # fmt: skip
+    """Paint triangles (m, 3, 3), projected to `flat`: in colours unlit, or else plain fabric."""
+    strength, faces = _edge_strength(axes3d, flat), flat
+    if paint is not None and values is not None:  # unlit: the colours are those of the bar
+        if values.ndim == 2:
+            faces, values, parent, side = _fine(flat, values)
+            shown = np.column_stack([shown, np.zeros(len(flat), dtype=bool)])
+            shown, strength = shown[parent[:, None], side], strength[parent]
+        colours = paint.to_rgba(values)[:, :3]
+    else:
+        colours = np.tile(_FABRIC, (len(flat), 1))
+        if values is not None:
+            colours[~np.isfinite(values.reshape(len(flat), -1)).all(axis=1)] = NO_VALUE
+        diffuse, specular = brightness(axes3d.camera, spatial)
+        colours = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
+    _paint_triangles(axes3d, faces, colours, ghostly, shown, strength)
 
 
 def _corners(surface: Surface) -> Array:
@@ -239,19 +278,47 @@ def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
     return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
 
 
-def _per_triangle(values: ArrayLike | None, surface: Surface) -> Array | None:
-    """Values per triangle; vertex values are averaged over a triangle's corners."""
+def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
+    """Values (m, 3) at the corners of triangles, or (m,) of triangles."""
     if values is None:
         return None
     array = np.asarray(values, dtype=np.float64)
     triangles = np.asarray(surface.triangles)
-    if array.shape == (len(triangles),):
+    if array.shape in {(len(triangles),), (len(triangles), 3)}:
         return array
     if array.shape == (len(np.asarray(surface.points)),):
-        return array[triangles].mean(axis=1)
+        return array[triangles]
     raise InputError(
         f"values have shape {array.shape}; give one for each of the "
-        f"{len(np.asarray(surface.points))} vertices or {len(triangles)} triangles"
+        f"{len(np.asarray(surface.points))} vertices, {len(triangles)} triangles or their corners"
+    )
+
+
+def _fine(flat: Array, values: Array) -> tuple[Array, Array, Integers, Integers]:
+    """Parts of triangles (m, 3, 3) for values (m, 3) between their corners.
+
+    Returns the corners of the parts (p, 3, 3), their values (p,), the triangle of each (p,), and of
+    which side (3: none) of it each part's sides are (p, 3).
+    """
+    n = int(np.clip(np.sqrt(MOST_PARTS / max(len(flat), 1)), 1, FINEST))
+    parts, sides = [], []
+    for i in range(n):
+        for j in range(n - i):
+            # weights of the second and third corner, in units of 1 / n
+            parts.append(((i, j), (i + 1, j), (i, j + 1)))
+            sides.append((0 if j == 0 else 3, 1 if i + j == n - 1 else 3, 2 if i == 0 else 3))
+            if i + j < n - 1:
+                parts.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
+                sides.append((3, 3, 3))
+    share = np.array(parts, dtype=np.float64) / n
+    weights = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
+    corners = np.einsum("pkv,mvi->mpki", weights, flat).reshape(-1, 3, 3)
+    middles = np.einsum("pv,mv->mp", weights.mean(axis=1), values).ravel()
+    return (
+        corners,
+        middles,
+        np.repeat(np.arange(len(flat)), len(parts)),
+        np.tile(sides, (len(flat), 1)),
     )
 
 
@@ -261,12 +328,13 @@ def _paint_triangles(
     colours: Array,
     faint: Array | None,
     shown: Booleans,
+    strength: Array,
 ) -> None:
-    """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge."""
+    """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge of
+    which strength (m,)."""
     from matplotlib.collections import PolyCollection
 
     faces = np.column_stack([np.clip(colours, 0, 1), np.ones(len(colours))])
-    strength = _edge_strength(axes3d, flat)
     dark = np.column_stack([faces[:, :3] * (1.0 - 0.35 * strength)[:, None], faces[:, 3]])
     # faces without edges get rims of their colour, to close the gaps left by antialiasing
     rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
@@ -309,11 +377,17 @@ def _paint_outline(
 def _paint_seen(
     axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
 ) -> None:
-    """Paint strokes (k, 2, 3) where no triangle hides them."""
+    """Paint the parts of strokes (k, 2, 3) that no triangle hides."""
     from matplotlib.collections import LineCollection
 
     if len(strokes):
         ends = axes3d.camera.project(strokes)
+        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / _PIECE
+                         / axes3d.point).astype(np.int64)  # fmt: skip
+        stroke, k = offsets_within(np.maximum(pieces, 1))
+        share = np.stack([k, k + 1], axis=1) / np.maximum(pieces, 1)[stroke, None]
+        way = ends[stroke, 1] - ends[stroke, 0]
+        ends = ends[stroke, :1] + share[..., None] * way[:, None]
         seen = visible(ends.mean(axis=1), flat, tolerance)
         axes3d.axes.add_collection(
             LineCollection(
@@ -324,6 +398,16 @@ def _paint_seen(
                 zorder=2,
             )
         )
+
+
+def _paint_feet(axes3d: Axes3D, places: Array, flat: Array, tolerance: float) -> None:
+    """Paint supports at projected places (k, 3), each a triangle on a piece of ground."""
+    ground = places - (0.0, 8.0 * axes3d.point, 0.0)
+    at = places[visible(places, flat, tolerance) & visible(ground, flat, tolerance)]
+    axes3d.axes.scatter(
+        at[:, 0], at[:, 1], s=110.0, marker=foot(), facecolors="white", edgecolors=INK,
+        linewidths=1.0, zorder=4.5,
+    )  # fmt: skip
 
 
 def _edge_strength(axes3d: Axes3D, flat: Array) -> Array:

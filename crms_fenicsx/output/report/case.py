@@ -45,7 +45,7 @@ class Case:
     verification: Verification | None
     foundations: Foundations  # forces on foundations
     change: ShapeChange  # since the base state
-    # largest smoothed cell values, by part and quantity
+    # largest smoothed cell values, by part and quantity but the utilisation
     recovered: Mapping[str, Mapping[str, float]]
     # corners of the bounding box of membrane, cables and bars (length)
     low: Corner
@@ -71,13 +71,13 @@ def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
 
 
 def recovered(results: MembraneResults, found: Summary) -> dict[str, dict[str, float]]:
-    """Largest smoothed cell values, by part and quantity. Collective.
+    """Largest smoothed cell values, by part and quantity but the utilisation. Collective.
 
     A smoothed cell value is the mean of its vertices' values, which are means over the adjacent
     cells.
     """
     values: dict[str, dict[str, float]] = {part: {} for part in found.parts}
-    for name in found.membrane.largest:
+    for name in sorted(found.membrane.largest.keys() - {"utilisation"}):
         nodal = results.function(name, smooth=True)
         at = nodal.x.array[nodal.function_space.dofmap.list[: len(results.state)]].mean(axis=1)
         for part in found.parts:
@@ -182,5 +182,5 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
         return None
     low = min(part.least[name].value for part in parts if name in part.least)
     high = max(part.largest[name].value for part in parts if name in part.largest)
-    low = 0.0 if -1e-9 * high < low < 0.3 * high else low
-    return (low, high) if low < high else None
+    low = 0.0 if low > -1e-9 * high else low
+    return (low, max(high, 0.0)) if low < high else None

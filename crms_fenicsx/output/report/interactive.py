@@ -16,6 +16,8 @@ from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, HasSystem
 from crms_fenicsx.output.report.page import rendered
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES, fields_of
+from crms_fenicsx.results.recovered_values import judged_utilisation
+from crms_fenicsx.results.reinforcement import patches
 from crms_fenicsx.runtime.errors import raised_together
 from crms_fenicsx.views.view_data import to_pyvista
 
@@ -98,7 +100,11 @@ def interactive_view(
     `limits`: ranges of "membrane" and "lines"; `units`: units of the colour and of forces.
     """
     results = membrane_results(solver.system)
-    blocks, page = to_pyvista(solver.system.scene, fields_of(results), None), ""
+    fields, scene, page = fields_of(results), solver.system.scene, ""
+    if "utilisation" in fields:
+        judged = judged_utilisation(results, patches(scene)).shown
+        fields["utilisation"] = judged.mean(axis=1)
+    blocks = to_pyvista(scene, fields, None)
     with raised_together(solver.comm):
         if blocks is not None:
             view, scales = _view(blocks, colour, limits, units)

@@ -108,8 +108,12 @@ class ResultTables:
         """Membrane forces of a case, by parts."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
-            nodal = in_per_cent(name) * case.recovered[part][name]
-            peak = "single-cell peak" if high.value > PEAK * max(nodal, 0.0) else ""
+            smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
+            nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
+            if nodal is None and change is not None:
+                peak = f"may change by {per_cent(change)}"
+            elif nodal is not None and high.value > PEAK * max(nodal, 0.0):
+                peak = "single-cell peak"
             rows.append((
                 part_name(part), label, *clean([low.value], abs(high.value), FINE),
                 place(low.at, self.size), high.value, place(high.at, self.size), nodal, peak,
@@ -118,6 +122,24 @@ class ResultTables:
         columns += "|Largest, smoothed|Remark"
         table = Table(f"Membrane, {case.name}", self.units.headings(columns), rows, headings=2)
         return _without_one_part(table)
+
+    def patches(self) -> Table:
+        """Reinforced corners, and what plain fabric would bear there, over all cases."""
+        rows: list[Row] = []
+        for name in self.names("patches"):
+            found = [(case, one) for own, case, one in self.each("patches") if own == name]
+            governs, most = max(found, key=lambda one: one[1].utilisation)
+            patch = most.patch
+            radius = "given" if patch.given else "a twentieth of the distance to the next"
+            rows.append((
+                name, patch.reason, place(patch.at, self.size), patch.radius, radius,
+                per_cent(most.utilisation), governs,
+            ))  # fmt: skip
+        columns = self.units.headings(
+            "Corner|For|stress-free at x; y; z{length}|Radius{length}|Radius is|"
+            "Plain fabric there|Governs"
+        )
+        return Table("Reinforced corners of the membrane", columns, rows, "reinforcement")
 
     def membrane(self) -> Table:
         """Membrane forces of all cases, for the CSV file."""

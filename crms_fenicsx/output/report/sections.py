@@ -47,6 +47,12 @@ HOLLOWS = (
     "those of the water that fits in, up to where it runs over, in the shape of the combination; "
     "under the water's weight the roof sinks further."
 )
+PATCHES = (
+    "At these corners forces enter the membrane at a point, and its forces grow without limit as "
+    "triangles become smaller. Within the radius the strength of the plain fabric does not judge: "
+    "the fabric is to be reinforced by further layers, belts or a plate, for the forces of the "
+    "supports, cables and bars there. The utilisation of plain fabric there depends on the mesh."
+)
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
@@ -54,7 +60,11 @@ NOTES = (
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
     "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
     "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, in isotropic material that of the larger principal force to the strength. "
+    "given for them, in isotropic material that of the larger principal force to the strength. It "
+    "is that of the vertices, means of the triangles around of the same material and strengths, "
+    "outside of the reinforced corners, where forces grow without limit as triangles become "
+    "smaller. Triangles around the largest value differ from the means at their corners by the "
+    "part by which smaller ones may change it. "
     "Strengths must contain all partial factors; they are divided by the largest factor of the "
     "loads that act where such factors are given. Shear is not part of it. That of bars in "
     "compression is by their strength times the reduction factor of their buckling curve (EN "
@@ -186,7 +196,7 @@ class Report:
             found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
-        more = [net_tables.clamps(of), of.joints(), of.ponds()]
+        more = [net_tables.clamps(of), of.joints(), of.ponds(), of.patches()]
         more += [self.held.places(), self.held.forces(), self.held.envelope()]
         if self.order is not None:
             more.append(net_tables.order(self.order, of.units))
@@ -261,6 +271,9 @@ class Report:
             body.append(self.results.overview())
             found.append(PageSection("Envelope of the membrane", body))
             same = "Colours have the same scale in all combinations."
+        patches = self.results.patches()
+        if patches.rows:
+            found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
         found += [PageSection("Rain", self._rain())]
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."

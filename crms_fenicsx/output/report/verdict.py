@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.page import Verdict, number, per_cent, place
-from crms_fenicsx.output.report.results_tables import PEAK
 
 COLLAPSED, TURNED = 0.5, 0.01
 """Fraction of the base volume below which a roof has collapsed; fraction of its area above which it
@@ -38,15 +37,16 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
             f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
             "the roof is to be checked for ponding."
         )
+    told, (refined, coarse) = [*_reinforced(cases), *rain], _refined(cases)
     missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
     if reasons:
         moved = [case.name for case in cases if not case.summary.in_equilibrium]
         text = f"Not in equilibrium: {', '.join(moved)}" if moved else (
             "Not acceptable as it stands, for the reasons below"
         )  # fmt: skip
-        return Verdict(text, [*reasons, *rain], "failed")
+        return Verdict(text, [*reasons, *told], "failed")
     if missing:
-        return Verdict(f"Not verified in this run: {', '.join(missing)}", rain, "doubtful")
+        return Verdict(f"Not verified in this run: {', '.join(missing)}", told, "doubtful")
     used = any("utilisation" in case.summary.membrane.largest for case in cases)
     what = "no strain or utilisation" if used else "no strain"
     text = f"Verified: {count[:1].lower() + count[1:]} passed all checks of equilibrium, and {what}"
@@ -60,7 +60,8 @@ def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
             "Buckling is not checked, as no curve was given, of bars in compression: "
             f"{', '.join(unchecked)}."
         )
-    return Verdict(f"{text} is beyond its limit", (*notes, *rain), "doubtful" if rain else "")
+    look = "doubtful" if wet or coarse else ""
+    return Verdict(f"{text} is beyond its limit", (*notes, *refined, *told), look)
 
 
 def _doubts(case: Case) -> Iterator[str]:
@@ -108,10 +109,55 @@ def _used_fabric(case: Case, size: float) -> Iterator[str]:
     for name, part in parts.items():
         one = part.largest.get("utilisation")
         if one is not None and one.value > 1.0 and (name or len(parts) == 1):
-            nodal = case.recovered[name]["utilisation"]
-            peak = f", in a single cell: {per_cent(nodal)} smoothed with the cells around"
             of = f"its part {name}" if name else "the membrane"
             yield (
                 f"{of} is used to {per_cent(one.value)} of its strength at x; y; z = "
-                f"{place(one.at, size)}{peak if one.value > PEAK * nodal else ''}."
+                f"{place(one.at, size)}; finer cells may change this by "
+                f"{per_cent(part.change or 0.0)}."
             )
+
+
+def _refined(cases: Sequence[Case]) -> tuple[list[str], bool]:
+    """Note on what finer cells may change of the largest utilisation, and whether it may then be
+    above 1."""
+    found = [
+        (one.value * (1.0 + (part.change or 0.0)), one.value, case.name, part.change or 0.0)
+        for case in cases for part in case.summary.parts.values()
+        if (one := part.largest.get("utilisation")) is not None
+    ]  # fmt: skip
+    if not found:
+        return [], False
+    most, value, name, change = max(found)
+    text = (
+        f"{name}: the membrane is used to {per_cent(value)} of its strength; finer cells may "
+        f"change this by {per_cent(change)}"
+    )
+    near = value <= 1.0 < most
+    return [f"{text}, and are needed there to tell." if near else f"{text}."], near
+
+
+def _reinforced(cases: Sequence[Case]) -> list[str]:
+    """Note on the corners where plain fabric is not judged."""
+    every = {name: one.patch for case in cases for name, one in case.summary.patches.items()}
+    if not every:
+        return []
+    radii = [patch.radius for patch in every.values()]
+    span = number(min(radii))
+    if number(max(radii)) != span:
+        span += f" to {number(max(radii))}"
+    assumed = [name for name, patch in every.items() if not patch.given]
+    most, name, where = max(
+        (one.utilisation, case.name, corner)
+        for case in cases for corner, one in case.summary.patches.items()
+    )  # fmt: skip
+    text = (
+        f"Corners to be reinforced ({', '.join(every)}): within a radius of {span} the plain "
+        "fabric is not judged, as its utilisation depends on the mesh there; on this one it is "
+        f"{per_cent(most)} ({where}, {name})."
+    )
+    if assumed:
+        text += (
+            " Radii that were not given are a twentieth of the distance to the next corner: "
+            f"{', '.join(assumed)}."
+        )
+    return [text]
