@@ -111,8 +111,10 @@ class ContactLoop:
         return self.active.only_lifted and not self.scene.net.has_friction
 
     def _weakest(self) -> float:
-        """Least tension of the cables in tension (force)."""
-        return min((cable.tension for cable in self.scene.cables if cable.taut), default=0.0)
+        """Least tension, or friction force, of the cables in tension (force)."""
+        taut = [cable for cable in self.scene.cables if cable.taut]
+        grips = [float(c.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.lateral]
+        return min((*(cable.tension for cable in taut), *filter(None, grips)), default=0.0)
 
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""
