@@ -224,9 +224,10 @@ class Minimizer:
         """Start the next solve with a new H0, as another process would."""
         self._h0_is_outdated = True
 
-    def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
-        """Rebuild H0 at the current state, and set it in TAO the first time. `renewals`: rebuilds
-        so far in this solve; `failures`: consecutive failed line searches."""
+    def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> bool:
+        """Rebuild H0 at the current state, and set it in TAO the first time. Returns whether it is
+        usable. `renewals`: rebuilds so far in this solve; `failures`: consecutive failed line
+        searches."""
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
@@ -239,12 +240,13 @@ class Minimizer:
         self._most_h0_iterations = 2 * REBUILD if least > FLOOR else math.inf
         exact = prestress == 0.0 and failures == 0
         exact = exact and self._newton_method.wants_exact(self._residual0, self._scale)
-        if not self.h0.rebuild(exact):
-            self.h0.rebuild()
+        if not self.h0.rebuild(exact) and not self.h0.rebuild():
+            return False
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)
             self.h0.solve_for(self.tao.getLMVMH0KSP())
             self._h0_set = True
+        return True
 
     def _stiffenings(self) -> list[Stiffening]:
         return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
@@ -309,7 +311,9 @@ class Minimizer:
             stages += 1 / 8 if self._newton_method.active else 1
             self._residual0, self._tolerance = residual, tolerance
             if self._uses_h0 and self._h0_is_outdated:
-                self._renew_h0(h0_prestress, factorizations, failures)
+                if not self._renew_h0(h0_prestress, factorizations, failures):
+                    reason = endings.SINGULAR
+                    break
                 factorizations, renewed = factorizations + 1, iterations
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
