@@ -77,6 +77,8 @@ Interrupt = Callable[[float, float, bool], bool]
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
+UNSTRESSED = 1e3
+
 
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
@@ -358,6 +360,8 @@ class Minimizer:
         rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
         tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
+        if self._scale <= UNSTRESSED * self.atol:
+            tolerance = max(tolerance, self._scale)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding
 
