@@ -78,6 +78,8 @@ BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
 UNSTRESSED = 1e3
+"""Sum of all forces, relative to `Minimizer.atol`, below which a state is free of stress: where
+nothing loads a slack membrane the forces fade together, so that none is small beside the others."""
 
 
 class Minimizer:
