@@ -78,6 +78,7 @@ class FrictionLoop:
                 break
             if change > NEARLY and self.tried is not None:
                 self.tried.rejected.clear()
+                self.tried.passes.clear()
             self.system.renew_friction()
             if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
                 # Axial friction changes a cable's path too little for a new search of paths.

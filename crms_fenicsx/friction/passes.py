@@ -32,7 +32,7 @@ from crms_fenicsx.friction.cone import (
     law_sideways,
     slips_sideways,
 )
-from crms_fenicsx.friction.slip import node_slips, slip_forces
+from crms_fenicsx.friction.slip import node_slips, slip_forces, slipped_line
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
@@ -106,13 +106,9 @@ class LateralIteration:
             found, moving = _bounds(cable, grip, shape, settled=True)
             self.change = _change(grip.bounds, found)
         total, used = float(found.sum()), float(grip.bounds.sum())
-        coupled = replace(grip, cone=law_sideways(cable, grip, shape))
-        if coupled.cone is not None and used > 0.0:
-            friction = cable.cable.sideways
-            assert friction is not None
-            slips = node_slips(cable, grip.curve, shape)
-            changes = slip_forces(friction, coupled, slips) - slip_forces(friction, grip, slips)
-            self.change = max(self.change, float(np.abs(changes).sum()) / used)
+        renewed, turn = _turned(cable, grip, shape)
+        if used > 0.0:
+            self.change = max(self.change, turn / used)
         if self.change <= SETTLED:  # keep the bounds that belong to the state
             return self.change
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
@@ -122,7 +118,7 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._fixed_point(used, total) * (shares + part * change))
-        cable.update(lateral=replace(coupled, bounds=found, moving=moving, known=True))
+        cable.update(lateral=replace(renewed, bounds=found, moving=moving, known=True))
         return self.change
 
     def _fixed_point(self, used: float, found: float) -> float:
@@ -143,13 +139,29 @@ def _change(used: Array, found: Array) -> float:
     return float(np.abs(found - used).sum()) / max(total, 1e-3 * before)
 
 
+def _turned(
+    cable: LaidCable, grip: LateralFrictionState, shape: StripShape
+) -> tuple[LateralFrictionState, float]:
+    """Friction with the cone and along the line of the current state, and the sum of its changes of
+    forces along the edges (force)."""
+    friction = cable.cable.sideways
+    assert friction is not None
+    slips = node_slips(cable, grip.curve, shape, grip.line)
+    line = slipped_line(cable, slips, shape)
+    renewed = replace(grip, cone=law_sideways(cable, grip, shape), line=line)
+    turned = node_slips(cable, renewed.curve, shape, renewed.line)
+    changes = slip_forces(friction, renewed, turned) * turned.slope
+    changes -= slip_forces(friction, grip, slips) * slips.slope
+    return renewed, float(np.abs(changes / slips.size).sum())
+
+
 def _bounds(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape, settled: bool
 ) -> tuple[Array, Array]:
     """Friction bounds in the current state (force), and sliding directions of the nodes."""
     friction = cable.cable.sideways
     assert friction is not None
-    slips = node_slips(cable, grip.curve, shape)
+    slips = node_slips(cable, grip.curve, shape, grip.line)
     moving = grip.moving.copy()
     rows = grip.rows(slips.supports)
     if settled:
