@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
-MAX_PASSES = 30
+MAX_PASSES = 40
 """Limit of updates of the friction forces."""
 
-PATIENCE = 12
+PATIENCE = 20
 """Updates without a smaller change before giving up: where the state responds strongly to a small
 change of force, as at the edge of lifting off, the iteration cycles."""
 

@@ -75,6 +75,38 @@ MIN_SLOPE = 30.0
 """Limit of a negative slope, where the state responds to a larger sum with a smaller one."""
 
 
+class Brackets:
+    """Nodes' bounds between which the state changes by a jump: at a smaller one a node presses more
+    than that, at a larger one less. A force between is lawful there, as the pressure is."""
+
+    def __init__(self) -> None:
+        self._what: Hashable = None
+
+    def narrow(self, what: Hashable, used: Array, found: Array) -> None:
+        """Take in the bounds found for those used, (n,); others than before if `what` differs."""
+        if what != self._what:
+            self._what, self._low, self._high = what, 0.0 * used, np.full(len(used), np.inf)
+        rises, falls = found > used, found < used
+        self._low = np.where(rises, np.maximum(self._low, used), self._low)
+        self._high = np.where(falls, np.minimum(self._high, used), self._high)
+        crossed = self._low >= self._high  # the other nodes have moved them
+        self._low[crossed & falls], self._high[crossed & rises] = 0.0, np.inf
+
+    def inside(self, bounds: Array) -> Array:
+        """The bounds, halfway where they lie outside of their brackets."""
+        out = (bounds <= self._low) | (bounds >= self._high)
+        middle = (self._low + self._high) / 2
+        return np.where(out & np.isfinite(self._high), middle, bounds)
+
+    def closed(self, width: float) -> Booleans:
+        """Which brackets are narrower than a width (force), (n,)."""
+        return np.asarray(self._high - self._low <= width)
+
+
+CYCLES = 12
+"""Updates after which bounds are kept between those tried."""
+
+
 class LateralIteration:
     """Iterates one cable's lateral bounds to those of the resulting state."""
 
@@ -85,11 +117,11 @@ class LateralIteration:
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
-        self.change = np.inf
+        self.change, self._updates = np.inf, 0
         self._forget()
 
     def _forget(self) -> None:
-        self._pace = AitkenRelaxation(LEAST_SHARE)
+        self._pace, self._brackets = AitkenRelaxation(LEAST_SHARE), Brackets()
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
@@ -107,6 +139,13 @@ class LateralIteration:
             self.change = _change(grip.bounds, found)
         total, used = float(found.sum()), float(grip.bounds.sum())
         renewed, turn = _turned(cable, grip, shape)
+        self._updates += 1
+        if grip.known:
+            self._brackets.narrow(grip.supports, grip.bounds, found)
+        if grip.known and self._updates > CYCLES:
+            jumps = self._brackets.closed(SETTLED * used)
+            found = np.where(jumps, grip.bounds, found)
+            self.change, total = _change(grip.bounds, found), float(found.sum())
         if used > 0.0:
             self.change = max(self.change, turn / used)
         if self.change <= SETTLED:  # keep the bounds that belong to the state
@@ -118,6 +157,8 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._fixed_point(used, total) * (shares + part * change))
+            if self._updates > CYCLES:
+                found = self._brackets.inside(found)
         cable.update(lateral=replace(renewed, bounds=found, moving=moving, known=True))
         return self.change
 
