@@ -56,9 +56,9 @@ ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
 
 MAX_SWITCHES = 6
-"""Switches between slack and taut of a cable in one solve, after which it stays among the taut
-cables, whose tension may be zero: an equilibrium with it slack and without its folds does not exist
-where these change the membrane's shape, as they do without pressure."""
+"""Switches between slack and taut of a cable in one solve, after which it stays as it is: a taut
+one may have no tension. An equilibrium with it slack and without its folds does not exist where
+these change the membrane's shape, as they do without pressure."""
 
 
 class ContactMemory(Protocol):
@@ -145,8 +145,7 @@ class ActiveSet:
                 if flat is None:
                     flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
                 taut = flat[c] > cable.L0
-            kept = cable.taut and self._switches[cable.name] >= MAX_SWITCHES
-            if taut == cable.taut or kept:
+            if taut == cable.taut or self._switches[cable.name] >= MAX_SWITCHES:
                 continue
             if taut or not tight:
                 self._tried.add(cable.name)
