@@ -30,6 +30,10 @@ LESS = 1e-7
 """Fall of the energy, relative to the sum of all its kinds, that is another state's."""
 
 
+SCATTER_CHECK = "scatter of the energy"
+"""Name of the check in the verification."""
+
+
 @dataclass(frozen=True)
 class Scatter:
     """Difference between the state of the load history and the one of least energy found."""

@@ -11,7 +11,12 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.contact.lift_off import SUNK, is_foot, size_at
-from crms_fenicsx.equilibrium.other_states import LESS, lower_state, may_have_others
+from crms_fenicsx.equilibrium.other_states import (
+    LESS,
+    SCATTER_CHECK,
+    lower_state,
+    may_have_others,
+)
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
@@ -208,7 +213,7 @@ class IncrementSolver:
         found = lower_state(self.system, at_once)
         apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
         where = apart if found.energy > 0.0 else ""
-        check = Check("scatter of the energy", found.energy, LESS, where, binding=False)
+        check = Check(SCATTER_CHECK, found.energy, LESS, where, binding=False)
         total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
         return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
 
