@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,8 +91,8 @@ class Verifier:
         self._prescribed = u, np.array(ends).reshape(-1, 2, 3)
         self._joints = [joint.position for joint in scene.joints]
 
-    def check(self, system: System, outcome: Outcome) -> Verification:
-        """Check a solved state without changing it. Collective."""
+    def check(self, system: System, outcome: Outcome, more: Sequence[Check] = ()) -> Verification:
+        """Check a solved state without changing it; adds checks made before. Collective."""
         began = time.perf_counter()
         force = max(outcome.scale, NEGLIGIBLE)
         checks = [self._finite(system)]
@@ -110,6 +111,7 @@ class Verifier:
             checks += self._cables.check(system, self._prescribed[1])
         if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))
+        checks += more
         found = Verification(tuple(checks), time.perf_counter() - began)
         if found.doubtful and self.comm.rank == 0:
             logger.info("doubtful: %s", "; ".join(str(check) for check in found.doubtful))
