@@ -104,7 +104,7 @@ class Brackets:
 
 
 CYCLES = 12
-"""Updates after which bounds are kept between those tried."""
+"""Updates after which bounds that have not nearly settled are kept between those tried."""
 
 
 class LateralIteration:
@@ -117,7 +117,7 @@ class LateralIteration:
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
-        self.change, self._updates = np.inf, 0
+        self.change, self._updates, self._cycles = np.inf, 0, False
         self._forget()
 
     def _forget(self) -> None:
@@ -140,11 +140,10 @@ class LateralIteration:
         total, used = float(found.sum()), float(grip.bounds.sum())
         renewed, turn = _turned(cable, grip, shape)
         self._updates += 1
-        if grip.known:
+        self._cycles |= self._updates > CYCLES and self.change > NEARLY
+        if self._cycles and grip.known:
             self._brackets.narrow(grip.supports, grip.bounds, found)
-        if grip.known and self._updates > CYCLES:
-            jumps = self._brackets.closed(SETTLED * used)
-            found = np.where(jumps, grip.bounds, found)
+            found = np.where(self._brackets.closed(SETTLED * used), grip.bounds, found)
             self.change, total = _change(grip.bounds, found), float(found.sum())
         if used > 0.0:
             self.change = max(self.change, turn / used)
@@ -157,7 +156,7 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._fixed_point(used, total) * (shares + part * change))
-            if self._updates > CYCLES:
+            if self._cycles:
                 found = self._brackets.inside(found)
         cable.update(lateral=replace(renewed, bounds=found, moving=moving, known=True))
         return self.change
