@@ -112,8 +112,8 @@ def watched(result: Result) -> Iterator[None]:
             result.problems.append(f"energy rises in a minimisation by {rises.max() / size:.1e}")
         return outcome
 
-    def checking(self: Verifier, system: System, outcome: Any) -> Any:
-        found = check(self, system, outcome)
+    def checking(self: Verifier, system: System, outcome: Any, *others: Any) -> Any:
+        found = check(self, system, outcome, *others)
         result.notes += [f"doubtful: {crude.name}" for crude in found.doubtful]
         if not found.passed:
             result.notes += [f"halved, not verified: {check.name}" for check in found.failed]

@@ -16,11 +16,15 @@ import numpy as np
 from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.free_spans import FreeSpans, Gap, under
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.surface import lines
 from crms_fenicsx.surface.points import CellPoint
+
+COLLAPSED = 0.5
+"""Length of a chord, relative to that on unfolded cells, below which its cable is caught."""
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
@@ -103,15 +107,29 @@ class Polylines:
 
     def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
         """Lengths (n,) of the cables on unfolded cells (length)."""
+        own, places = self._flat_places(shape, fractions)
+        starts = np.searchsorted(own, self.nodes.starts)
+        return np.asarray(lines.arc_lengths(places, starts)[starts[1:] - 1])
+
+    def collapsed(self, shape: StripShape, fractions: Array) -> set[int]:
+        """Numbers of the cables with a chord between two edges that is much shorter than on
+        unfolded cells: the edges are bent towards each other."""
+        nodes = self.nodes
+        own, places = self._flat_places(shape, fractions)
+        on_edge = nodes.size[own] == 2
+        chords = on_edge[1:] & on_edge[:-1] & (nodes.cable[own[1:]] == nodes.cable[own[:-1]])
+        now, flat = (norm(np.diff(x, axis=0)) for x in (self.positions[own], places))
+        return set(ints(nodes.cable[own[1:]][chords & (now < COLLAPSED * flat)]))
+
+    def _flat_places(self, shape: StripShape, fractions: Array) -> tuple[Integers, Array]:
+        """Rows of the contacts (m,) and their places on unfolded cells (m, 3)."""
         nodes, simplices = self.nodes, shape.strip.simplices
         own = self.contacts[nodes.kind[self.contacts] != CROSSING]
         on, weights, s = nodes.on(simplices)[own], nodes.weights[own].copy(), fractions[own]
         slides = (nodes.size[own] == 2) & ~np.isnan(s)
         weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
         places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
-        places = np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
-        starts = np.searchsorted(own, nodes.starts)
-        return np.asarray(lines.arc_lengths(places, starts)[starts[1:] - 1])
+        return own, np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:

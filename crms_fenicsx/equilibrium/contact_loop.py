@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.system import System
@@ -101,9 +100,6 @@ class ContactLoop:
                 if not looked and look is not None:
                     look(False)
                 return total
-            if active.cycling_cable():
-                reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
-                return replace(total, converged=False, reason=reason)
 
     def _may_join_paths(self) -> bool:
         """Whether paths may change together with contacts: where cables only lift off, so that the
@@ -111,8 +107,10 @@ class ContactLoop:
         return self.active.only_lifted and not self.scene.net.has_friction
 
     def _weakest(self) -> float:
-        """Least tension of the cables in tension (force)."""
-        return min((cable.tension for cable in self.scene.cables if cable.taut), default=0.0)
+        """Least tension, or friction force, of the cables in tension (force)."""
+        taut = [cable for cable in self.scene.cables if cable.taut]
+        grips = [float(c.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.lateral]
+        return min((*(cable.tension for cable in taut), *filter(None, grips)), default=0.0)
 
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""

@@ -9,7 +9,8 @@ import math
 from dataclasses import dataclass, replace
 
 from crms_fenicsx.cables.crossings import tangled
-from crms_fenicsx.contact.lift_off import sunk
+from crms_fenicsx.cables.points_on_edges import fractions_of, positions_of
+from crms_fenicsx.contact.lift_off import Polylines, sunk
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.crossing_trials import CrossingTrials
@@ -18,8 +19,8 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.scene.state import SceneState
 
-CAUGHT, STUCK = 0.05, 0.15
-"""Kinks of a folded edge (rad) above which its cable is laid again, and the state is rejected.
+CAUGHT = 0.05
+"""Kink of a folded edge (rad) above which its cable is laid again.
 
 Fold points on two edges with a common vertex can approach each other away from it: their chord then
 loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound states are
@@ -128,7 +129,7 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = self.system.kinked_cables(STUCK) | self._sunk()
+        caught = (self.system.kinked_cables(CAUGHT) & self._collapsed()) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh; make it finer there"
@@ -180,6 +181,12 @@ class PathLoop:
     def _kinked_cables(self, limit: float) -> set[int]:
         """Numbers of the cables that kink edges beyond a limit (rad) or are tangled."""
         return self.system.kinked_cables(limit) | tangled(self.scene.net.crossings)
+
+    def _collapsed(self) -> set[int]:
+        """Numbers of the cables whose fold points have approached each other away from vertices."""
+        cables, shape = self.scene.cables, self.scene.net.strip_shape()
+        lines = Polylines(self.scene.net.nodes, positions_of(cables))
+        return lines.collapsed(shape, fractions_of(cables))
 
     def _sliding(self, numbers: set[int]) -> set[int]:
         """Those cables, by number, that slide sideways without friction."""

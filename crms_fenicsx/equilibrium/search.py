@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
-MAX_PASSES = 30
+MAX_PASSES = 40
 """Limit of updates of the friction forces."""
 
-PATIENCE = 12
+PATIENCE = 20
 """Updates without a smaller change before giving up: where the state responds strongly to a small
 change of force, as at the edge of lifting off, the iteration cycles."""
 
@@ -78,6 +78,7 @@ class FrictionLoop:
                 break
             if change > NEARLY and self.tried is not None:
                 self.tried.rejected.clear()
+                self.tried.passes.clear()
             self.system.renew_friction()
             if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
                 # Axial friction changes a cable's path too little for a new search of paths.

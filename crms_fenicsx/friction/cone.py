@@ -99,7 +99,7 @@ def slips_sideways(
     """Lateral slips of the given nodes; zero at vertices."""
     friction = cable.cable.sideways
     assert friction is not None
-    found = node_slips(cable, grip.curve, shape)
+    found = node_slips(cable, grip.curve, shape, grip.line)
     slip_of = dict(zip(found.nodes, found.slip, strict=True))
     size = np.array([shape.stress_free_size(cable.nodes[k].support) for k in nodes])
     slips = np.array([slip_of.get(k, 0.0) for k in nodes])

@@ -115,7 +115,7 @@ def place_elements(cable: LaidCable, shape: StripShape) -> None:
     grip = cable.lateral
     if grip is None or grip.elements is None:
         return
-    slips, old = node_slips(cable, grip.curve, shape), grip.elements
+    slips, old = node_slips(cable, grip.curve, shape, grip.line), grip.elements
     rows = np.array(grip.rows(slips.supports), dtype=np.int64)
     new = np.isnan(old.offset[rows])
     if not new.any():
@@ -136,7 +136,7 @@ def place_elements(cable: LaidCable, shape: StripShape) -> None:
 
 def slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> NodeSlips:
     """Slips of a cable's sliding nodes: from the material curve, or of its friction elements."""
-    slips, own = node_slips(cable, grip.curve, shape), grip.elements
+    slips, own = node_slips(cable, grip.curve, shape, grip.line), grip.elements
     if own is None:
         return slips
     rows = np.array(grip.rows(slips.supports), dtype=np.int64)
@@ -237,6 +237,7 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
     ended = replace(
         grip,
         curve=curve,
+        line=None,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
         cone=None,  # the remaining elastic slip has the same force in the uncoupled law
@@ -292,4 +293,4 @@ def _slips(
     for c, cable in enumerate(numbering.cables):
         friction, grip = cable.cable.sideways, cable.lateral
         if cable.taut and friction is not None and grip is not None and friction.law == law:
-            yield c, cable, friction, grip, node_slips(cable, grip.curve, shape)
+            yield c, cable, friction, grip, node_slips(cable, grip.curve, shape, grip.line)

@@ -32,7 +32,7 @@ from crms_fenicsx.friction.cone import (
     law_sideways,
     slips_sideways,
 )
-from crms_fenicsx.friction.slip import node_slips, slip_forces
+from crms_fenicsx.friction.slip import node_slips, slip_forces, slipped_line
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
@@ -75,6 +75,38 @@ MIN_SLOPE = 30.0
 """Limit of a negative slope, where the state responds to a larger sum with a smaller one."""
 
 
+class Brackets:
+    """Nodes' bounds between which the state changes by a jump: at a smaller one a node presses more
+    than that, at a larger one less. A force between is lawful there, as the pressure is."""
+
+    def __init__(self) -> None:
+        self._what: Hashable = None
+
+    def narrow(self, what: Hashable, used: Array, found: Array) -> None:
+        """Take in the bounds found for those used, (n,); others than before if `what` differs."""
+        if what != self._what:
+            self._what, self._low, self._high = what, 0.0 * used, np.full(len(used), np.inf)
+        rises, falls = found > used, found < used
+        self._low = np.where(rises, np.maximum(self._low, used), self._low)
+        self._high = np.where(falls, np.minimum(self._high, used), self._high)
+        crossed = self._low >= self._high  # the other nodes have moved them
+        self._low[crossed & falls], self._high[crossed & rises] = 0.0, np.inf
+
+    def inside(self, bounds: Array) -> Array:
+        """The bounds, halfway where they lie outside of their brackets."""
+        out = (bounds <= self._low) | (bounds >= self._high)
+        middle = (self._low + self._high) / 2
+        return np.where(out & np.isfinite(self._high), middle, bounds)
+
+    def closed(self, width: float) -> Booleans:
+        """Which brackets are narrower than a width (force), (n,)."""
+        return np.asarray(self._high - self._low <= width)
+
+
+CYCLES = 12
+"""Updates after which bounds that have not nearly settled are kept between those tried."""
+
+
 class LateralIteration:
     """Iterates one cable's lateral bounds to those of the resulting state."""
 
@@ -85,11 +117,11 @@ class LateralIteration:
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
-        self.change = np.inf
+        self.change, self._updates, self._cycles = np.inf, 0, False
         self._forget()
 
     def _forget(self) -> None:
-        self._pace = AitkenRelaxation(LEAST_SHARE)
+        self._pace, self._brackets = AitkenRelaxation(LEAST_SHARE), Brackets()
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
@@ -106,13 +138,15 @@ class LateralIteration:
             found, moving = _bounds(cable, grip, shape, settled=True)
             self.change = _change(grip.bounds, found)
         total, used = float(found.sum()), float(grip.bounds.sum())
-        coupled = replace(grip, cone=law_sideways(cable, grip, shape))
-        if coupled.cone is not None and used > 0.0:
-            friction = cable.cable.sideways
-            assert friction is not None
-            slips = node_slips(cable, grip.curve, shape)
-            changes = slip_forces(friction, coupled, slips) - slip_forces(friction, grip, slips)
-            self.change = max(self.change, float(np.abs(changes).sum()) / used)
+        renewed, turn = _turned(cable, grip, shape)
+        self._updates += 1
+        self._cycles |= self._updates > CYCLES and self.change > NEARLY
+        if self._cycles and grip.known:
+            self._brackets.narrow(grip.supports, grip.bounds, found)
+            found = np.where(self._brackets.closed(SETTLED * used), grip.bounds, found)
+            self.change, total = _change(grip.bounds, found), float(found.sum())
+        if used > 0.0:
+            self.change = max(self.change, turn / used)
         if self.change <= SETTLED:  # keep the bounds that belong to the state
             return self.change
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
@@ -122,7 +156,9 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._fixed_point(used, total) * (shares + part * change))
-        cable.update(lateral=replace(coupled, bounds=found, moving=moving, known=True))
+            if self._cycles:
+                found = self._brackets.inside(found)
+        cable.update(lateral=replace(renewed, bounds=found, moving=moving, known=True))
         return self.change
 
     def _fixed_point(self, used: float, found: float) -> float:
@@ -143,13 +179,29 @@ def _change(used: Array, found: Array) -> float:
     return float(np.abs(found - used).sum()) / max(total, 1e-3 * before)
 
 
+def _turned(
+    cable: LaidCable, grip: LateralFrictionState, shape: StripShape
+) -> tuple[LateralFrictionState, float]:
+    """Friction with the cone and along the line of the current state, and the sum of its changes of
+    forces along the edges (force)."""
+    friction = cable.cable.sideways
+    assert friction is not None
+    slips = node_slips(cable, grip.curve, shape, grip.line)
+    line = slipped_line(cable, slips, shape)
+    renewed = replace(grip, cone=law_sideways(cable, grip, shape), line=line)
+    turned = node_slips(cable, renewed.curve, shape, renewed.line)
+    changes = slip_forces(friction, renewed, turned) * turned.slope
+    changes -= slip_forces(friction, grip, slips) * slips.slope
+    return renewed, float(np.abs(changes / slips.size).sum())
+
+
 def _bounds(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape, settled: bool
 ) -> tuple[Array, Array]:
     """Friction bounds in the current state (force), and sliding directions of the nodes."""
     friction = cable.cable.sideways
     assert friction is not None
-    slips = node_slips(cable, grip.curve, shape)
+    slips = node_slips(cable, grip.curve, shape, grip.line)
     moving = grip.moving.copy()
     rows = grip.rows(slips.supports)
     if settled:

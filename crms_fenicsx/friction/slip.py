@@ -4,12 +4,15 @@ The history is a curve on the stress-free membrane: the cable's line at the end 
 step. It is independent of edges, so it survives sliding into other cells. The slip of a fold point
 is the signed distance of its material place from that curve, positive to the left of the cable,
 plus the remaining elastic slip: within a small slip eps friction is elastic, to prevent creep.
+
+The friction force is perpendicular to the cable's own line, which may turn in a load step. So each
+update of the forces takes the present line, with the slips so far, as the origin of further slip.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +22,7 @@ from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.meshes.triangles import arc_lengths, cross
 from crms_fenicsx.model.friction import Friction, LateralFrictionState, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import Support
 
 
@@ -53,6 +56,7 @@ class NodeSlips:
     slip: Array  # (n,) at the current places (length)
     size: Array  # (n,) size of the surrounding stress-free cells (length)
     moving: Array  # (n,) sliding direction of the curve there in the last load step
+    known: Booleans  # (n,) whether the cable was on the membrane there before
 
 
 def material_curve(
@@ -75,14 +79,30 @@ def material_curve(
     )
 
 
+def slipped_line(cable: LaidCable, slips: NodeSlips, shape: StripShape) -> MaterialCurve:
+    """The cable's current curve, with the slips of the load step so far."""
+    nodes = np.array([k for run in runs(cable) for k in run])
+    line = material_curve(cable, shape)
+    known = np.isin(nodes, np.array(slips.nodes)[slips.known])
+    if not known.any():
+        return line
+    slip_of = dict(zip(slips.nodes, slips.slip, strict=True))
+    values = [slip_of[k] for k in nodes[known]]
+    return replace(line, elastic=np.interp(line.arc, line.arc[known], values))
+
+
 def material_place(cable: LaidCable, k: int, shape: StripShape) -> Array:
     """Position of a node on the stress-free membrane, (3,)."""
     ids, weights = cable.interpolation(k)
     return np.asarray(np.dot(weights, [shape.stress_free_at(i) for i in ids]))
 
 
-def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> NodeSlips:
-    """Slips of a cable's sliding contacts; zero where it was not on the membrane before."""
+def node_slips(
+    cable: LaidCable, curve: MaterialCurve, shape: StripShape, line: MaterialCurve | None = None
+) -> NodeSlips:
+    """Slips of a cable's sliding contacts, counted from a line of later in the step, if any; zero
+    where it was not on the membrane before."""
+    line = line or curve
     nodes, supports = [], []
     for k in cable.contacts():
         point = cable.nodes[k].point
@@ -91,7 +111,8 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
             supports.append(point.support)
     ends = np.array([[shape.stress_free_at(v) for v in s] for s in supports]).reshape(-1, 2, 3)
     fractions, sides = cable.fractions[nodes], ends[:, 1] - ends[:, 0]
-    at, feet, parts = curve.nearest(ends[:, 0] + fractions[:, None] * sides)
+    places = ends[:, 0] + fractions[:, None] * sides
+    at, _, parts = curve.nearest(places)
     size = np.array([shape.stress_free_size(s) for s in supports])
     around = (shape.stress_free_normals[shape.strip.solid_rows(s)] for s in supports)
     normals = np.array([own.sum(axis=0) for own in around]).reshape(-1, 3)
@@ -101,16 +122,16 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
         first[parts == part], last[parts == part] = own[0], own[-1]
     # Elsewhere the cable has touched down in this step and has no slip yet.
     known = (at >= first - size) & (at <= last + size)
-    at, parts = at[known], parts[known]
-    left = cross(normals[known], curve.tangents(at, parts, size[known]))
-    left /= np.linalg.norm(left, axis=1)[:, None]
     slope, offset, moving = np.zeros((3, len(nodes)))
+    moving[known] = curve.history(at[known], parts[known])[1]
+    at, feet, parts = line.nearest(places[known])
+    left = cross(normals[known], line.tangents(at, parts, size[known]))
+    left /= np.linalg.norm(left, axis=1)[:, None]
     slope[known] = np.sum(sides[known] * left, axis=1)
-    offset[known] = np.sum((ends[known, 0] - feet[known]) * left, axis=1)
-    elastic, moving[known] = curve.history(at, parts)
-    offset[known] += elastic
+    offset[known] = np.sum((ends[known, 0] - feet) * left, axis=1)
+    offset[known] += line.history(at, parts)[0]
     slip = slope * fractions + offset
-    return NodeSlips(nodes, supports, slope, offset, slip, size, moving)
+    return NodeSlips(nodes, supports, slope, offset, slip, size, moving, known)
 
 
 def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:

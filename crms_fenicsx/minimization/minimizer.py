@@ -77,6 +77,10 @@ Interrupt = Callable[[float, float, bool], bool]
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
+UNSTRESSED = 1e3
+"""Sum of all forces, relative to `Minimizer.atol`, below which a state is free of stress: where
+nothing loads a slack membrane the forces fade together, so that none is small beside the others."""
+
 
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
@@ -224,9 +228,10 @@ class Minimizer:
         """Start the next solve with a new H0, as another process would."""
         self._h0_is_outdated = True
 
-    def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
-        """Rebuild H0 at the current state, and set it in TAO the first time. `renewals`: rebuilds
-        so far in this solve; `failures`: consecutive failed line searches."""
+    def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> bool:
+        """Rebuild H0 at the current state, and set it in TAO the first time. Returns whether it is
+        usable. `renewals`: rebuilds so far in this solve; `failures`: consecutive failed line
+        searches."""
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
@@ -239,12 +244,13 @@ class Minimizer:
         self._most_h0_iterations = 2 * REBUILD if least > FLOOR else math.inf
         exact = prestress == 0.0 and failures == 0
         exact = exact and self._newton_method.wants_exact(self._residual0, self._scale)
-        if not self.h0.rebuild(exact):
-            self.h0.rebuild()
+        if not self.h0.rebuild(exact) and not self.h0.rebuild():
+            return False
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)
             self.h0.solve_for(self.tao.getLMVMH0KSP())
             self._h0_set = True
+        return True
 
     def _stiffenings(self) -> list[Stiffening]:
         return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
@@ -309,7 +315,9 @@ class Minimizer:
             stages += 1 / 8 if self._newton_method.active else 1
             self._residual0, self._tolerance = residual, tolerance
             if self._uses_h0 and self._h0_is_outdated:
-                self._renew_h0(h0_prestress, factorizations, failures)
+                if not self._renew_h0(h0_prestress, factorizations, failures):
+                    reason = endings.SINGULAR
+                    break
                 factorizations, renewed = factorizations + 1, iterations
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
@@ -354,6 +362,8 @@ class Minimizer:
         rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
         tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
+        if self._scale <= UNSTRESSED * self.atol:
+            tolerance = max(tolerance, self._scale)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding
 

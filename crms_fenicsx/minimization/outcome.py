@@ -21,6 +21,9 @@ REASONS = {
 ENDLESS = "the membrane moves without end"
 """Reason for giving up when vertices have moved too far."""
 
+SINGULAR = "the stiffness is singular to rounding"
+"""Reason for giving up when H0 cannot be factorised."""
+
 DROWNED = (
     ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
     "large for the loads"

@@ -214,6 +214,9 @@ class LateralFrictionState:
     known: bool = False  # whether the bounds come from a solved state, not from a first guess
     cone: LateralLaw | None = None  # reduction by friction along the cable; None: none
     elements: ElementSlips | None = None  # of the paper's law; None: of another law
+    # the cable's line at the last update of the forces, with slips at its points in place of
+    # elastic ones; None: `curve`
+    line: MaterialCurve | None = None
 
     def rows(self, supports: Iterable[Support]) -> list[int]:
         """Rows of nodes in the arrays."""

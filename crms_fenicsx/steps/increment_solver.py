@@ -11,6 +11,12 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.contact.lift_off import SUNK, is_foot, size_at
+from crms_fenicsx.equilibrium.other_states import (
+    LESS,
+    SCATTER_CHECK,
+    lower_state,
+    may_have_others,
+)
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
@@ -21,15 +27,18 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
-from crms_fenicsx.verification.report import Verification
+from crms_fenicsx.verification.report import Check, Verification
 from crms_fenicsx.verification.verifier import Verifier
 
 if TYPE_CHECKING:
     from crms_fenicsx.paths.tried_paths import TriedPaths
 
 
-def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:
-    """Extra prestress in H0 for each attempt, the last 0 (force per length). Collective."""
+def starting_prestress(
+    system: System, target: Target, share: float, stressed: bool = True
+) -> tuple[float, ...]:
+    """Extra prestress in H0 for each attempt, the last 0 (force per length), from the present state
+    or, if not `stressed`, from the unstressed membrane. Collective."""
     # A flat sheet has no stiffness against pressure: its stress will be 0.3 (p^2 L^2 E t)^(1/3).
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
@@ -39,7 +48,7 @@ def starting_prestress(system: System, target: Target, share: float) -> tuple[fl
     coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
     coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
     present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
-    if present > 0.3 * coming:
+    if stressed and present > 0.3 * coming:
         return (0.0,)
     return (coming, 0.1 * coming, 0.01 * coming, 0.0)
 
@@ -151,8 +160,13 @@ class IncrementSolver:
         """Solve and verify an increment; restore the state before if it fails. Collective."""
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
-            prestress = starting_prestress(self.system, target, (goal - done) / steps)
-            found = self._solve(prestress)
+            share = (goal - done) / steps
+            prestress = starting_prestress(self.system, target, share)
+            at_once: tuple[float, ...] | None = None
+            if goal > steps - 1e-9:
+                loaded = self.scene.comm.allreduce(bool(before.u.any()), op=MPI.LOR)
+                at_once = starting_prestress(self.system, target, 1.0, False) if loaded else ()
+            found = self._solve(prestress, at_once)
         except BaseException:
             self._restore(before)
             raise
@@ -160,7 +174,10 @@ class IncrementSolver:
             self._restore(before)
         return found
 
-    def _solve(self, h0_prestress: tuple[float, ...]) -> Increment:
+    def _solve(
+        self, h0_prestress: tuple[float, ...], at_once: tuple[float, ...] | None
+    ) -> Increment:
+        """`at_once`: as for `lower_state`; None: states of less energy are not looked for."""
         if self._verifier is not None:
             self._verifier.begin()
         outcome, verification = self.search.find(h0_prestress), None
@@ -174,7 +191,10 @@ class IncrementSolver:
             reason = f"the pond {hanging.name!r} has the volume {size}, over cells that face down"
             outcome = replace(outcome, converged=False, reason=reason)
         if self._verifier is not None and outcome.converged:
-            verification = self._verifier.check(self.system, outcome)
+            scatter: tuple[Check, ...] = ()
+            if at_once is not None and may_have_others(self.system):
+                outcome, scatter = self._lower(outcome, at_once)
+            verification = self._verifier.check(self.system, outcome, scatter)
             if not verification.passed:
                 outcome = replace(outcome, converged=False, reason=str(verification))
         warnings = self._warnings(outcome) if outcome.converged else ()
@@ -185,6 +205,17 @@ class IncrementSolver:
         if outcome.converged:
             self.system.commit()
         return Increment(outcome, verification, warnings)
+
+    def _lower(
+        self, outcome: Outcome, at_once: tuple[float, ...]
+    ) -> tuple[Outcome, tuple[Check, ...]]:
+        """Look for states of less energy, and check how far they are. Collective."""
+        found = lower_state(self.system, at_once)
+        apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
+        where = apart if found.energy > 0.0 else ""
+        check = Check(SCATTER_CHECK, found.energy, LESS, where, binding=False)
+        total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
+        return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
 
     def _warnings(self, outcome: Outcome) -> tuple[StateWarning, ...]:
         """Warnings about the state found. Collective."""

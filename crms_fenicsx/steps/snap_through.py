@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text
@@ -23,6 +24,10 @@ from crms_fenicsx.steps.loading import Target, between
 FINE, LEAST, MOST = 0.005, 3, 12
 """Load interval, relative to the load, at which bisection ends, and the least and largest number of
 intervals examined."""
+
+SHARES, WIDE = (0.5, 0.25, 0.75), 0.05
+"""Places in an interval that are tried in turn until one has an equilibrium, as a solve may fail at
+one load and not at others, and the width, in increments, down to which that is done."""
 
 SMALLEST = 0.05
 """Least load for that comparison, relative to the larger of the load's end values."""
@@ -79,22 +84,22 @@ class SnapThroughSearch:
 
     def _nonconvex_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
         """Halves with non-convex energy and their displacements. Collective."""
-        # None if there is no equilibrium in the middle. While the second half's displacement stays
+        # None if no equilibrium is found in between. While the second half's displacement stays
         # large, it is not solved: a jump takes the most iterations.
         found: list[tuple[float, _Part]] = []
-        start, middle = part.start, (part.low + part.high) / 2
+        reached = self._between(part)
+        if reached is None:
+            return None
+        middle, outcome = reached
+        start = part.start
         for low, high in ((part.low, middle), (middle, part.high)):
             left = self._largest_displacement(start, part.end)[0]
-            if low == middle and not found and left >= large:
-                return [(left, _Part(start, part.end, low, high, solved=False))]
-            self.increments.go_back_to(start)
-            outcome = self.increments.solve(
-                self.target, self.first, start, low, high, self.steps
-            ).outcome
-            if not outcome.converged and low == part.low:
-                return None
-            if not outcome.converged:
-                return [(left, _Part(start, part.end, low, high))]
+            if low == middle:
+                if not found and left >= large:
+                    return [(left, _Part(start, part.end, low, high, solved=False))]
+                outcome = self._solve(start, low, high)
+                if not outcome.converged:
+                    return [(left, _Part(start, part.end, low, high))]
             end = self.increments.snapshot()
             size = self._largest_displacement(start, end)[0]
             if outcome.nonconvex:
@@ -104,12 +109,24 @@ class SnapThroughSearch:
             start = end
         return found
 
+    def _between(self, part: _Part) -> tuple[float, Outcome] | None:
+        """Solve at the first place in a part where an equilibrium is found. Collective."""
+        for share in SHARES if part.high - part.low > WIDE else SHARES[:1]:
+            middle = part.low + share * (part.high - part.low)
+            outcome = self._solve(part.start, part.low, middle)
+            if outcome.converged:
+                return middle, outcome
+        return None
+
+    def _solve(self, start: SceneState, low: float, high: float) -> Outcome:
+        """Solve a part of the increment from its start. Collective."""
+        self.increments.go_back_to(start)
+        found = self.increments.solve(self.target, self.first, start, low, high, self.steps)
+        return found.outcome
+
     def _is_convex(self, part: _Part) -> bool:
         """Whether the energy is convex all the way from the start of a part. Collective."""
-        self.increments.go_back_to(part.start)
-        outcome = self.increments.solve(
-            self.target, self.first, part.start, part.low, part.high, self.steps
-        ).outcome
+        outcome = self._solve(part.start, part.low, part.high)
         return outcome.converged and not outcome.nonconvex
 
     def _is_fine(self, part: _Part) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
+from crms_fenicsx.equilibrium.other_states import SCATTER_CHECK
 from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.output.figures.plots import draw_convergence
@@ -18,6 +19,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.solver import Solver
+from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.study.build import Build, built, comm_of
 from crms_fenicsx.study.values import Quantities, Quantity, extrapolated
 
@@ -111,6 +113,12 @@ class Convergence:
         return draw_convergence(self.comm, filename, self.cells, series, title=title, width=width)
 
 
+def _may_scatter(step: Step) -> bool:
+    """Whether the membrane was so wrinkled that other equilibria were looked for."""
+    checks = () if step.verification is None else step.verification.checks
+    return any(check.name == SCATTER_CHECK for check in checks)
+
+
 def _digits(limit: float, bar: float) -> int:
     """Number of digits that shows a value to a tenth of its error bar."""
     if bar <= 0.0 or limit == 0.0:
@@ -198,7 +206,7 @@ def convergence(
         points = checks.in_one_order(comm, points)
     if isinstance(quantities, Mapping):
         quantities = checks.in_one_order(comm, quantities)
-    rows, cells, seconds = [], [], []
+    rows, cells, seconds, scattered = [], [], [], False
     for level in range(levels):
         began = time.perf_counter()
         mesh = refine(mesh, project=project) if level else mesh
@@ -206,9 +214,11 @@ def convergence(
         if level == 0:
             wanted = Quantities.checked(solver.scene, points, reactions, stresses, quantities)
         rows.append(wanted.of(solver))
+        scattered |= bool(solver.steps) and _may_scatter(solver.steps[-1])
         cells.append(mesh.mesh.topology.index_map(2).size_global)
         seconds.append(comm.bcast(time.perf_counter() - began))
     found = {
-        name: extrapolated([row[name][0] for row in rows], rows[-1][name][1]) for name in rows[0]
+        name: extrapolated([row[name][0] for row in rows], rows[-1][name][1], scattered)
+        for name in rows[0]
     }
     return Convergence(tuple(cells), tuple(seconds), found, solver, comm)

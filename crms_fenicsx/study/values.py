@@ -78,8 +78,14 @@ class Quantity:
         return abs(self.values[0] - self.limit) + self.bar
 
 
-def extrapolated(values: Sequence[float], size: float = 0.0) -> Quantity:
-    """Extrapolate values on two or more levels, each with half the previous cell size."""
+SCATTER = 3.0
+"""Error bar of scattered values relative to their range: with it, a fourth value of a normal
+distribution lies in the bar about one of three with 95 %."""
+
+
+def extrapolated(values: Sequence[float], size: float = 0.0, scattered: bool = False) -> Quantity:
+    """Extrapolate values on two or more levels, each with half the previous cell size; `scattered`:
+    of states that may be one of several equilibria."""
 
     def found(limit: float, bar: float, order: float, regular: bool, remark: str) -> Quantity:
         whole = max(size, abs(limit))
@@ -95,6 +101,10 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Quantity:
         return found(limit, abs(d), math.nan, False, "two levels show no order: 2 assumed")
     errors = [abs(x) / (2**ORDER - 1) / 2 ** (k * ORDER) for k, x in enumerate(differences[::-1])]
     widest, before = max(SAFER * max(errors), least), differences[-2]
+    if scattered and (before * d <= 0.0 or abs(d) >= abs(before)):
+        widest = max(widest, SCATTER * (max(values) - min(values)))
+        remark = "no order: mostly wrinkled, with several equilibria"
+        return found(finest, widest, math.nan, False, remark)
     if before * d <= 0.0:
         remark = "no order: the levels go to and fro"
         return found(finest, widest, math.nan, False, remark)

@@ -12,7 +12,15 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from contact_checks import deepest, strongest_pull
 
 from crms_fenicsx import Solver
-from crms_fenicsx.contact.lift_off import PULL, is_foot, may_lift, outward_pulls, released
+from crms_fenicsx.cables.points_on_edges import fractions_of, positions_of
+from crms_fenicsx.contact.lift_off import (
+    PULL,
+    Polylines,
+    is_foot,
+    may_lift,
+    outward_pulls,
+    released,
+)
 from crms_fenicsx.runtime.errors import PathError
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
@@ -208,3 +216,16 @@ def test_span_that_passes_a_vertex_on_the_other_side_than_its_path(
     Solver(fresh).advance(pressure=pressure)
     assert scene.energy == pytest.approx(fresh.energy, rel=1e-6)
     assert cable.tension == pytest.approx(other.tension, rel=1e-6)
+
+
+def test_fold_points_that_have_approached_each_other_are_told(comm) -> None:
+    """Two points on edges of a cell, moved together away from their common vertex."""
+    scene, cable, _ = held_down(comm, 9, "unstructured")
+    shape, nodes = scene.net.strip_shape(), scene.net.nodes
+    places, fractions = positions_of([cable]), fractions_of([cable])
+    assert Polylines(nodes, places).collapsed(shape, fractions) == set()
+    length = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    slides = np.array([node.slides for node in cable.nodes]) & ~cable.lifted
+    k = max(np.flatnonzero(slides[1:] & slides[:-1]), key=lambda k: length[k])
+    places[k + 1] = places[k] + 0.4 * (places[k + 1] - places[k])
+    assert Polylines(nodes, places).collapsed(shape, fractions) == {0}

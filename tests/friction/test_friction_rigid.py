@@ -16,6 +16,7 @@ from processes import run
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.contact.contact_force import contact_forces, held_nodes
 from crms_fenicsx.model.friction import Friction
 
 H = 0.1
@@ -66,6 +67,19 @@ def test_a_sliding_cable_ends_where_friction_holds_it(comm, name, kind):
     assert step.outcome.passes <= 20
     assert step.halvings == 0
     assert scene.dissipated > 0
+
+
+def test_one_step_goes_as_far_as_friction_lets_it(comm):
+    """On a mesh with vertices and an edge bent to the other side of its cells in the way. The
+    friction force is perpendicular to the cable as it lies then, not as it lay before."""
+    way, mu = curve(SURFACES["cylinder"], 0.2, 1.0), 0.16
+    scene, cable, _ = pulled(comm, way, mu, seed=4, h=0.05, EA=0.1)
+    exact = way.sideways(way.slid(mu).points).mean()
+    assert way.sideways(cable.positions).mean() == pytest.approx(exact, rel=0.02)
+    forces, nodes = contact_forces(cable, scene.net.strip_shape()), held_nodes(cable)
+    bounds = mu * forces.bearing[nodes]
+    excess = np.abs(forces.lateral[nodes]) - bounds
+    assert np.abs(excess).max() < 0.1 * bounds.mean()
 
 
 @pytest.mark.parametrize("warp", [(0.0, 1.0, 0.0), (1.0, 1.0, 0.0)], ids=["along", "oblique"])

@@ -133,6 +133,7 @@ def found_from(monkeypatch, law):
         return law(grip.bounds.sum()) * shares, grip.moving
 
     monkeypatch.setattr(iteration, "_bounds", bounds)
+    monkeypatch.setattr(iteration, "_turned", lambda cable, grip, shape: (grip, 0.0))
     lag = LateralIteration(cable)
     for passes in range(1, 60):
         if lag.renew(None) <= iteration.SETTLED:
@@ -195,7 +196,7 @@ def test_bounds_are_those_of_the_contact_forces():
             if node.kind in ("fold", "edge slider", "vertex") and not cable.lifted[k]:
                 assert cable.lateral.at(node.point.support) == 0.4 * forces.bearing[k]
         assert cable.lateral.known
-        assert lag.renew(shape) == 0.0
+        assert lag.renew(shape) < 1e-12  # of slips counted from another line, to rounding
         cable.update(taut=False)
         assert LateralIteration(cable).renew(shape) == 0.0
 
@@ -295,6 +296,7 @@ def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
         return np.full(2, 0.4 if settled else 0.6), np.full(2, 1.0 if settled else 0.0)
 
     monkeypatch.setattr(iteration, "_bounds", bounds)
+    monkeypatch.setattr(iteration, "_turned", lambda cable, grip, shape: (grip, 0.0))
     assert LateralIteration(cable).renew(SimpleNamespace()) > iteration.SETTLED
     assert asked == [False, True]
     assert cable.lateral.bounds.tolist() == [0.4, 0.4]

@@ -22,6 +22,13 @@ KNOWN = (
     1978,  # a cable with friction along the boundary that is led past a vertex of it
 )
 
+FOUND = (
+    45,  # a cap that nothing loads, whose forces fade together
+    122,  # a cable so strong that it bends the edges that it crosses
+    390,  # friction forces far below those of another cable
+    412,  # as 122, without friction
+)
+
 
 class Drawn:
     """Choices that hypothesis makes, and shrinks."""
@@ -45,6 +52,15 @@ def test_scenes_that_have_failed(number: int) -> None:
     """Each for a reason of its own."""
     result = runs.run(scenes.scene(number))
     assert result.outcome != "failed", result.problems
+
+
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=[pytest.mark.slow] * (n in (45, 122))) for n in FOUND]
+)
+def test_scenes_that_were_refused(number: int) -> None:
+    """Each for a reason of its own."""
+    result = runs.run(replace(scenes.scene(number), twin=""))
+    assert result.outcome == "converged", result.text or result.problems
 
 
 @settings(

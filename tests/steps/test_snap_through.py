@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, SnapThroughWarning, Solver, meshes
+from crms_fenicsx.steps.increment_solver import Increment, IncrementSolver
 
 RADIUS, HEIGHT, STIFFNESS, NU, PRESSURE = 20.0, 8.0, 800.0, 0.3, 1.5
 
@@ -126,3 +129,27 @@ def test_states_are_those_that_there_were_without_looking(
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-9)  # MUMPS is not the same twice
     assert found[0][1] == found[1][1]
     np.testing.assert_allclose(found[0][2], found[1][2], atol=1e-5)
+
+
+def test_the_interval_is_narrowed_past_a_load_without_equilibrium(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver fails half way, where the limit load is not."""
+    solve, failed = IncrementSolver.solve, []
+
+    def fails_half_way(self: IncrementSolver, *given: Any) -> Increment:
+        found = solve(self, *given)
+        if given[4] == 0.5:
+            failed.append(given)
+            return replace(found, outcome=replace(found.outcome, converged=False))
+        return found
+
+    monkeypatch.setattr(IncrementSolver, "solve", fails_half_way)
+    solver = dome(comm, 5.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SnapThroughWarning)
+        step = solver.advance(load=1.2 * limit())
+    assert len(failed) == 1
+    low, high = step.warnings[0].loads["snow"]
+    assert high - low <= 0.005 * high
+    assert 0.98 * limit() < low < high < 1.02 * limit()

@@ -122,3 +122,16 @@ def test_bars_hold_limits_of_values_that_scatter(smooth: float, n: int, due: flo
         found = extrapolated(list(100.0 + h**2 * (part + smooth)))
         held += abs(found.limit - 100.0) <= found.bar
     assert held > due * trials
+
+
+@pytest.mark.parametrize(
+    "values", [(1.0, 1.01, 1.1), (1.0, 1.02, 1.01)], ids=["grow", "to and fro"]
+)
+def test_values_of_several_equilibria_have_a_wide_bar(values: tuple[float, ...]) -> None:
+    """Three times their range, about the finest; where they have an order nothing changes."""
+    found = extrapolated(values, scattered=True)
+    assert found.limit == values[-1]
+    assert found.bar == pytest.approx(3 * (max(values) - min(values)))
+    assert "several equilibria" in found.remark
+    regular = levels(100.0, (10.0, 2.0))
+    assert extrapolated(regular, scattered=True) == extrapolated(regular)
