@@ -14,6 +14,7 @@ import numpy as np
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.materials import ORTHOTROPIC_TENSION_FIELD, TENSION_FIELD
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
@@ -52,7 +53,8 @@ def may_have_others(system: System) -> bool:
     follows = any(load.is_active_wind for load in scene.loads)
     if parts or follows or system.has_history or scene.floor_level is not None:
         return False
-    if not any(material.wrinkling for material in scene.materials.values()):
+    laws = {material.law for material in scene.materials.values()}
+    if laws.isdisjoint((TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD)):
         return False
     slack, wrinkled, _ = membrane_results(system).shares()
     return slack + wrinkled > WRINKLED

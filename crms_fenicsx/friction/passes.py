@@ -81,11 +81,14 @@ class Brackets:
 
     def __init__(self) -> None:
         self._what: Hashable = None
+        self._low: Array = np.zeros(0)
+        self._high: Array = np.zeros(0)
 
     def narrow(self, what: Hashable, used: Array, found: Array) -> None:
         """Take in the bounds found for those used, (n,); others than before if `what` differs."""
         if what != self._what:
-            self._what, self._low, self._high = what, 0.0 * used, np.full(len(used), np.inf)
+            self._what, self._low = what, np.zeros(len(used))
+            self._high = np.full(len(used), np.inf)
         rises, falls = found > used, found < used
         self._low = np.where(rises, np.maximum(self._low, used), self._low)
         self._high = np.where(falls, np.minimum(self._high, used), self._high)
@@ -96,7 +99,7 @@ class Brackets:
         """The bounds, halfway where they lie outside of their brackets."""
         out = (bounds <= self._low) | (bounds >= self._high)
         middle = (self._low + self._high) / 2
-        return np.where(out & np.isfinite(self._high), middle, bounds)
+        return np.asarray(np.where(out & np.isfinite(self._high), middle, bounds))
 
     def closed(self, width: float) -> Booleans:
         """Which brackets are narrower than a width (force), (n,)."""
