@@ -12,6 +12,7 @@ from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.checks import counted
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
+    DoubtWarning,
     FrictionWarning,
     InstabilityWarning,
     PathWarning,
@@ -43,7 +44,7 @@ class Step:
         Independent checks of the state; None if verification is off. Checkpoints leave it out.
     warnings
         Warnings of the step: snap-through with its load interval, unstable equilibrium, cable
-        ends under the membrane.
+        ends under the membrane, ranges of uncertain forces.
     """
 
     number: int
@@ -79,6 +80,7 @@ CATEGORIES: dict[str, type[UserWarning]] = {
     "instability": InstabilityWarning,
     "pond": PondWarning,
     "cable end": PathWarning,
+    "doubtful": DoubtWarning,
 }
 
 

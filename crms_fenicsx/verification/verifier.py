@@ -12,8 +12,8 @@ had not converged, and finally raises a `ConvergenceError` that names the failed
 
 from __future__ import annotations
 
-import logging
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,8 +31,6 @@ from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.verification.cable_checks import CableVerifier
-
-logger = logging.getLogger("crms_fenicsx")
 
 VIRTUAL_DISPLACEMENT = 1e-5
 """Size of the virtual displacements: the change of nodal forces that they cause in a membrane of
@@ -109,8 +107,12 @@ class Verifier:
         if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))
         found = Verification(tuple(checks), time.perf_counter() - began)
-        if found.doubtful and self.comm.rank == 0:
-            logger.info("doubtful: %s", "; ".join(str(check) for check in found.doubtful))
+        if found.passed and found.doubtful:
+            from crms_fenicsx.verification.doubts import doubt
+
+            known = self._cables
+            cables, others = ({}, {}) if known is None else (known.doubts, known.others)
+            found = replace(found, warnings=(doubt(self.scene, found.doubtful, cables, others),))
         return found
 
     def _finite(self, system: System) -> Check:
