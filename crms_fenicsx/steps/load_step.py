@@ -153,6 +153,7 @@ def no_equilibrium(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
         f"{max_halvings} times; {done:.2%} of the loads are on and the scene is at that "
-        "state. Try more steps, check that the cables can carry tension where they lie, and "
-        f"look at the state reached.{water}"
+        "state, to be looked at. Check that the cables can carry tension where they lie. Another "
+        "mesh often helps, of a slightly other cell size or unstructured, and so does more "
+        f"prestress; more steps seldom do.{water}"
     )

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import StateWarning
@@ -110,7 +111,8 @@ def tension_range(
 
 
 def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
-    """Excess of a cable's length over that of the string over the same edges, drawn straight."""
+    """Excess of a cable's length over that of the string over the same edges, drawn straight, less
+    what friction carries."""
     contacts = np.array(cable.contacts())
     places = cable.positions[contacts]
     clamps = () if cable.parts is None else cable.parts.nodes
@@ -138,7 +140,25 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
     first = np.clip(cable.fractions[contacts[free]], 0.0, 1.0)
     bounds = [(0.0, 1.0)] * len(free)
     found = minimize(length, first, jac=True, method="L-BFGS-B", bounds=bounds, options=EXACT)
-    return now * max(1.0 - float(found.fun), 0.0)
+    excess = now * max(1.0 - float(found.fun), 0.0)
+    return excess * _share_beyond_friction(cable, shape, [int(k) for k in contacts[free]])
+
+
+def _share_beyond_friction(cable: LaidCable, shape: StripShape, nodes: list[int]) -> float:
+    """Share of the length that lateral forces at nodes add to a string which goes without those
+    beyond the friction's bounds."""
+    if not cable.has_coulomb or cable.cable.sideways is None:
+        return 1.0
+    forces = contact_forces(cable, shape).at(nodes)
+    bounds = cable.cable.sideways.at_rest * forces.bearing
+    contacts = cable.contacts()
+    arc = arc_lengths(cable.positions[contacts])
+    places = np.concatenate([arc[:1], arc[np.searchsorted(contacts, nodes)], arc[-1:]])
+    now, then = (
+        float(pulls @ string_displacements(places, pulls))
+        for pulls in (forces.lateral, np.clip(forces.lateral, -bounds, bounds))
+    )
+    return min(max(1.0 - then / now, 0.0), 1.0) if now > 0.0 else 1.0
 
 
 def _longer_by_vertices(cable: LaidCable, shape: StripShape, others: Pulls | None) -> float:

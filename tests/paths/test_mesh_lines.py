@@ -125,7 +125,6 @@ def test_a_tie_stays_one(comm) -> None:
 
 
 @pytest.mark.ranks
-@pytest.mark.filterwarnings("ignore::crms_fenicsx.DoubtWarning")
 def test_a_cable_that_a_line_holds_is_doubtful(comm, monkeypatch) -> None:
     """Kept from leaving the line, though nothing is out of balance; it ends no run. The warning
     gives a range of its tension, which contains that of the cable that has left the line."""

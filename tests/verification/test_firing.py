@@ -170,7 +170,6 @@ def test_what_is_wrong_with_one_cable_is_found(comm: MPI.Intracomm, name: str, w
 
 
 @pytest.mark.ranks
-@pytest.mark.filterwarnings("ignore::crms_fenicsx.DoubtWarning")
 @pytest.mark.parametrize("name", CABLED)
 def test_crossing_cables_apart_are_found(comm: MPI.Intracomm, name: str) -> None:
     """By a millionth of the length."""
@@ -195,7 +194,6 @@ def test_clamps_that_hold_nothing_are_found(comm: MPI.Intracomm) -> None:
     assert "clamps that hold nothing" in names(found)
 
 
-@pytest.mark.filterwarnings("ignore::crms_fenicsx.DoubtWarning")
 @pytest.mark.parametrize(("name", "EA"), [("stiff membrane", 0.03), ("weak cable", 0.03)])
 def test_cables_held_by_edges_that_the_pressure_bulges_are_found(
     comm: MPI.Intracomm, name: str, EA: float
