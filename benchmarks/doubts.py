@@ -52,7 +52,7 @@ def case(random: np.random.Generator) -> bool | None:
     if kind == "cap":
         first = random.uniform(0.0, 2 * np.pi)
         last = first + np.pi + random.uniform(-0.8, 0.8)
-        ends = [(47.0 * np.cos(x), 47.0 * np.sin(x)) for x in (first, last)]
+        ends = [(49.99 * np.cos(x), 49.99 * np.sin(x)) for x in (first, last)]
     cells, EA = int(random.integers(5, 13)), float(10 ** random.uniform(-2, 3))
     p, prestress = float(10 ** random.uniform(-2.5, -1)), float(random.choice([0.0, 0.0, 0.1]))
     friction, longer = float(random.choice([0.0, 0.0, 0.2])), float(10 ** random.uniform(-4, -2))

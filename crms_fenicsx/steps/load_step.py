@@ -93,8 +93,8 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
-        text = "friction forces went round in circles and are right to"
-        remedy = "of their sum only; make the mesh finer along the cables."
+        text = "friction forces did not settle and are right to"
+        remedy = "of their sum only; another mesh may settle them."
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         held, before_it = (
@@ -153,7 +153,7 @@ def no_equilibrium(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
         f"{max_halvings} times; {done:.2%} of the loads are on and the scene is at that "
-        "state, to be looked at. Check that the cables can carry tension where they lie. Another "
-        "mesh often helps, of a slightly other cell size or unstructured, and so does more "
+        "state. Look at it, and check that the cables can carry tension where they lie. Most often "
+        "another mesh helps, unstructured or of a slightly different cell size, and sometimes more "
         f"prestress; more steps seldom do.{water}"
     )
