@@ -84,8 +84,8 @@ def _of_cable(
     if "unbalanced forces of cables" in by_name:
         share = by_name["unbalanced forces of cables"]
         yield (
-            f"the tension of {cable.name!r}, {T:.3g}, is known to some {share:.1%}, to which its "
-            "forces balance: they are small beside the scene's largest, by which the solver stops"
+            f"the tension of {cable.name!r}, {T:.3g}, is {_known(share)}, to which its forces "
+            "balance: they are small beside the scene's largest, by which the solver stops"
         )
 
 
@@ -93,11 +93,18 @@ def _of_scene(check: Check) -> Iterator[str]:
     """What is uncertain about the membrane or a bar."""
     if check.name == "unbalanced forces of the membrane":
         yield (
-            f"forces of the membrane are known to some {check.value:.1%}, to which they balance: "
-            "they are small beside the scene's largest, by which the solver stops"
+            f"forces of the membrane are {_known(check.value)}, to which they balance: they are "
+            "small beside the scene's largest, by which the solver stops"
         )
     if check.name == "unbalanced forces of bars":
-        yield f"forces of bars at {check.where!r} are known to some {check.value:.1%}"
+        yield (
+            f"forces of bars at {check.where!r} are {_known(check.value)}, to which they balance"
+        )
+
+
+def _known(share: float) -> str:
+    """How well forces are known that balance to a share of their own size."""
+    return f"known to some {share:.1%}" if share < 1.0 else "not known better than to their size"
 
 
 def tension_range(
