@@ -27,7 +27,7 @@ from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.cable_forces import plain_vertices, section_forces
-from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
+from crms_fenicsx.verification.report import NO_STRAIN, UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.verification.cable_checks import CableVerifier
@@ -253,7 +253,9 @@ class Verifier:
         unbalanced = SPREAD * outcome.residual + rounding + EPSILON * SPREAD * float(total[12])
         all_loads = max(float(total[13]), force)
         limit = BALANCE + unbalanced / all_loads
-        own = max(float(np.sqrt(total[16])) or section_forces(scene), NEGLIGIBLE)
+        modulus = max(m.reference_modulus for m in scene.materials.values())
+        section = max(section_forces(scene), NO_STRAIN * modulus * size)
+        own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
         worst = self._position_errors(unknowns)
         checks = [
             Check("unbalanced forces", float(np.sqrt(total[14])) / force,
