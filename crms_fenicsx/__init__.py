@@ -19,6 +19,7 @@ from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
+    DoubtWarning,
     FrictionWarning,
     InputError,
     InstabilityWarning,
@@ -46,6 +47,7 @@ __all__ = [
     "Bar",
     "Cable",
     "ConvergenceError",
+    "DoubtWarning",
     "EnergyTerm",
     "FanControl",
     "Friction",

@@ -19,6 +19,7 @@ from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
+from crms_fenicsx.model.versions import last_doubt
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
@@ -285,16 +286,18 @@ class Solver:
                     number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
                     found.verification, found.warnings if jump is None else (jump, *found.warnings),
                 )  # fmt: skip
-                self._accept(step, before, outcome.unsettled)
-                if abs(goal - round(goal)) < 1e-9:
+                whole = abs(goal - round(goal)) < 1e-9
+                self._accept(step, before, outcome.unsettled, whole)
+                if whole:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)
                 self._record(step, done, increment)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
-    def _accept(self, step: Step, before: SceneState, unsettled: float) -> None:
-        """Accept a step that started from `before`, and issue its warnings."""
+    def _accept(self, step: Step, before: SceneState, unsettled: float, whole: bool) -> None:
+        """Accept a step that started from `before`, and issue its warnings; parts of a divided
+        increment are not told to be doubtful."""
         scene, lasting = self.scene, [one for one in before.warnings if one.lasts]
         scene.record(warnings=(*lasting, *step.warnings))
         if step.verification is not None:
@@ -304,7 +307,8 @@ class Solver:
         if not self.slide:
             warn_of_blocked(step.number, scene)
         warn_of_friction(step.number, scene, before, unsettled)
-        warn_of_state(step.number, scene, step.warnings)
+        told = [one for one in step.warnings if whole or one.kind != "doubtful"]
+        warn_of_state(step.number, scene, told)
 
     def _resumed(self, given: Mapping[str, Any]) -> tuple[float, float]:
         """Restore the progress of a call: increments done, and the next increment. Collective."""
@@ -506,8 +510,9 @@ class Solver:
         with nullcontext() if self.case else self.branch(NAME):
             try:
                 water.put()
-                while water.fill():
-                    self.advance(load={NAME: 1.0})
+                with last_doubt(self.scene):
+                    while water.fill():
+                        self.advance(load={NAME: 1.0})
             except ConvergenceError as error:
                 why = f"there is no equilibrium with it ({error})"
             finally:

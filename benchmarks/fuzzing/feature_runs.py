@@ -31,8 +31,8 @@ ENERGY, FORCE, BALANCE = 1e-6, 1e-4, 1e-6
 LOOSE = 300.0
 """How much more they may be where friction stops a cable anywhere within its tolerance."""
 WARNINGS = (
-    errors.FrictionWarning, errors.InstabilityWarning, errors.PathWarning, errors.PenaltyWarning,
-    errors.SnapThroughWarning,
+    errors.DoubtWarning, errors.FrictionWarning, errors.InstabilityWarning, errors.PathWarning,
+    errors.PenaltyWarning, errors.SnapThroughWarning,
 )  # fmt: skip
 Numbers = dict[str, list[float]]
 

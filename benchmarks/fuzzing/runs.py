@@ -114,7 +114,7 @@ def watched(result: Result) -> Iterator[None]:
 
     def checking(self: Verifier, system: System, outcome: Any, *others: Any) -> Any:
         found = check(self, system, outcome, *others)
-        result.notes += [f"doubtful: {crude.name}" for crude in found.doubtful]
+        result.notes += [f"doubtful: {check.name}" for check in found.doubtful]
         if not found.passed:
             result.notes += [f"halved, not verified: {check.name}" for check in found.failed]
         else:
@@ -181,8 +181,8 @@ def run(data: SceneData, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Result:
     with limited(SECONDS), warnings.catch_warnings():
         warnings.simplefilter("error")
         for own in (
-            errors.FrictionWarning, errors.PathWarning, errors.PenaltyWarning,
-            errors.SnapThroughWarning,
+            errors.DoubtWarning, errors.FrictionWarning, errors.PathWarning,
+            errors.PenaltyWarning, errors.SnapThroughWarning,
         ):  # fmt: skip
             warnings.simplefilter("ignore", own)
         try:

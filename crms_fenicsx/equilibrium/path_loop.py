@@ -132,7 +132,7 @@ class PathLoop:
         caught = (self.system.kinked_cables(CAUGHT) & self._collapsed()) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
-            reason = f"{names}: caught between edges of the mesh; make it finer there"
+            reason = f"{names}: caught between edges of the mesh"
             return replace(total, converged=False, reason=reason)
         return total
 

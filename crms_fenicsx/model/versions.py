@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from typing import Any, Literal, TypeVar, cast
 
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import DoubtWarning
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,7 @@ class StateWarning:
     kind
         "snap-through": no path of stable equilibria leads to it. "instability": bars make its
         equilibrium unstable. "pond": water does. "cable end": an end lies under the membrane.
+        "doubtful": an equilibrium of which some forces are known within a range only.
     text
         What, where and from which load on.
     loads
@@ -27,7 +31,7 @@ class StateWarning:
         "pressure" the pressures (force per area).
     """
 
-    kind: Literal["snap-through", "instability", "pond", "cable end"]
+    kind: Literal["snap-through", "instability", "pond", "cable end", "doubtful"]
     text: str
     loads: dict[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -43,6 +47,18 @@ class StateWarning:
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.text}"
+
+
+@contextmanager
+def last_doubt(scene: Any) -> Iterator[None]:
+    """Warn of doubtful states among the load steps of a block only if the last one is such."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        yield
+    for one in scene.warnings:
+        if one.kind == "doubtful" and scene.comm.rank == 0:
+            # The block is in a collective method, whose caller is told.
+            warnings.warn(one.text, DoubtWarning, stacklevel=5)
 
 
 UNBALANCED = "not in equilibrium"

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from scipy.optimize import least_squares
 
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.versions import last_doubt
 from crms_fenicsx.results.sensitivities import Sensitivities
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -110,20 +111,22 @@ def tune(
         errors(shares)  # in case the last step was not at these lengths
         return solver.sensitivities(cables, cables).values * first / wanted[:, None]
 
-    cause = None
-    try:
-        least_squares(errors, np.ones(len(cables)), slopes, method="lm", max_nfev=most)
-    except _Ended as end:
-        cause = end.__cause__
-        if cause is None:
-            return {cable: cable.L0 for cable in cables}
-    except InputError:  # there are no derivatives
+    with last_doubt(scene):
+        cause = None
+        try:
+            least_squares(errors, np.ones(len(cables)), slopes, method="lm", max_nfev=most)
+        except _Ended as end:
+            cause = end.__cause__
+            if cause is None:
+                return {cable: cable.L0 for cable in cables}
+        except InputError:  # there are no derivatives
+            solver.restore(before)
+            raise
+        reached = np.array([cable.tension for cable in cables])
+        k = int(np.abs(reached / wanted - 1).argmax())
         solver.restore(before)
-        raise
-    reached = np.array([cable.tension for cable in cables])
-    k = int(np.abs(reached / wanted - 1).argmax())
-    solver.restore(before)
-    raise InputError(
-        f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; the search ended at "
-        f"{reached[k]:.6g} (load steps: {count}). Give tensions that balance the loads, or fewer."
-    ) from cause
+        raise InputError(
+            f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; the search "
+            f"ended at {reached[k]:.6g} (load steps: {count}). Give tensions that balance the "
+            "loads, or fewer."
+        ) from cause

@@ -159,15 +159,15 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     places = np.concatenate([arc[[ends[0]]], arc[at], arc[[ends[1]]]])
     moved = np.array([one.pull for one in row])
     if cable.lateral is None:
-        moved = _string(places, moved)
+        moved = string_displacements(places, moved)
         moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
     return [list(row[a:b]) for a, b in pairwise(starts)]
 
 
-def _string(places: Array, forces: Array) -> Array:
-    """Displacements (n,), up to a factor, of a string held at its ends under forces in between.
-    Shapes and units: places (n + 2,) (length), forces (n,) (force)."""
+def string_displacements(places: Array, forces: Array) -> Array:
+    """Displacements (n,) of a string of unit tension, held at its ends, under forces in between.
+    Shapes and units: places (n + 2,) (length), forces (n,) (relative to the tension)."""
     shear = np.concatenate([[0.0], -np.cumsum(forces)])
     moved = np.concatenate([[0.0], np.cumsum(shear * np.diff(places))])
     straight = moved[-1] * (places - places[0]) / max(places[-1] - places[0], 1e-300)

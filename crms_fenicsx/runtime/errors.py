@@ -57,6 +57,13 @@ class NetWarning(UserWarning):
     without a clamp because their cables lie apart."""
 
 
+class DoubtWarning(UserWarning):
+    """An equilibrium of which some forces are known within a range only, which the warning gives.
+
+    The mesh is too coarse there, or the forces are small beside the others of the scene.
+    """
+
+
 class FrictionWarning(UserWarning):
     """Friction forces of low accuracy.
 

@@ -83,7 +83,7 @@ class Increment:
     outcome: Outcome  # of all its solves
     # of the accepted state; None if verification is off or no equilibrium was found
     verification: Verification | None = None
-    # of instability and of cable ends under the membrane
+    # of instability, of cable ends under the membrane and of uncertain forces
     warnings: tuple[StateWarning, ...] = ()
 
 
@@ -198,6 +198,8 @@ class IncrementSolver:
             if not verification.passed:
                 outcome = replace(outcome, converged=False, reason=str(verification))
         warnings = self._warnings(outcome) if outcome.converged else ()
+        if outcome.converged and verification is not None:
+            warnings += verification.warnings
         if self._options.stability == "refuse":
             unstable = [one.text for one in warnings if one.is_unstable]
             if unstable:

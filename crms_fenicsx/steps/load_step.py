@@ -13,6 +13,7 @@ from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.checks import counted
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
+    DoubtWarning,
     FrictionWarning,
     InstabilityWarning,
     PathWarning,
@@ -44,7 +45,7 @@ class Step:
         Independent checks of the state; None if verification is off. Checkpoints leave it out.
     warnings
         Warnings of the step: snap-through with its load interval, unstable equilibrium, cable
-        ends under the membrane.
+        ends under the membrane, ranges of uncertain forces.
     """
 
     number: int
@@ -80,6 +81,7 @@ CATEGORIES: dict[str, type[UserWarning]] = {
     "instability": InstabilityWarning,
     "pond": PondWarning,
     "cable end": PathWarning,
+    "doubtful": DoubtWarning,
 }
 
 
@@ -103,8 +105,8 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
-        text = "friction forces went round in circles and are right to"
-        remedy = "of their sum only; make the mesh finer along the cables."
+        text = "friction forces did not settle and are right to"
+        remedy = "of their sum only; another mesh may settle them."
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         held, before_it = (
@@ -163,6 +165,7 @@ def no_equilibrium(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
         f"{max_halvings} times; {done:.2%} of the loads are on and the scene is at that "
-        "state. Try more steps, check that the cables can carry tension where they lie, and "
-        f"look at the state reached.{water}"
+        "state. Look at it, and check that the cables can carry tension where they lie. Most often "
+        "another mesh helps, unstructured or of a slightly different cell size, and sometimes more "
+        f"prestress; more steps seldom do.{water}"
     )

@@ -19,7 +19,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import lists, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.held_vertices import pulls_of_others
+from crms_fenicsx.paths.held_vertices import Pulls, pulls_of_others
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import Edge, EdgePoint
@@ -41,7 +41,7 @@ LIMITS = {
     "depth below the membrane": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
-    "held by edges": 0.3,
+    "sideways force without friction": 0.3,
     "friction beyond its bound": 0.1,
     "friction along beyond its bound": 0.01,
     "negative dissipation": 1e-12,
@@ -54,7 +54,7 @@ mesh would be held sideways by 0.1 of its contact force."""
 
 MESH_DEPENDENT = {
     "pull on the membrane", "depth below the membrane", "friction beyond its bound",
-    "held by a line of the mesh", "held by vertices", "held by edges",
+    "held by a line of the mesh", "held by vertices", "sideways force without friction",
     "unbalanced forces of cables",
 }  # fmt: skip
 """Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
@@ -106,6 +106,10 @@ class CableVerifier:
     def __init__(self) -> None:
         self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
+        self.doubts: dict[LaidCable, list[Check]] = {}
+        """Checks by which each cable of the last state is doubtful."""
+        self.others: dict[LaidCable, Pulls] = {}
+        """Forces of the cables clamped to each cable there."""
 
     def check(self, system: System, ends: Array) -> list[Check]:
         """Check all cables. Collective. Shapes: ends (n, 2, 3)."""
@@ -122,7 +126,7 @@ class CableVerifier:
         parts, pulls, free = _parts_and_forces(system)
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
-        others = pulls_of_others(scene.cables)
+        self.doubts, self.others = {}, pulls_of_others(scene.cables)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.joints):
                 if name is not None:
@@ -134,13 +138,16 @@ class CableVerifier:
                 values["pull at the ends"] = pulls[c]
                 if cable.lifts_off:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape)
-                values |= forces(cable, shape, free[c], others.get(cable))
+                values |= forces(cable, shape, free[c], self.others.get(cable))
             elif cable.cable.law == "total":
                 short = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
                 strain = float(short.sum()) / cable.L0 - 1
                 values["slack cable too short"] = max(strain, abs(cable.tension) / cable.cable.EA)
             for name, value in values.items():
                 value = np.inf if np.isnan(value) else value
+                if name in MESH_DEPENDENT and value > LIMITS[name]:
+                    check = Check(name, value, LIMITS[name], cable.name, binding=False)
+                    self.doubts.setdefault(cable, []).append(check)
                 if value >= found.get(name, (0.0, ""))[0]:
                     found[name] = value, cable.name
         apart = [

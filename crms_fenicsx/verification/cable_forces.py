@@ -110,7 +110,7 @@ def forces(
         # An edge carries the forces if it is much stiffer than the cable's tension.
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
-        values["held by edges"] = float(beyond.sum()) / press
+        values["sideways force without friction"] = float(beyond.sum()) / press
     return values | _friction(cable, shape, least)
 
 

@@ -12,9 +12,9 @@ had not converged, and finally raises a `ConvergenceError` that names the failed
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,12 +30,10 @@ from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.cable_forces import plain_vertices, section_forces
-from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
+from crms_fenicsx.verification.report import NO_STRAIN, UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.verification.cable_checks import CableVerifier
-
-logger = logging.getLogger("crms_fenicsx")
 
 VIRTUAL_DISPLACEMENT = 1e-5
 """Size of the virtual displacements: the change of nodal forces that they cause in a membrane of
@@ -113,8 +111,12 @@ class Verifier:
             checks.append(self._virtual_work(system, outcome, force))
         checks += more
         found = Verification(tuple(checks), time.perf_counter() - began)
-        if found.doubtful and self.comm.rank == 0:
-            logger.info("doubtful: %s", "; ".join(str(check) for check in found.doubtful))
+        if found.passed and found.doubtful:
+            from crms_fenicsx.verification.doubts import doubt
+
+            known = self._cables
+            cables, others = ({}, {}) if known is None else (known.doubts, known.others)
+            found = replace(found, warnings=(doubt(self.scene, found.doubtful, cables, others),))
         return found
 
     def _finite(self, system: System) -> Check:
@@ -255,7 +257,9 @@ class Verifier:
         unbalanced = SPREAD * outcome.residual + rounding + EPSILON * SPREAD * float(total[12])
         all_loads = max(float(total[13]), force)
         limit = BALANCE + unbalanced / all_loads
-        own = max(float(np.sqrt(total[16])) or section_forces(scene), NEGLIGIBLE)
+        modulus = max(m.reference_modulus for m in scene.materials.values())
+        section = max(section_forces(scene), NO_STRAIN * modulus * size)
+        own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
         unbalanced_own = float(np.sqrt(total[15]))
         if own <= UNSTRESSED * tiny_force(scene):
             unbalanced_own = 0.0  # nothing is stressed

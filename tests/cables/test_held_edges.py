@@ -313,7 +313,7 @@ def test_an_edge_slider_that_runs_into_a_vertex_is_reported(comm) -> None:
     """The anchor is moved along the boundary, beyond the edge that the cable passes."""
     scene, cable, solver = oblique(comm, slide=False)
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", PathWarning)
         solver.advance(move={cable.start: (0.0, -20.0, 0.0)}, steps=2)
     assert edge_sliders(cable)[0] in cable.blocked
     assert all(w.category is PathWarning for w in caught)

@@ -26,8 +26,7 @@ def test_an_end_that_the_membrane_rises_above_is_told(comm: MPI.Intracomm) -> No
         warnings.simplefilter("always", PathWarning)
         step = solver.advance(pressure=3.0)
     assert [one.category for one in caught] == [PathWarning] * (comm.rank == 0)
-    (found,) = step.warnings
-    assert found.kind == "cable end"
+    (found,) = (one for one in step.warnings if one.kind == "cable end")
     assert found.text.startswith("the start of 'stay' at (0, 1, ")
     assert "under the membrane" in found.text
     assert solver.advance(pressure=0.1).warnings == ()

@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.output.report.case import Case, case_of
 from crms_fenicsx.output.report.page import Table, number
 from crms_fenicsx.output.report.results_tables import ResultTables
@@ -117,10 +118,12 @@ def test_reinforced_corners_are_told(case: Case) -> None:
 def test_doubtful_and_failed_checks(case: Case) -> None:
     assert case.verification is not None
     good = replace(case, summary=replace(case.summary, bars={}))
-    for binding, words in ((True, "no verified equilibrium"), (False, "but crude")):
-        bad = replace(case.verification, checks=(Check("lean", 2.0, 1.0, "A1", binding),))
-        text = reasons(replace(good, verification=bad))
-        assert f"{words}: the check of lean at A1 is 2, its limit 1" in text
+    bad = replace(case.verification, checks=(Check("lean", 2.0, 1.0, "A1"),))
+    text = reasons(replace(good, verification=bad))
+    assert "no verified equilibrium: the check of lean at A1 is 2, its limit 1" in text
+    doubt = StateWarning("doubtful", "the tension of 'A1' is between 1 and 2")
+    told = replace(good, summary=replace(good.summary, warnings=(doubt,)))
+    assert "doubtful: the tension of 'A1' is between 1 and 2." in reasons(told)
     moved = replace(good, summary=replace(good.summary, in_equilibrium=False))
     assert "changed since its last load step" in reasons(moved)
     unknown = verdict_on([replace(good, verification=None)], Limits(), 8.0)

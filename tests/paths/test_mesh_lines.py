@@ -18,6 +18,7 @@ from crms_fenicsx.contact.contact_force import contact_forces, directions, turns
 from crms_fenicsx.paths import held_vertices as held
 from crms_fenicsx.paths.held_vertices import held_runs, held_vertices
 from crms_fenicsx.paths.vertex_passing import VertexTrials
+from crms_fenicsx.verification.doubts import tension_range
 
 REFERENCE = {"T": 103.0532, "y": 29.60632, "W": -298.76483}
 """Of a cable from (0, 30) to (100, 30) with L0 = 100, as in `test_sliding`."""
@@ -125,10 +126,20 @@ def test_a_tie_stays_one(comm) -> None:
 
 @pytest.mark.ranks
 def test_a_cable_that_a_line_holds_is_doubtful(comm, monkeypatch) -> None:
-    """Kept from leaving the line, though nothing is out of balance; it ends no run."""
-    monkeypatch.setattr(VertexTrials, "next", lambda *_: [])
+    """Kept from leaving the line, though nothing is out of balance; it ends no run. The warning
+    gives a range of its tension, which contains that of the cable that has left the line."""
     mesh = lined(comm, "structured", 20)
-    _, solver = laid(comm, mesh, [(0, 30), (100, 30)], 100.0, "straight")
+    path = [(0, 30), (100, 30)]
+    scene, _ = laid(comm, mesh, path, 100.0, "straight")
+    (free,) = scene.cables
+    assert not scene.warnings
+    monkeypatch.setattr(VertexTrials, "next", lambda *_: [])
+    scene, solver = laid(comm, mesh, path, 100.0, "straight")
+    (cable,) = scene.cables
+    low, high = tension_range(cable, scene.net.strip_shape())
+    assert low < free.tension < high == cable.tension
+    (told,) = scene.warnings
+    assert f"{cable.name!r} is between {low:.3g} and {high:.3g}" in told.text
     (step,) = solver.steps
     assert step.halvings == 0 and step.verification is not None
     check = step.verification["held by a line of the mesh"]
@@ -297,4 +308,6 @@ def test_the_string_between_the_ends_of_a_run() -> None:
     steps = np.diff(places)
     K = np.diag(1 / steps[1:] + 1 / steps[:-1])
     K -= np.diag(1 / steps[1:-1], 1) + np.diag(1 / steps[1:-1], -1)
-    np.testing.assert_allclose(held._string(places, forces), np.linalg.solve(K, forces), atol=1e-12)
+    np.testing.assert_allclose(
+        held.string_displacements(places, forces), np.linalg.solve(K, forces), atol=1e-12
+    )

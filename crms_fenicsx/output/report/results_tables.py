@@ -325,10 +325,8 @@ class ResultTables:
             if found is None:
                 shared.setdefault((None, _unchecked(case)), []).append(case.name)
                 continue
-            names = [check.name for check in found.failed or found.doubtful]
-            verdict = (
-                "failed: " if found.failed else "verified; crude in: " if names else "verified"
-            )
+            names = [check.name for check in found.failed]
+            verdict = "failed: " if found.failed else "verified"
             if case.summary.warnings and not found.failed:
                 verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
             key = len(found.checks), verdict + ", ".join(names)

@@ -79,8 +79,6 @@ def _doubts(case: Case) -> Iterator[str]:
         yield f"the roof has collapsed: of its inner volume {per_cent(change.volume)} are left."
     elif change.turned > TURNED:
         yield f"{per_cent(change.turned)} of the membrane have turned over."
-    for one in () if checked is None else checked.doubtful:
-        yield f"an equilibrium, but crude: the check of {_check(one)}."
 
 
 def _check(one: object) -> str:
