@@ -14,8 +14,6 @@ import numpy as np
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.materials import ORTHOTROPIC_TENSION_FIELD, TENSION_FIELD
-from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -26,6 +24,10 @@ fall back to where they came from, in a square air cushion of 32 cells a side.""
 WRINKLED = 0.5
 """Share of the area that is wrinkled or slack above which other states are looked for: one or two
 solves more."""
+
+NEAR = 0.1
+"""Largest distance of another state, relative to the membrane's size: folds move by less, and what
+has not snapped through must not do so in the search."""
 
 LESS = 1e-7
 """Fall of the energy, relative to the sum of all its kinds, that is another state's."""
@@ -53,11 +55,12 @@ def may_have_others(system: System) -> bool:
     follows = any(load.is_active_wind for load in scene.loads)
     if parts or follows or system.has_history or scene.floor_level is not None:
         return False
-    laws = {material.law for material in scene.materials.values()}
-    if laws.isdisjoint((TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD)):
+    if not any(scene.energies.values()):
         return False
-    slack, wrinkled, _ = membrane_results(system).shares()
-    return slack + wrinkled > WRINKLED
+    taut = np.rint(system.membrane.energy.cell_results()[:, 6]) > 1
+    areas = scene.membrane.cell_areas
+    sums = scene.comm.allreduce(np.array([areas.sum(), areas[~taut].sum()]))
+    return bool(sums[1] > WRINKLED * sums[0])
 
 
 def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
@@ -75,7 +78,8 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
         outcome = system.minimize(prestress)
         system.write_scene()
         total = outcome if total is None else total + outcome
-        if not outcome.converged or scene.energy > energy - LESS * scale:
+        near = _furthest(scene, scene.u.x.array - first)[0] < NEAR * scene.membrane.size
+        if not (outcome.converged and near and scene.energy < energy - LESS * scale):
             scene.u.x.array[:] = best
             system.read_scene()
             system.write_scene()

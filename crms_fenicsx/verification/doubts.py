@@ -96,6 +96,11 @@ def _of_scene(check: Check) -> Iterator[str]:
             f"forces of the membrane are {_known(check.value)}, to which they balance: they are "
             "small beside the scene's largest, by which the solver stops"
         )
+    if check.name == "scatter of the energy":
+        yield (
+            f"there are {check.where}, with energies {check.value:.2g} apart; the least found is "
+            "kept"
+        )
     if check.name == "unbalanced forces of bars":
         yield (
             f"forces of bars at {check.where!r} are {_known(check.value)}, to which they balance"
