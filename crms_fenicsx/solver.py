@@ -29,7 +29,6 @@ from crms_fenicsx.results.membrane_results import MembraneResults, membrane_resu
 from crms_fenicsx.results.quantities import fields_of
 from crms_fenicsx.results.reactions import Reactions, reactions
 from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
-from crms_fenicsx.results.sensitivities import Sensitivities, sensitivities
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import counted
@@ -59,6 +58,7 @@ if TYPE_CHECKING:
 
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.results.sensitivities import Sensitivities
     from crms_fenicsx.steps.rain import PondingCheck
 
 logger = logging.getLogger("crms_fenicsx")
@@ -736,6 +736,8 @@ class Solver:
         """
         checks.same(self.comm, "sensitivities", of=of, by=by)
         self.scene.require_equilibrium("sensitivities")
+        from crms_fenicsx.results.sensitivities import sensitivities
+
         return sensitivities(self.system, of, by)
 
     def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:

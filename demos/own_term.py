@@ -41,7 +41,7 @@ class Bars(EnergyTerm):
         Axial stiffness (force) and unstressed length of each bar.
     """
 
-    name = "bars"
+    name = "anchor bars"
 
     def __init__(self, vertices: Any, anchor: tuple[float, ...], EA: float, L0: float) -> None:
         self.vertices, self.anchor, self.EA, self.L0 = vertices, anchor, EA, L0
@@ -97,7 +97,7 @@ supports = solver.reactions("boundary").total
 
 if scene.comm.rank == 0:
     print(f"Taylor test   order   {rates.gradient:8.3f}")
-    print(f"bars          energy  {scene.energies['bars']:8.3f} kgf cm")
+    print(f"bars          energy  {scene.energies['anchor bars']:8.3f} kgf cm")
     print(f"              pull    {bars_pull[2]:8.3f} kgf")
     print(f"cable         tension {cable.tension:8.3f} kgf")
 

@@ -48,14 +48,14 @@ class Scatter:
 
 
 def may_have_others(system: System) -> bool:
-    """Whether other states are looked for: a mostly wrinkled membrane alone, whose state does not
-    depend on its history. Collective."""
+    """Whether other states are looked for: a mostly wrinkled membrane alone and under pressure,
+    whose state does not depend on its history. Collective."""
     scene = system.scene
     parts = scene.cables or scene.frame or scene.ponds or scene.terms
     follows = any(load.is_active_wind for load in scene.loads)
     if parts or follows or system.has_history or scene.floor_level is not None:
         return False
-    if not any(scene.energies.values()):
+    if scene.pressure == 0.0 and scene.air.sealed is None:  # the energy is convex
         return False
     taut = np.rint(system.membrane.energy.cell_results()[:, 6]) > 1
     areas = scene.membrane.cell_areas

@@ -19,8 +19,9 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.scene.state import SceneState
 
-CAUGHT = 0.05
-"""Kink of a folded edge (rad) above which its cable is laid again.
+CAUGHT, STUCK = 0.05, 0.15
+"""Kinks of a folded edge (rad) above which its cable is laid again, and above which the state is
+rejected if fold points have approached each other.
 
 Fold points on two edges with a common vertex can approach each other away from it: their chord then
 loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound states are
@@ -129,7 +130,7 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = (self.system.kinked_cables(CAUGHT) & self._collapsed()) | self._sunk()
+        caught = (self.system.kinked_cables(STUCK) & self._collapsed()) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh"

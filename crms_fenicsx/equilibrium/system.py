@@ -213,6 +213,7 @@ class System:
         """Minimise the potential from the state read; see `Minimizer.solve`."""
         assert self.minimizer is not None
         self.minimizer.atol = tiny_force(self.scene)
+        self.minimizer.no_energy = self.minimizer.atol * self.scene.membrane.size
         self.minimizer.newton = self._solved
         if self.ponds is not None:
             self.minimizer.reach = ENDLESS * self.scene.membrane.size

@@ -78,7 +78,7 @@ BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
 UNSTRESSED = 1e3
-"""Sum of all forces, relative to `Minimizer.atol`, below which a state is free of stress: where
+"""Sum of all forces, relative to `Minimizer.atol`, below which a state may be free of stress: where
 nothing loads a slack membrane the forces fade together, so that none is small beside the others."""
 
 
@@ -97,6 +97,7 @@ class Minimizer:
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
+        self.no_energy = 0.0
         self.newton, self.reach = True, math.inf
         """Whether Newton's method may take over from slow stages, and how far vertices may be from
         their stress-free positions (length)."""
@@ -288,12 +289,11 @@ class Minimizer:
     ) -> Outcome:
         """Minimise from the potential's current state, which becomes the minimiser. Units:
         h0_prestress (force per length)."""
-        potential = self.potential
+        potential, reason = self.potential, "too many stages"
         self._begin(interrupt)
         iterations = newton_steps = factorizations = failures = renewed = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
         local = 0 if self._relaxation is None else self._relaxation.steps
-        reason = "too many stages"
         # H0 holds the components in contact with a floor.
         self._h0_is_outdated |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
@@ -334,9 +334,8 @@ class Minimizer:
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
-        self._h0_is_outdated |= (
-            reason != "converged" or iterations - renewed > self._most_h0_iterations
-        )
+        worn = iterations - renewed > self._most_h0_iterations
+        self._h0_is_outdated |= worn or reason != "converged"
         converged = reason in ("converged", "interrupted")
         if not converged and rounding > tolerance:
             reason += endings.DROWNED.format(rounding)
@@ -362,7 +361,7 @@ class Minimizer:
         rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
         tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
-        if self._scale <= UNSTRESSED * self.atol:
+        if self._scale <= UNSTRESSED * self.atol and self._energy0 <= self.no_energy:
             tolerance = max(tolerance, self._scale)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding

@@ -261,7 +261,8 @@ class Verifier:
         section = max(section_forces(scene), NO_STRAIN * modulus * size)
         own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
         unbalanced_own = float(np.sqrt(total[15]))
-        if own <= UNSTRESSED * tiny_force(scene):
+        tiny = tiny_force(scene)
+        if own <= UNSTRESSED * tiny and scene.energy <= tiny * scene.membrane.size:
             unbalanced_own = 0.0  # nothing is stressed
         worst = self._position_errors(unknowns)
         checks = [

@@ -69,7 +69,7 @@ def free_vector(potential: Potential, seed: int = 4) -> PETSc.Vec:
 class Bars(EnergyTerm):
     """Bars from each of this rank's vertices to the next one, which need not share an edge."""
 
-    name = "bars"
+    name = "anchor bars"
 
     def attach(self, unknowns) -> None:
         super().attach(unknowns)
