@@ -24,6 +24,7 @@ from crms_fenicsx import (
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
+from crms_fenicsx.model.ufl_material import SMALL, _values
 
 MU = 3.0
 
@@ -232,3 +233,31 @@ def test_checkpoints_know_the_density(comm: MPI.Intracomm, tmp_path: Path) -> No
     made(isotropic).load(folder)
     with pytest.raises(InputError, match="materials"):
         made(lambda E: isotropic(E) + E[0, 0] ** 4).load(folder)
+
+
+@pytest.mark.parametrize("pressure", [1e-3, 1e-6, 1e-9])
+def test_rubber_under_small_loads_is_linear_elastic(comm, pressure: float) -> None:
+    """Terms of the density of order 1 cancel in the energy, whose size is that of the strain^2; the
+    sheet has the height of one with E t = 3 mu and nu = 1/2, which is as small as p^(1/3)."""
+    heights = []
+    for material in (
+        UflMembrane(rubber),
+        IsotropicMembrane(E=3 * MU, nu=0.4999, thickness=1.0, wrinkling=False),
+    ):
+        scene = square(comm, material)
+        scene.fix("boundary")
+        Solver(scene, max_halvings=0).advance(pressure=pressure * MU / 100)
+        heights.append(float(scene.positions()[:, 2].max()))
+    assert heights[0] == pytest.approx(heights[1], rel=2e-4 + pressure ** (2 / 3))
+
+
+def test_energy_and_forces_do_not_jump_where_they_are_integrated() -> None:
+    """They are, up to the strain `SMALL`, from the second derivatives."""
+    own = UflMembrane(rubber)
+    found = []
+    for part in (1 - 1e-9, 1 + 1e-9):
+        E = part * SMALL * ufl.as_matrix([[0.6, 0.3], [0.3, np.sqrt(1 - 0.54)]])
+        terms = own.law_terms(E, [ufl.as_ufl(v) for v in own.stiffness.ravel()])
+        energy, stress = _values(ufl.as_vector([terms.energy] * 2), 1), _values(terms.stress, 2)
+        found.append([*energy, *stress.ravel()])
+    np.testing.assert_allclose(*found, rtol=1e-8)
