@@ -190,7 +190,7 @@ def _turned(
     friction = cable.cable.sideways
     assert friction is not None
     slips = node_slips(cable, grip.curve, shape, grip.line)
-    line = slipped_line(cable, slips, shape)
+    line = slipped_line(cable, slips, shape) or grip.line
     renewed = replace(grip, cone=law_sideways(cable, grip, shape), line=line)
     turned = node_slips(cable, renewed.curve, shape, renewed.line)
     changes = slip_forces(friction, renewed, turned) * turned.slope

@@ -79,11 +79,14 @@ def material_curve(
     )
 
 
-def slipped_line(cable: LaidCable, slips: NodeSlips, shape: StripShape) -> MaterialCurve:
-    """The cable's current curve, with the slips of the load step so far."""
+def slipped_line(cable: LaidCable, slips: NodeSlips, shape: StripShape) -> MaterialCurve | None:
+    """The cable's current curve, with the slips of the load step so far; None if it touches the
+    membrane at single points only."""
     nodes = np.array([k for run in runs(cable) for k in run])
     line = material_curve(cable, shape)
     known = np.isin(nodes, np.array(slips.nodes)[slips.known])
+    if not len(line.joined):
+        return None
     if not known.any():
         return line
     slip_of = dict(zip(slips.nodes, slips.slip, strict=True))

@@ -123,9 +123,14 @@ class MaterialCurve:
     elastic: Annotated[Array, "m"]  # (m,) remaining elastic slip at the points (length)
     moving: Annotated[Array, "m"]  # (m,) sliding in the last step: 1 left, -1 right, 0 none
 
+    @property
+    def joined(self) -> Integers:
+        """Points (n,) from which the curve runs on to the next one."""
+        return np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
+
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
         """Arc lengths, points and parts closest to places (n, 3); part -1 without a curve."""
-        joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
+        joined = self.joined
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
         start, way = self.points[joined], self.points[joined + 1] - self.points[joined]
