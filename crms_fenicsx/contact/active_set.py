@@ -56,9 +56,7 @@ ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
 
 MAX_SWITCHES = 6
-"""Switches between slack and taut of a cable in one solve, after which it stays as it is: a taut
-one may have no tension. An equilibrium with it slack and without its folds does not exist where
-these change the membrane's shape, as they do without pressure."""
+"""Switches between slack and taut allowed for each cable in one solve."""
 
 
 class ContactMemory(Protocol):
@@ -119,6 +117,10 @@ class ActiveSet:
         """Whether a cable has not moved since the last load step."""
         return self._memory is not None and self._memory.has_rested(cable)
 
+    def cycling_cable(self) -> str:
+        """Name of a cable that keeps switching between slack and taut; "" if none does."""
+        return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
+
     def _switch(self, shape: StripShape, lines: Polylines, solved: bool) -> list[str]:
         """Tighten slack cables that have become too short for their paths, slacken others.
 
@@ -145,7 +147,7 @@ class ActiveSet:
                 if flat is None:
                     flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
                 taut = flat[c] > cable.L0
-            if taut == cable.taut or self._switches[cable.name] >= MAX_SWITCHES:
+            if taut == cable.taut:
                 continue
             if taut or not tight:
                 self._tried.add(cable.name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import operator
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.system import System
@@ -100,6 +101,9 @@ class ContactLoop:
                 if not looked and look is not None:
                     look(False)
                 return total
+            if active.cycling_cable():
+                reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
+                return replace(total, converged=False, reason=reason)
 
     def _may_join_paths(self) -> bool:
         """Whether paths may change together with contacts: where cables only lift off, so that the
