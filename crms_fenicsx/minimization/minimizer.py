@@ -85,7 +85,10 @@ nothing loads a slack membrane the forces fade together, so that none is small b
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
     the prefix override every choice, for example ``-crms_tao_type``, ``-crms_tao_monitor``,
-    ``-crms_h0 false``, ``-crms_h0_pc_type``. Units: atol (force)."""
+    ``-crms_h0 false``, ``-crms_h0_pc_type``. Units: atol (force).
+
+    Where much of a membrane is slack a solve may take hundreds of stages, each fast; halving the
+    increments instead takes more in sum and often finds nothing."""
 
     def __init__(
         self,
@@ -93,7 +96,7 @@ class Minimizer:
         prefix: str = "crms_",
         rtol: float = 1e-9,
         atol: float = 0.0,
-        max_stages: int = 100,
+        max_stages: int = 1000,
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages

@@ -264,7 +264,7 @@ def test_a_step_that_has_failed_fails_again(folder: Path, solves: list[float]) -
         with pytest.raises(ConvergenceError, match="step 2: no equilibrium"):
             solver.advance(pressure=0.1)
         if not resume:
-            solver.system.minimizer.max_stages = 100
+            solver.system.minimizer.max_stages = 1000
         solver.advance(pressure=0.002)
         return solver
 
