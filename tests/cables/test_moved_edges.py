@@ -55,7 +55,7 @@ def belted(
 
 @pytest.mark.ranks
 @pytest.mark.parametrize(("unit", "force"), [(1.0, 1.0), (1e3, 1e3)], ids=["kN, m", "N, mm"])
-@pytest.mark.parametrize(("hold", "size"), product(HOLDS, (2.0, 1.3, 0.9)))
+@pytest.mark.parametrize(("hold", "size"), list(product(HOLDS, (2.0, 1.3, 0.9))))
 def test_a_uniform_strain_of_the_edge(
     comm: MPI.Intracomm, hold: Hold, size: float, unit: float, force: float
 ) -> None:

@@ -76,7 +76,7 @@ def sides(
 
 @pytest.mark.ranks
 @pytest.mark.parametrize(("unit", "force"), UNITS, ids=IDS)
-@pytest.mark.parametrize(("hold", "size"), product(("bonded", "pocket"), (2.0, 1.4, 1.0)))
+@pytest.mark.parametrize(("hold", "size"), [*product(("bonded", "pocket"), (2.0, 1.4, 1.0))])
 def test_a_straight_belt_without_force(
     comm: MPI.Intracomm, hold: Hold, size: float, unit: float, force: float
 ) -> None:
