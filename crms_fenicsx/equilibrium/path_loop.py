@@ -130,7 +130,10 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = (self.system.kinked_cables(STUCK) & self._collapsed()) | self._sunk()
+        caught = self.system.kinked_cables(STUCK)
+        if caught:
+            caught &= self._collapsed()
+        caught |= self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh"
