@@ -58,8 +58,8 @@ if TYPE_CHECKING:
 
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.results.rain import PondingCheck
     from crms_fenicsx.results.sensitivities import Sensitivities
-    from crms_fenicsx.steps.rain import PondingCheck
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -503,7 +503,7 @@ class Solver:
         checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
         checks.positive("check_ponding: rain", rain)
         checks.positive("check_ponding: weight", weight)
-        from crms_fenicsx.steps.rain import NAME, Rain, acting_loads
+        from crms_fenicsx.results.rain import NAME, Rain, acting_loads
 
         water, why, loads = Rain(self.scene, rain, weight), "", acting_loads(self.scene, self.case)
         before = self.snapshot()

@@ -27,7 +27,7 @@ from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.minimization.stability import is_convex_from
 from crms_fenicsx.model.cable_state import NodeId
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -238,6 +238,23 @@ class System:
         squares = np.concatenate([np.einsum("ni,ni->n", some, some) for some in points])
         largest = float(squares.max(initial=0.0))
         return float(self.scene.comm.allreduce(largest, op=MPI.MAX)) ** 0.5
+
+    def pressed_facets(self) -> tuple[Integers, Array]:
+        """Corners (n, 3) and weighted area vectors (n, 3) of this rank's pressurised facets."""
+        dofs = self.scene.V.dofmap.list[self.pressure.cells.x.array > 0.5]
+        corners = self.unknowns.vertex_blocks()[dofs]
+        weights: Array = np.ones(len(dofs))
+        if self.cables is not None and self.cables.tables is not None:
+            facets = self.cables.tables.facets
+            corners = np.concatenate([corners, facets.corners])
+            weights = np.concatenate([weights, facets.weights])
+        # By components: numpy takes five times as long on rows of three.
+        places = np.ascontiguousarray((self.unknowns.X + self.potential.x).T)
+        start = places.take(corners[:, 0], axis=1)
+        (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
+        vectors = np.array([b * f - c * e, c * d - a * f, a * e - b * d])
+        vectors *= weights / 2
+        return corners, vectors.T
 
     def kinked_nodes(self, limit: float) -> set[NodeId]:
         """Fold points with an edge kink above a limit (rad). Collective."""

@@ -20,7 +20,6 @@ from crms_fenicsx.results.reactions import (
     held_lengths,
     hung_bars,
     nodal_forces,
-    pressed_facets,
     support_forces,
 )
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
@@ -139,7 +138,7 @@ def resultants(system: System) -> dict[str, Force]:
             joints = np.sum([(0.0, 0.0, 0.0), *load.joints.values()], axis=0)
             found[load.name] = load.factor * (scene.comm.allreduce(own) + joints)
     if scene.pressure != 0.0:
-        vectors = pressed_facets(system)[1].sum(axis=0)
+        vectors = system.pressed_facets()[1].sum(axis=0)
         found["pressure"] = scene.pressure * scene.comm.allreduce(vectors)
     potential, ponds = system.potential, system.ponds
     if ponds is not None:

@@ -230,7 +230,7 @@ def nodal_forces(system: System) -> Array:
         if not (potential_only and term.name == "pressure") and term.name != "pond":
             term.add_gradient(potential.x, potential.sums_of(term), g)
     if potential_only and system.scene.pressure != 0.0:
-        corners, vectors = pressed_facets(system)
+        corners, vectors = system.pressed_facets()
         np.subtract.at(g, corners, system.scene.pressure / 3 * vectors[:, None, :])
     if system.ponds is not None:
         system.ponds.add_pressure(potential, g, -1.0)
@@ -258,25 +258,6 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
     found.x.scatter_reverse(la.InsertMode.add)
     found.x.scatter_forward()
     return lengths.copy()
-
-
-def pressed_facets(system: System) -> tuple[Integers, Array]:
-    """Corners (n, 3) and weighted area vectors (n, 3) of this rank's pressurised facets."""
-    unknowns = system.unknowns
-    dofs = system.scene.V.dofmap.list[system.pressure.cells.x.array > 0.5]
-    corners = unknowns.vertex_blocks()[dofs]
-    weights: Array = np.ones(len(dofs))
-    if system.cables is not None and system.cables.tables is not None:
-        facets = system.cables.tables.facets
-        corners = np.concatenate([corners, facets.corners])
-        weights = np.concatenate([weights, facets.weights])
-    # By components: numpy takes five times as long on rows of three.
-    places = np.ascontiguousarray((unknowns.X + system.potential.x).T)
-    start = places.take(corners[:, 0], axis=1)
-    (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
-    vectors = np.array([b * f - c * e, c * d - a * f, a * e - b * d])
-    vectors *= weights / 2
-    return corners, vectors.T
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:

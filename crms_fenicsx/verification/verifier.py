@@ -26,7 +26,6 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.minimization.minimizer import UNSTRESSED
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.cable_forces import plain_vertices, section_forces
@@ -305,7 +304,7 @@ class Verifier:
         loads = np.zeros((unknowns.n_local, 3))
         if scene.pressure_law == "total":
             if scene.pressure != 0.0:
-                corners, vectors = pressed_facets(system)
+                corners, vectors = system.pressed_facets()
                 blocks = corners.ravel()
                 for i in range(3):
                     share = np.repeat(vectors[:, i] * (scene.pressure / 3), 3)
