@@ -24,10 +24,10 @@ from mpi4py import MPI
 from scipy.spatial import ConvexHull
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.study import adapt, marked_cells
-from crms_fenicsx.study.build import Build
+from crms_fenicsx.design.study import adapt, marked_cells
+from crms_fenicsx.design.study.build import Build
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 RIM, HEIGHT, PRESSURE = 20.0, 10.0, 0.4
 RTOL = 1e-8

@@ -25,8 +25,8 @@ from bad_calls import ACROSS, FOIL, Call, data, generators, scenes, snapshot
 from bad_feature_calls import features
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.runtime import errors
+from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.foundation.runtime import errors
 
 COMM = MPI.COMM_WORLD
 HANG = 60.0

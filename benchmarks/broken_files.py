@@ -31,11 +31,11 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.checkpoint.saving import signed
-from crms_fenicsx.meshes import isolated_reader
-from crms_fenicsx.meshes.mesh_files import SUFFIXES
-from crms_fenicsx.output import History
-from crms_fenicsx.runtime.errors import ConvergenceError
+from crms_fenicsx.foundation.meshes import isolated_reader
+from crms_fenicsx.foundation.meshes.mesh_files import SUFFIXES
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError
+from crms_fenicsx.results.checkpoint.saving import signed
+from crms_fenicsx.results.output import History
 
 WAIT = 20
 """Seconds after which reading hangs."""

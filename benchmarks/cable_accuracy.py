@@ -21,7 +21,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 T_EXACT, W_EXACT = 112.60349, -273.55493
 EVEN, ODD = (8, 16, 32, 64), (9, 17, 33, 65)

@@ -24,14 +24,14 @@ from accuracy.curved_meshes import cap, half_cylinder
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
-from crms_fenicsx.meshes import MembraneMesh, Refinement
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.meshes import MembraneMesh, Refinement
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 COMM = MPI.COMM_WORLD
 R, NU, EA = 25.0, 0.3, 30e3
 RIM, HEIGHT = 20.0, 10.0
 PRESSURE = 0.4
-SMOOTHING = "crms_fenicsx.cables.element_tables.SMOOTHING"
+SMOOTHING = "crms_fenicsx.cabling.cables.element_tables.SMOOTHING"
 RULES = ("facets", "surface", "true")
 
 

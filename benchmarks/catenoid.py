@@ -25,9 +25,9 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import ConvergenceError
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from form_meshes import cylinder

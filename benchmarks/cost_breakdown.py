@@ -34,7 +34,7 @@ from mpi4py import MPI
 from parallel import Clock, watched
 from skip import FEATURES, PRESSURE, square
 
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 GEOMETRY = ("paths", "contacts", "paths and contacts", "tables of the cables", "state of the scene")
 """Parts of the clock that a cable's way over the mesh costs."""

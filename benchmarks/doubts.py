@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, DoubtWarning, IsotropicMembrane, PathError, Scene, Solver, meshes
-from crms_fenicsx.verification.doubts import HELD_SIDEWAYS, tension_range
+from crms_fenicsx.analysis.verification.doubts import HELD_SIDEWAYS, tension_range
 
 FINE = 56
 """Cells across the fine mesh."""

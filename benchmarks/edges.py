@@ -13,7 +13,7 @@ import sys
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, OrthotropicMembrane, Solver, meshes
-from crms_fenicsx.form_finding import FormCable, find_form
+from crms_fenicsx.design.form_finding import FormCable, find_form
 
 SIDES = ("front", "right", "back", "left")
 CORNERS = ("front left", "front right", "back right", "back left")

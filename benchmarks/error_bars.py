@@ -17,8 +17,8 @@ from accuracy.cases import CASES, QUANTITIES, Laws, Run
 from accuracy.references import reference
 
 from crms_fenicsx import Solver
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import convergence
+from crms_fenicsx.design.study import convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 STUDIES = (
     ("circle", 8), ("circle", 16), ("square", 4), ("square", 8), ("cable on lines", 4),

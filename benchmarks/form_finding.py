@@ -17,7 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
-from crms_fenicsx.form_finding import FormCable, FoundForm, find_form
+from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
 
 CORNERS = ("front left", "front right", "back right", "back left")
 SIDES = ("front", "right", "back", "left")

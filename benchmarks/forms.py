@@ -18,7 +18,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import meshes
-from crms_fenicsx.form_finding import FormCableFound, find_form
+from crms_fenicsx.design.form_finding import FormCableFound, find_form
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "form_finding"))  # and closed forms

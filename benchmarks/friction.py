@@ -34,8 +34,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, Solver
-from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.cabling.contact.contact_force import contact_forces
+from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 

@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import History, draw
+from crms_fenicsx.results.output import History, draw
 
 PHASES = ("start", "solve", "results", "checkpoint", "picture", "replay", "between")
 """What a run is doing."""
@@ -94,9 +94,9 @@ def scene_of(comm: MPI.Intracomm) -> Scene:
 
 def run(folder: Path, resume: bool) -> None:
     """The run, in a process of its own; its result is a line of numbers."""
-    from crms_fenicsx.checkpoint.journal import Journal
-    from crms_fenicsx.equilibrium.search import EquilibriumSearch
-    from crms_fenicsx.output.recorder import Recorder
+    from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+    from crms_fenicsx.results.checkpoint.journal import Journal
+    from crms_fenicsx.results.output.recorder import Recorder
 
     comm = MPI.COMM_WORLD
     (folder / f"pid{comm.rank}").write_text(str(os.getpid()))

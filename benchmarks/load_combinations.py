@@ -29,9 +29,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Solver, meshes
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import combine_in_groups
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.design.study import combine_in_groups
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 FACTORS = [(snow, wind) for snow in (0.0, 0.25, 0.5, 0.75) for wind in (0.3, 0.6, 0.9, 1.2, 1.5)]
 COMBINATIONS: dict[str, dict[str, Any]] = {

@@ -32,8 +32,8 @@ from accuracy.minimizers import H0Alone
 
 import crms_fenicsx
 from crms_fenicsx import ConvergenceError, Solver
-from crms_fenicsx.equilibrium import system
-from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.analysis.equilibrium import system
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
 
 DEMOS = (
     "inflated_square", "sliding_cable", "friction_experiment", "capstan", "cable_net",

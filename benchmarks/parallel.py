@@ -60,16 +60,16 @@ class Clock:
 
 def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     """A clock on the parts of a load step, which reads the time from `now`."""
-    from crms_fenicsx.dofs import layout as unknowns
-    from crms_fenicsx.energies import cable_tension as tension
-    from crms_fenicsx.energies import fold_penalty as penalty
-    from crms_fenicsx.energies import folded_membrane as fold
-    from crms_fenicsx.energies import folded_pressure as volume
-    from crms_fenicsx.energies import integral, membrane_energy, nodal_forces
-    from crms_fenicsx.energies import pressure as loads
-    from crms_fenicsx.equilibrium import contact_loop, path_loop, search, system
-    from crms_fenicsx.minimization import initial_hessian as hessian
-    from crms_fenicsx.minimization import minimizer, potential
+    from crms_fenicsx.analysis.equilibrium import contact_loop, path_loop, search, system
+    from crms_fenicsx.energy.minimization import initial_hessian as hessian
+    from crms_fenicsx.energy.minimization import minimizer, potential
+    from crms_fenicsx.energy.terms import cable_tension as tension
+    from crms_fenicsx.energy.terms import fold_penalty as penalty
+    from crms_fenicsx.energy.terms import folded_membrane as fold
+    from crms_fenicsx.energy.terms import folded_pressure as volume
+    from crms_fenicsx.energy.terms import integral, membrane_energy, nodal_forces
+    from crms_fenicsx.energy.terms import pressure as loads
+    from crms_fenicsx.foundation.dofs import layout as unknowns
 
     clock = Clock(now)
     plain = [membrane_energy.MembraneEnergy, loads.FollowerPressure, nodal_forces.NodalForces]

@@ -21,8 +21,8 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import meshes
-from crms_fenicsx.form_finding import FormCable, FoundForm, find_form
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 S, SIZES, ENOUGH = 2.0, np.array([0.8, 0.4, 0.2]), 1.8
 

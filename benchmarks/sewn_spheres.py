@@ -21,7 +21,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, patterns
-from crms_fenicsx.meshes.triangles import arc_lengths
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from pattern_surfaces import two_gores

@@ -22,9 +22,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.membrane_energy import MembraneEnergy
-from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
+from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.model.materials import MembraneMaterial
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and references

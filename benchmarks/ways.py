@@ -49,8 +49,8 @@ from fuzzing.scenes import WIDTH, Seeded
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
-from crms_fenicsx.runtime import errors
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime import errors
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
 from reference_meshes import rotated_lattice

@@ -1,23 +1,23 @@
 """Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
 
-A load step passes through the packages in one direction: `solver` and `steps` (loads) ->
-`equilibrium` (iterations, potential of a `scene`) -> `energies` (terms of the potential) ->
-`minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
+Each package imports from those before it only: `foundation` (meshes, unknowns), `model` (parts of a
+scene), `energy` (terms of the potential and its minimum), `cabling` (cables on the membrane),
+`analysis` (load steps of a scene), `results` (values, files, pictures), `solver`, and `design`
+(forms, nets, loads by code, patterns). A load step begins in `solver` and goes down.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI as _MPI  # noqa: F401  # before DOLFINx: wheels of PyPI count on its library
 
-from crms_fenicsx import meshes
-from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
-from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
-from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
-from crms_fenicsx.model.sealed_air import FanControl
-from crms_fenicsx.model.ufl_material import UflMembrane
-from crms_fenicsx.runtime.errors import (
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.analysis.steps.movements import Rotation
+from crms_fenicsx.energy.minimization.taylor import TaylorRates, taylor_test
+from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.foundation import meshes
+from crms_fenicsx.foundation.runtime.errors import (
     ConvergenceError,
     DoubtWarning,
     FrictionWarning,
@@ -34,10 +34,18 @@ from crms_fenicsx.runtime.errors import (
     SnapThroughWarning,
     show_warnings,
 )
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.sealed_air import FanControl
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.solver import Solver
-from crms_fenicsx.steps.load_step import Step
-from crms_fenicsx.steps.movements import Rotation
+
+if TYPE_CHECKING:
+    from crms_fenicsx.design import codes, exchange, form_finding, nets, patterns, study
+    from crms_fenicsx.results import output
 
 show_warnings()
 del show_warnings
@@ -75,6 +83,28 @@ __all__ = [
     "Step",
     "TaylorRates",
     "UflMembrane",
+    "codes",
+    "exchange",
+    "form_finding",
     "meshes",
+    "nets",
+    "output",
+    "patterns",
+    "study",
     "taylor_test",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """The packages that most scripts do without, imported at the first access."""
+    if name == "output" or name in (
+        "codes",
+        "exchange",
+        "form_finding",
+        "nets",
+        "patterns",
+        "study",
+    ):
+        wing = "results" if name == "output" else "design"
+        return import_module(f"crms_fenicsx.{wing}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -12,35 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
-from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Marker
-from crms_fenicsx.model.sealed_air import FanControl
-from crms_fenicsx.model.versions import last_doubt
-from crms_fenicsx.output.history import History
-from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
-from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
-from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import fields_of
-from crms_fenicsx.results.reactions import Reactions, reactions
-from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
-from crms_fenicsx.results.summary import Summary, summary
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.checks import counted
-from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective, raised_together
-from crms_fenicsx.runtime.handle import ReadOnly
-from crms_fenicsx.runtime.interrupt import postponed, stop_together
-from crms_fenicsx.runtime.progress import progress
-from crms_fenicsx.scene import Scene
-from crms_fenicsx.scene.state import SceneState
-from crms_fenicsx.steps.increment_solver import IncrementSolver
-from crms_fenicsx.steps.load_cases import Combination, check_combinations, split
-from crms_fenicsx.steps.load_step import (
+from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver
+from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
+from crms_fenicsx.analysis.steps.load_step import (
     Step,
     no_equilibrium,
     warn_of_blocked,
@@ -48,16 +26,42 @@ from crms_fenicsx.steps.load_step import (
     warn_of_state,
     warn_of_staying,
 )
-from crms_fenicsx.steps.loading import checked_target
-from crms_fenicsx.steps.movements import Move
-from crms_fenicsx.steps.options import checked_options
-from crms_fenicsx.steps.snap_through import SnapThroughSearch
+from crms_fenicsx.analysis.steps.loading import checked_target
+from crms_fenicsx.analysis.steps.movements import Move
+from crms_fenicsx.analysis.steps.options import checked_options
+from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
+from crms_fenicsx.cabling.contact.contact_force import ContactForces, contact_forces
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import (
+    ConvergenceError,
+    InputError,
+    collective,
+    raised_together,
+)
+from crms_fenicsx.foundation.runtime.handle import ReadOnly
+from crms_fenicsx.foundation.runtime.interrupt import postponed, stop_together
+from crms_fenicsx.foundation.runtime.progress import progress
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.model.sealed_air import FanControl
+from crms_fenicsx.model.versions import last_doubt
+from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
+from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
+from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.output.history import History
+from crms_fenicsx.results.output.recorder import Recorder
+from crms_fenicsx.results.quantities import fields_of
+from crms_fenicsx.results.reactions import Reactions, reactions
+from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
+from crms_fenicsx.results.summary import Summary, summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from crms_fenicsx.checkpoint import Run
-    from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.results.checkpoint import Run
+    from crms_fenicsx.results.checkpoint.journal import Journal
     from crms_fenicsx.results.rain import PondingCheck
     from crms_fenicsx.results.sensitivities import Sensitivities
 
@@ -155,7 +159,7 @@ class Solver:
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
-            from crms_fenicsx.checkpoint.journal import FOLDER, Journal
+            from crms_fenicsx.results.checkpoint.journal import FOLDER, Journal
 
             same = {**vars(options)}
             del same["results"], same["resume"]
@@ -163,7 +167,7 @@ class Solver:
 
     def __repr__(self) -> str:
         """One line; not collective."""
-        return f"Solver({counted(len(self.steps), 'load step')}; {self.scene!r})"
+        return f"Solver({checks.counted(len(self.steps), 'load step')}; {self.scene!r})"
 
     @property
     def system(self) -> System:
@@ -337,7 +341,7 @@ class Solver:
     @property
     def _run(self) -> Run:
         """The record of this solver's load steps."""
-        from crms_fenicsx.checkpoint import Run
+        from crms_fenicsx.results.checkpoint import Run
 
         return Run(self.steps, list(self.history), self._increments.tried)
 
@@ -741,7 +745,7 @@ class Solver:
         return sensitivities(self.system, of, by)
 
     def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:
-        """Draw the scene in its current state with `crms_fenicsx.output.draw`. Collective.
+        """Draw the scene in its current state with `output.draw`. Collective.
 
         Parameters
         ----------
@@ -766,7 +770,7 @@ class Solver:
 
         >>> solver.draw(colour="stress", unit="m", force="kN")
         """
-        from crms_fenicsx.output.figures.draw_scene import draw
+        from crms_fenicsx.results.output.figures.draw_scene import draw
 
         return draw(self, filename, **options)
 
@@ -801,7 +805,7 @@ class Solver:
             membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
             and bars; by default tension, displacement, membrane forces and utilisation. Too large a
             page omits the last ones. ``view``: viewpoint, as for `draw`. ``sections``: additional
-            ones, as of `crms_fenicsx.patterns.report_sections`. ``order``: fabrication lengths of
+            ones, as of `design.patterns.report_sections`. ``order``: fabrication lengths of
             cables, from `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
             together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
@@ -824,7 +828,7 @@ class Solver:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
-        from crms_fenicsx.output.report.reporting import write_report
+        from crms_fenicsx.results.output.report.reporting import write_report
 
         write_report(self, filename, combinations, **options)
 
@@ -862,7 +866,7 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
-        from crms_fenicsx.views.view_data import to_pyvista
+        from crms_fenicsx.results.views.view_data import to_pyvista
 
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 
@@ -889,7 +893,7 @@ class Solver:
         ...     solver.advance(pressure=pressure)
         ...     solver.save("results/dome/checkpoint")
         """
-        from crms_fenicsx import checkpoint
+        from crms_fenicsx.results import checkpoint
 
         checkpoint.save(folder, self.scene, self._run)
         self._increments.restart_h0()  # so that a resumed run repeats the same iterations
@@ -928,6 +932,6 @@ class Solver:
                 "solver."
             )
         self._recorder.claim(going_on=True)
-        from crms_fenicsx import checkpoint
+        from crms_fenicsx.results import checkpoint
 
         self._go_on_from(checkpoint.load(folder, self.scene))

@@ -25,7 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
-from crms_fenicsx.output import draw, join_pictures
+from crms_fenicsx.results.output import draw, join_pictures
 
 sys.path.append(str(Path(sys.argv[0]).resolve().parents[1] / "meshes"))
 from dome import STADIUM_HEIGHT as HEIGHT

@@ -26,8 +26,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, FanControl, OrthotropicMembrane, Solver, meshes
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.output import draw, join_pictures
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.results.output import draw, join_pictures
 
 RESULTS = "results/air_hall"
 MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"

@@ -25,7 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
-from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
+from crms_fenicsx.results.output import Line, draw, draw_paths, join_pictures
 
 sys.path.append(str(Path(sys.argv[0]).resolve().parents[1] / "meshes"))
 from dome import HEIGHT, RADIUS, dome

@@ -23,7 +23,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import History, draw, draw_history, join_pictures
+from crms_fenicsx.results.output import History, draw, draw_history, join_pictures
 
 RESULTS = "results/capstan"
 MU, EA = 0.3, 3000.0

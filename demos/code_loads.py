@@ -21,8 +21,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Solver, codes, meshes
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.output import draw, join_pictures
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.results.output import draw, join_pictures
 
 RESULTS = "results/code_loads"
 SPAN, RISE, BAY = 14.0, 4.5, 9.0

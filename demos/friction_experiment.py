@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import draw, join_pictures
+from crms_fenicsx.results.output import draw, join_pictures
 
 # %%
 # Fabric and cable

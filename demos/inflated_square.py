@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import draw, draw_history, join_pictures
+from crms_fenicsx.results.output import draw, draw_history, join_pictures
 
 RESULTS = "results/inflated_square"
 LOOK = {

@@ -23,8 +23,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Solver, meshes, nets
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.output import draw
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.results.output import draw
 
 RESULTS = "results/net_tuning"
 MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"

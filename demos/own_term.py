@@ -17,8 +17,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, EnergyTerm, IsotropicMembrane, Scene, Solver, meshes, taylor_test
-from crms_fenicsx.dofs.block_patterns import ElementPattern
-from crms_fenicsx.output import draw
+from crms_fenicsx.foundation.dofs.block_patterns import ElementPattern
+from crms_fenicsx.results.output import draw
 
 RESULTS = "results/own_term"
 

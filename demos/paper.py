@@ -34,7 +34,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.output import draw
+from crms_fenicsx.results.output import draw
 
 RESULTS = "results/paper"
 SIZE = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0

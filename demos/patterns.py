@@ -28,8 +28,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, PatternWarning, Solver, meshes, patterns
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.output import draw
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.results.output import draw
 
 RESULTS = "results/patterns"
 MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"

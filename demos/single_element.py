@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import Line, draw, draw_path
+from crms_fenicsx.results.output import Line, draw, draw_path
 
 CORNERS = [(0.0, 0.0), (25.0, 60.0), (70.0, 0.0)]
 PATH = [(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)]  # both ends are anchors beside the triangle

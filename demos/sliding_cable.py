@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
+from crms_fenicsx.results.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/sliding_cable"
 

@@ -24,8 +24,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, OrthotropicMembrane, Solver, meshes
-from crms_fenicsx.form_finding import FormBar, FormCable, find_form
-from crms_fenicsx.output import draw
+from crms_fenicsx.design.form_finding import FormBar, FormCable, find_form
+from crms_fenicsx.results.output import draw
 
 RESULTS = "results/tent"
 PRESTRESS, EDGE_TENSION = 2.5, 45.0

@@ -25,7 +25,7 @@ from petsc4py import PETSc
 from scipy.interpolate import LinearNDInterpolator
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import draw
+from crms_fenicsx.results.output import draw
 
 SIDE, CEILING, BESIDE, BEFORE = 20.0, 3.0, 5.0, 10.0
 """Side of the roof, height of the tunnel; tunnel width beside, length before and behind."""

@@ -25,9 +25,9 @@ from matplotlib.transforms import Bbox
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.deformed_surface import current_surface
-from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
-from crms_fenicsx.friction.slip import material_place
+from crms_fenicsx.cabling.cables.deformed_surface import current_surface
+from crms_fenicsx.cabling.friction.slip import material_place
+from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
 from crms_fenicsx.model.laid_cable import LaidCable
 
 Array = npt.NDArray[Any]

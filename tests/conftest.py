@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from mpi4py import MPI
 
-from crms_fenicsx.runtime import errors
+from crms_fenicsx.foundation.runtime import errors
 
 
 @pytest.fixture(scope="session")

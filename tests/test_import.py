@@ -17,21 +17,25 @@ MODULES = sorted(
     ["crms_fenicsx"]
     + [m.name for m in pkgutil.walk_packages(crms_fenicsx.__path__, "crms_fenicsx.")]
 )
-UNUSED = ("crms_fenicsx.checkpoint", "crms_fenicsx.output.figures", "crms_fenicsx.output.report")
+UNUSED = (
+    "crms_fenicsx.results.checkpoint",
+    "crms_fenicsx.results.output.figures",
+    "crms_fenicsx.results.output.report",
+)
 """Packages that nothing loads before they are asked for."""
 KERNELS = (
-    "crms_fenicsx.cables.numbering",
-    "crms_fenicsx.energies.lateral_friction",
-    "crms_fenicsx.energies.cable_tension",
-    "crms_fenicsx.energies.fold_penalty",
-    "crms_fenicsx.energies.folded_membrane",
-    "crms_fenicsx.energies.folded_pressure",
-    "crms_fenicsx.energies.paper.cable_elements",
-    "crms_fenicsx.energies.paper.step_folded_membrane",
-    "crms_fenicsx.energies.ponding",
-    "crms_fenicsx.energies.segments",
-    "crms_fenicsx.energies.stress_laws",
-    "crms_fenicsx.energies.tension_field",
+    "crms_fenicsx.cabling.cables.numbering",
+    "crms_fenicsx.energy.terms.lateral_friction",
+    "crms_fenicsx.energy.terms.cable_tension",
+    "crms_fenicsx.energy.terms.fold_penalty",
+    "crms_fenicsx.energy.terms.folded_membrane",
+    "crms_fenicsx.energy.terms.folded_pressure",
+    "crms_fenicsx.energy.terms.paper.cable_elements",
+    "crms_fenicsx.energy.terms.paper.step_folded_membrane",
+    "crms_fenicsx.energy.terms.ponding",
+    "crms_fenicsx.energy.terms.segments",
+    "crms_fenicsx.energy.terms.stress_laws",
+    "crms_fenicsx.energy.terms.tension_field",
 )
 OPTIONAL = ("gmsh", "meshio", "matplotlib", "tqdm", "pyvista", *KERNELS)
 

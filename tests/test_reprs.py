@@ -13,8 +13,8 @@ from cabled_square import CABLE, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, Scene, Solver, meshes
-from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.runtime.checks import counted, span
+from crms_fenicsx.design.form_finding import find_form
+from crms_fenicsx.foundation.runtime.checks import counted, span
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(3)
 

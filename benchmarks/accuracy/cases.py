@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes, nets
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 
 COMM = MPI.COMM_SELF

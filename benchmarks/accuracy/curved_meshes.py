@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.meshes import MembraneMesh, from_arrays
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 
 def rings(n: int) -> tuple[Array, Integers]:

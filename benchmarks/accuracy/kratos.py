@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from accuracy.cases import PRESSURE, ROPE, Case, Laws, clamped
-from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 PROGRAM = Path(__file__).parents[1] / "kratos" / "membrane.py"
 E, NU, THICKNESS = 300.0, 0.25, 0.08

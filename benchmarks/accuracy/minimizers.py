@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.minimization.initial_hessian import InitialHessian
-from crms_fenicsx.minimization.minimizer import COARSE, Minimizer
-from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian
+from crms_fenicsx.energy.minimization.minimizer import COARSE, Minimizer
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.energy.minimization.potential import Potential
 
 MUMPS = "crms_h0_pc_factor_mat_solver_type"
 

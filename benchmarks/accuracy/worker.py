@@ -17,9 +17,9 @@ import numpy as np
 from accuracy.cases import CASES, QUANTITIES, Laws
 from accuracy.methods import METHODS
 from crms_fenicsx import ConvergenceError, FrictionWarning
-from crms_fenicsx.equilibrium import system
-from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.study import convergence
+from crms_fenicsx.analysis.equilibrium import system
+from crms_fenicsx.design.study import convergence
+from crms_fenicsx.energy.minimization.potential import Potential
 
 FIRST_LIMIT = 120.0
 """Seconds for a warm-up, which may have to compile."""

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.checkpoint.journal import Journal
-from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.taylor import TermsWithDyads
-from crms_fenicsx.runtime import errors
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.taylor import TermsWithDyads
+from crms_fenicsx.foundation.runtime import errors
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.results.checkpoint.journal import Journal
 from fuzzing.feature_scenes import FeatureScene, Frame
 from fuzzing.feature_world import World, joints
 from fuzzing.runs import kind_of, limited

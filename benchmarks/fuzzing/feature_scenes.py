@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from fuzzing.scenes import WIDTH, Draws, Seeded, mesh
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "scenes"))

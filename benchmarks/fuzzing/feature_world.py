@@ -26,10 +26,10 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.form_finding import FormCable, find_form
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.form_finding import FormCable, find_form
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.bar import Joint
-from crms_fenicsx.runtime.arrays import Array
 from fuzzing.feature_scenes import SIZE, FeatureScene, Frame, across
 from fuzzing.scenes import _crossings_of_rim
 

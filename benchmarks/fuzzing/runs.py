@@ -24,11 +24,11 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.minimizer import Minimizer
-from crms_fenicsx.runtime import errors
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.verification.verifier import Verifier
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.verification.verifier import Verifier
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
+from crms_fenicsx.foundation.runtime import errors
+from crms_fenicsx.foundation.runtime.arrays import Array
 from fuzzing.scenes import CableData, SceneData
 
 SECONDS = 30

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.potential import Potential
 
 
 class Hang(BaseException):

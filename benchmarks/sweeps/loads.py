@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes.triangles import area_vectors
+from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from sweeps.judge import Judge, Point
 from sweeps.scenes import COMM, FOIL, MODULUS, PRESSURE, SIDE, across, clamped, heights, square, top
 

@@ -11,10 +11,10 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.runtime.arrays import Array
 
 COMM = MPI.COMM_SELF
 SIDE, MODULUS, PRESSURE, ROPE = 100.0, 24.0, 0.01, 32000.0

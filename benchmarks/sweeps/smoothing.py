@@ -87,7 +87,7 @@ def smoothing() -> Iterator[Point]:
 
     @cache
     def smoothed(size: float, y: float, end: float) -> tuple[Solver, LaidCable]:
-        with patch("crms_fenicsx.cables.element_tables.SMOOTHING", size):
+        with patch("crms_fenicsx.cabling.cables.element_tables.SMOOTHING", size):
             return crossed(square(n), across(y, end), L0=float(np.hypot(SIDE, end - y)))
 
     @cache

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.triangles import area_vectors
-from crms_fenicsx.minimization.initial_hessian import at_bounds
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.energy.minimization.initial_hessian import at_bounds
+from crms_fenicsx.foundation.meshes.triangles import area_vectors
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.model.tolerances import SMOOTHING
-from crms_fenicsx.runtime.arrays import Array
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "scenes"))  # its checks of contact
 from contact_checks import deepest, strongest_pull

@@ -17,9 +17,9 @@ import ufl
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import Scene, Solver, UflMembrane, meshes
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import convergence
-from crms_fenicsx.study.values import Quantity
+from crms_fenicsx.design.study import convergence
+from crms_fenicsx.design.study.values import Quantity
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 C1, C2, THICKNESS, RADIUS = 3e5, 3e4, 1e-2, 1.0

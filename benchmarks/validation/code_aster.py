@@ -20,8 +20,8 @@ from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, UflMembrane, meshes
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import Quantity, convergence
+from crms_fenicsx.design.study import Quantity, convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.disks import by_ode, disk, inflated, limit, neo_hooke, rise, saint_venant
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 

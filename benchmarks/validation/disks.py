@@ -21,10 +21,10 @@ from scipy.optimize import brentq
 from scipy.special import lambertw
 
 from crms_fenicsx import Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.study import convergence
+from crms_fenicsx.design.study.convergence import Convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.study import convergence
-from crms_fenicsx.study.convergence import Convergence
 from validation.table import COMM
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import IsotropicMembrane, Scene, Solver
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import Convergence
+from crms_fenicsx.design.study import Convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.disks import disk, limit, rise
 from validation.table import OURS, PUBLISHED, Row, labels, panels, report, save
 

@@ -17,8 +17,8 @@ from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import ConvergenceError, meshes
-from crms_fenicsx.form_finding import FoundForm, find_form
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.form_finding import FoundForm, find_form
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 RADIUS, FORMS, BREAKS = 10.0, 12.0, 14.0

@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from accuracy.kratos import folder
 
 from crms_fenicsx import OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.runtime.compat import geometry_dofmap
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 STATIONS = (0.0, 0.3332937795, 0.6667065195, 1.0), (0.1666202255, 0.5000000746, 0.8333799236)

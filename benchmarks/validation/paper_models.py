@@ -19,10 +19,10 @@ from accuracy.cases import CASES, QUANTITIES, Laws
 from accuracy.references import reference
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.study import convergence
+from crms_fenicsx.design.study.convergence import Convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.study import convergence
-from crms_fenicsx.study.convergence import Convergence
 from validation.paper_by_hand import Element, Rope, Step, isotropic, orthotropic, raised
 from validation.table import (
     COMM,

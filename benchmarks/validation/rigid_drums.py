@@ -17,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 
 ENDS = np.array([(2.0, -2.0), (-2.0, 2.1)])

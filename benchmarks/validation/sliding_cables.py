@@ -25,8 +25,8 @@ from friction import threshold
 from rigid_surfaces import band, curve, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import Quantity, convergence
+from crms_fenicsx.design.study import Quantity, convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import OURS, PUBLISHED, THIRD, Row, labels, panels, report, save
 
 DATA = Path(__file__).with_suffix(".csv")

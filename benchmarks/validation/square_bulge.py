@@ -19,8 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.study import Quantity, convergence
+from crms_fenicsx.design.study import Quantity, convergence
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 POISSONS = (0.0, 0.25, 0.4)

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.runtime.handle import Handle, ReadOnly
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed length, below which its direction is undefined."""

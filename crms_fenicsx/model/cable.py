@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError
 
 
 @dataclass(frozen=True)

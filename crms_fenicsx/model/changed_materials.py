@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.ufl_material import UflMembrane
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError
 
 BUILT_IN = ("psi", "warp")
 """Fields compiled into forms or stored on the mesh, which cannot change."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.surface.points import Support
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.surface.points import Support
 
 MOST_TOLERANCE = 0.1
 """Largest slip tolerance (parts of a cell): beyond it the model is no longer dry friction."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import Support
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.surface.points import Support
 
 Hold = Literal["outside", "sleeve", "pocket", "bonded"]
 

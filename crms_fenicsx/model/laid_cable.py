@@ -8,17 +8,17 @@ from typing import Literal
 
 import numpy as np
 
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, flags, floats
+from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
+from crms_fenicsx.foundation.surface.path import Path
+from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.model.hold import HOLDS, Bonds, Hold
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.runtime.handle import Handle, ReadOnly
-from crms_fenicsx.surface.path import Path
-from crms_fenicsx.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import ufl
 
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import InputError
 
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
-"""Codes of the stress laws; kernels of all but the last: `crms_fenicsx.energies.stress_laws`."""
+"""Codes of the stress laws; kernels of all but the last: `energy.terms.stress_laws`."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""

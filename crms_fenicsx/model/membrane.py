@@ -13,23 +13,28 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 from mpi4py import MPI
 
-from crms_fenicsx.dofs.layout import vertex_places
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
-from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, cell_normals, open_edges
-from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
-from crms_fenicsx.model.strengths import Strengths
-from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, Rows
-from crms_fenicsx.runtime.compat import geometry_dofmap, require_real
-from crms_fenicsx.runtime.errors import (
+from crms_fenicsx.foundation.dofs.layout import vertex_places
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
+from crms_fenicsx.foundation.meshes.triangles import (
+    OpenEdges,
+    area_vectors,
+    cell_normals,
+    open_edges,
+)
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers, Rows
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap, require_real
+from crms_fenicsx.foundation.runtime.errors import (
     InputError,
     PathError,
     PenaltyWarning,
     collective,
     raised_together,
 )
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
+from crms_fenicsx.model.strengths import Strengths
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 STABLE_PENALTY = (1e-3, 1.0)
 """Range of penalty factors in which folded cells are stable and do not lock."""

@@ -16,13 +16,13 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.dofs.layout import edge_ends
-from crms_fenicsx.meshes.membrane_mesh import outer_first
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.meshes.membrane_mesh import outer_first
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Rows
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Rows
-from crms_fenicsx.runtime.errors import InputError, raised_together
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area: (3,), or a function of points and unit normals, both (3, n), returning (3, n)."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.checks import counted, span
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.checks import counted, span
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.meshes.membrane_mesh import cells_of
-from crms_fenicsx.meshes.triangles import cell_normals, double_areas
+from crms_fenicsx.foundation.meshes.membrane_mesh import cells_of
+from crms_fenicsx.foundation.meshes.triangles import cell_normals, double_areas
+from crms_fenicsx.foundation.runtime.arrays import Booleans
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Booleans
-from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 
 UPRIGHT = 1e-6
 """Plan area over surface area above which cells have an upper side."""

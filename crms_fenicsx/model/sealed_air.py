@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import EPSILON
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import EPSILON
+from crms_fenicsx.foundation.runtime.errors import InputError
 
 LEAST = 0.02
 """Volume, relative to that at sealing, below which the pressure is extrapolated linearly: trial

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, outer_first
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, outer_first
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError
 
 Strengths = tuple[float, float]
 """Strengths in warp and weft (force per length)."""

@@ -12,7 +12,7 @@ SAME_PLACE = 1e-9
 SMOOTHING = 3e-3
 """Smoothing of segment lengths, relative to the size of the surrounding cells. The larger it is,
 the faster fold points held at a vertex converge; each lengthens the cable by 0.4 of it, which
-`crms_fenicsx.equilibrium.system.System.renew_smoothing_length` subtracts again."""
+`analysis.equilibrium.system.System.renew_smoothing_length` subtracts again."""
 
 BLOCKED = SMOOTHING
 """A sliding point closer to a vertex has run into it; farther away, the vertex does not hold it."""

@@ -13,7 +13,9 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from crms_fenicsx.meshes.triangles import vectors
+from crms_fenicsx.foundation.meshes.triangles import vectors
+from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import (
     UFL_LAW,
     Direction,
@@ -23,8 +25,6 @@ from crms_fenicsx.model.materials import (
     symmetric,
     taut_stiffness,
 )
-from crms_fenicsx.runtime.arrays import Array, floats
-from crms_fenicsx.runtime.errors import InputError
 
 ENERGY_AT_REST = 1e-12
 """Largest energy at zero strain, relative to the stiffness."""
@@ -174,7 +174,7 @@ class UflMembrane(MembraneMaterial):
         return float(1 / np.sqrt(compliance[0, 0] * compliance[1, 1]))
 
     def law_terms(self, E: Any, p: Any) -> LawTerms:
-        """The law's UFL expressions; see `crms_fenicsx.model.materials.law_terms`."""
+        """The law's UFL expressions; see `model.materials.law_terms`."""
         strain = ufl.variable(E)
         energy = self._energy(strain)
         slope = ufl.diff(energy, strain)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from typing import Any, Literal, TypeVar, cast
 
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import DoubtWarning
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import DoubtWarning
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.meshes.triangles import norm
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.contact.contact_force import contact_forces
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.checks import span
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
-from crms_fenicsx.runtime.arrays import Array, floats
-from crms_fenicsx.runtime.checks import span
-from crms_fenicsx.scene import Scene
 
 Force = tuple[float, float, float]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import floats
+from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.files import absolute, replaced
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import floats
-from crms_fenicsx.runtime.errors import InputError, collective, raised_together
-from crms_fenicsx.runtime.files import absolute, replaced
-from crms_fenicsx.scene import Scene
 
 STEEL = 1.2e-5
 """Coefficient of thermal expansion of steel (per kelvin)."""

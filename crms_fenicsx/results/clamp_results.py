@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.meshes.triangles import cross, norm
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.meshes.triangles import cross, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.results.cable_and_bar_results import Force
-from crms_fenicsx.runtime.arrays import Array, floats
-from crms_fenicsx.scene import Scene
 
 Pair = tuple[float, float]
 

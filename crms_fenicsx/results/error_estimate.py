@@ -20,14 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem, la
 
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.smooth_surface import CREASE
-from crms_fenicsx.meshes.triangles import area_vectors
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
+from crms_fenicsx.foundation.meshes.triangles import area_vectors
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.surface.points import VertexPoint
 from crms_fenicsx.results.quantities import cell_tensors
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.points import VertexPoint
 
 WIDTH = 6 + 6 + 9 + 3 + 3
 """Number of averaged components: E, S, H, unit normals; weight, material and its square."""

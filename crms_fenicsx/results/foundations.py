@@ -10,8 +10,10 @@ from itertools import chain
 import numpy as np
 from dolfinx import fem
 
-from crms_fenicsx.dofs.layout import edge_ends
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.reactions import (
     AT,
@@ -22,8 +24,6 @@ from crms_fenicsx.results.reactions import (
     nodal_forces,
     support_forces,
 )
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.scene import Scene
 
 
 @dataclass(frozen=True)

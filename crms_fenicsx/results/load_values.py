@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import fem, la
 
-from crms_fenicsx.meshes.triangles import double_areas, norm
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 
 def load_label(scene: Scene, name: str) -> tuple[str, str]:

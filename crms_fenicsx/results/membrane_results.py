@@ -12,8 +12,12 @@ from dolfinx import fem, la
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.checks import counted, span
+from crms_fenicsx.foundation.runtime.errors import InputError, collective
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED
@@ -25,10 +29,6 @@ from crms_fenicsx.results.quantities import (
     names_of,
     shown_briefly,
 )
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-from crms_fenicsx.runtime.checks import counted, span
-from crms_fenicsx.runtime.errors import InputError, collective
 
 
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:

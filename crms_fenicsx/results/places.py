@@ -10,8 +10,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.cables.deformed_surface import CurrentSurface
-from crms_fenicsx.meshes.triangles import (
+from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface
+from crms_fenicsx.foundation.meshes.triangles import (
     WALL,
     balls,
     closest,
@@ -21,14 +21,14 @@ from crms_fenicsx.meshes.triangles import (
     mix,
     norm,
 )
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.checks import counted, span
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
+from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM
+from crms_fenicsx.foundation.surface.feet import nearest_pairs
 from crms_fenicsx.results.quantities import shown_briefly
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.runtime.checks import counted, span
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.runtime.errors import InputError, as_text
-from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
-from crms_fenicsx.surface.feet import nearest_pairs
 
 HELD = 1e-9
 """Distance in plan, relative to a facet's size, at which the facet still contains a point."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, Booleans
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.energies.ponding import add_water_pressure, find_level, water_sums
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.energy.terms.ponding import add_water_pressure, find_level, water_sums
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices
+from crms_fenicsx.foundation.runtime.checks import counted
+from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
-from crms_fenicsx.runtime.arrays import Array, Indices
-from crms_fenicsx.runtime.checks import counted
-from crms_fenicsx.runtime.errors import as_text
-from crms_fenicsx.scene import Scene
-from crms_fenicsx.scene.state import SceneState
 
 NAME = "rain in hollows"
 """Name of the load."""

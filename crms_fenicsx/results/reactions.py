@@ -9,16 +9,16 @@ from itertools import chain
 import numpy as np
 from dolfinx import fem, la
 
-from crms_fenicsx.dofs.layout import edge_ends
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.runtime.errors import InputError, as_text
-from crms_fenicsx.scene import Scene
 
 AT = 1e3 * SAME_PLACE
 """Distance, relative to the membrane's size, up to which an end coincides with the membrane."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.membrane_results import MembraneResults, nodal_means
 from crms_fenicsx.results.reinforcement import Patch, reinforced
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 
 def recovered(results: MembraneResults, name: str) -> Array:

@@ -16,13 +16,13 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx.mesh import exterior_facet_indices
 
-from crms_fenicsx.dofs.layout import edge_ends
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.scene import Scene
 
 SHARE = 0.05
 """Radius of a patch by default, relative to the distance to the next corner."""

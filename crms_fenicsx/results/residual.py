@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.membrane_multigrid import exact_matrix
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.energy.minimization.membrane_multigrid import exact_matrix
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.reactions import nodal_forces
-from crms_fenicsx.runtime.arrays import Array
 
 
 @dataclass(frozen=True)

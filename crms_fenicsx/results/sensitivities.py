@@ -17,16 +17,16 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.augmented_stiffness import AugmentedStiffness
-from crms_fenicsx.minimization.initial_hessian import Preconditioner
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
+from crms_fenicsx.energy.minimization.initial_hessian import Preconditioner
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.results.residual import tangent
 from crms_fenicsx.results.taut_parts import TautParts, Tightening
-from crms_fenicsx.runtime.arrays import EPSILON, Array
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.scene import Scene
 
 STEP = 1e-5
 """Relative change of a length or stiffness in finite differences of gradients and results."""

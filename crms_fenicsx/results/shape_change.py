@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.meshes.triangles import double_areas, norm
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 ENCLOSES = 0.02
 """Volume between roof and rim, relative to area to 3/2, from which a roof encloses a volume."""

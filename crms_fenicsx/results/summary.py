@@ -9,9 +9,12 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.cables.deformed_surface import CurrentSurface
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.checks import span
+from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.strengths import ALL
@@ -40,14 +43,11 @@ from crms_fenicsx.results.reactions import (
 )
 from crms_fenicsx.results.recovered_values import JudgedUtilisation, judged_utilisation
 from crms_fenicsx.results.reinforcement import Patch, patches, reinforced
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.runtime.checks import span
-from crms_fenicsx.runtime.errors import as_text
 
 SUMMED_UP = (
     "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
 )  # fmt: skip
-"""Quantities of `crms_fenicsx.results.quantities` in a summary, where known."""
+"""Quantities of `results.quantities` in a summary, where known."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -21,14 +21,14 @@ from mpi4py import MPI
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import nnls
 
-from crms_fenicsx.energies.bar_energy import BarTable
-from crms_fenicsx.energies.cable_tension import CableTension
-from crms_fenicsx.equilibrium.cable_contribution import current_lengths
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.cable_contribution import current_lengths
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.energy.terms.bar_energy import BarTable
+from crms_fenicsx.energy.terms.cable_tension import CableTension
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-from crms_fenicsx.runtime.errors import InputError
 
 AT_THRESHOLD = 1e-9
 """Strain of a part, of either sign, up to which it is about to turn taut or slack: more than what

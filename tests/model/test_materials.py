@@ -10,7 +10,10 @@ from term_scene import FABRIC, ISOTROPIC, STIFF, STIFF_FABRIC, irregular_square
 from term_twins import density, energy_at_angle, relaxed_energy
 
 from crms_fenicsx import meshes
-from crms_fenicsx.energies import stress_laws as compiled
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.terms import stress_laws as compiled
+from crms_fenicsx.foundation.runtime.compat import interpolation_points
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import (
     LINEAR,
     TENSION_FIELD,
@@ -18,9 +21,6 @@ from crms_fenicsx.model.materials import (
     OrthotropicMembrane,
     law_terms,
 )
-from crms_fenicsx.runtime.compat import interpolation_points
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.scene import Scene
 
 TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
 TENSED_FABRIC = replace(FABRIC, prestress=(2.0, 1.0))

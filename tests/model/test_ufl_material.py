@@ -21,9 +21,9 @@ from crms_fenicsx import (
     UflMembrane,
     meshes,
 )
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.membrane_energy import MembraneEnergy
-from crms_fenicsx.meshes import from_arrays
+from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
+from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.meshes import from_arrays
 from crms_fenicsx.model.ufl_material import SMALL, _values
 
 MU = 3.0

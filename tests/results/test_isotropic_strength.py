@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 STRETCH, NU = 1.05, 0.3
 

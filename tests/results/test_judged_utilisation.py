@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
 from crms_fenicsx.results.reinforcement import patches
 

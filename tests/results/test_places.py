@@ -18,12 +18,12 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.study.values import displacements
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import ALL_SUPPORTS, OTHER_SUPPORTS
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.study.values import displacements
-from crms_fenicsx.surface.points import EdgePoint
 
 R, P = 5.0, 0.4
 """Radius and pressure of the half cylinder."""

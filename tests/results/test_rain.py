@@ -9,8 +9,8 @@ from mpi4py import MPI
 from scipy.special import j0
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.results.rain import NAME
-from crms_fenicsx.runtime.errors import as_text
 
 RADIUS, WEIGHT = 3.0, 10.0
 

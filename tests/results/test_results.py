@@ -16,10 +16,10 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.deformed_surface import current_surface, gained_volume
+from crms_fenicsx.cabling.cables.deformed_surface import current_surface, gained_volume
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.surface.polygons import best_fan
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.polygons import best_fan
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -20,9 +20,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.results.taut_parts import strains_of
-from crms_fenicsx.runtime.arrays import Array
 
 UNITS = [(1.0, 1.0), (1e3, 1e3)]  # of m and kN
 IDS = ["kN, m", "N, mm"]

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import ConvergenceError, InputError
-from crms_fenicsx.meshes import isolated_reader
-from crms_fenicsx.output import History
-from crms_fenicsx.runtime.errors import MeshError
+from crms_fenicsx.foundation.meshes import isolated_reader
+from crms_fenicsx.foundation.runtime.errors import MeshError
+from crms_fenicsx.results.output import History
 
 
 def tried(read: Callable[[Path], object], path: Path) -> bool:

@@ -10,8 +10,8 @@ from mpi4py import MPI
 from vtu_file import read_vtu
 
 from crms_fenicsx import Solver
-from crms_fenicsx.output import History
 from crms_fenicsx.results.foundations import foundations
+from crms_fenicsx.results.output import History
 from crms_fenicsx.results.summary import held_groups
 
 ROOT = Path(__file__).parents[2]
@@ -50,7 +50,7 @@ def test_every_demo_is_tested() -> None:
     assert {path.stem for path in (ROOT / "demos").glob("*.py")} == set(PROMISED)
 
 
-DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThroughWarning")
+DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.SnapThroughWarning")
 """On cells of 6 m the hall dents all at once under snow."""
 
 

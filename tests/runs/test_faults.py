@@ -18,11 +18,11 @@ from processes import MPIRUN, run
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, InputError, Solver
-from crms_fenicsx.checkpoint import folder as checkpoint_folder
-from crms_fenicsx.checkpoint.folder import complete
-from crms_fenicsx.output import History, shared_file
-from crms_fenicsx.runtime import files
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime import files
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.results.checkpoint import folder as checkpoint_folder
+from crms_fenicsx.results.checkpoint.folder import complete
+from crms_fenicsx.results.output import History, shared_file
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
@@ -141,7 +141,7 @@ import os, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from test_faults import COMM, script
-from crms_fenicsx.output import shared_file
+from crms_fenicsx.results.output import shared_file
 
 whole, left = shared_file._write, {count}
 

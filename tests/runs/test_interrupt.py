@@ -15,14 +15,14 @@ import pytest
 from mpi4py import MPI
 from processes import MPIRUN, ROOT, run
 
-from crms_fenicsx.runtime import interrupt
+from crms_fenicsx.foundation.runtime import interrupt
 
 SCRIPT = """
 import gc, os, signal, sys, time, weakref
 from mpi4py import MPI
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.runtime import errors, interrupt
-from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.foundation.runtime import errors, interrupt
+from crms_fenicsx.energy.minimization.potential import Potential
 
 errors.PATIENCE = 5.0
 comm, evaluations, whole = MPI.COMM_WORLD, 0, Potential.evaluate

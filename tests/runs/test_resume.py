@@ -21,9 +21,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.checkpoint.journal import Journal
-from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.output import History
+from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.results.checkpoint.journal import Journal
+from crms_fenicsx.results.output import History
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 

@@ -7,9 +7,9 @@ from collections.abc import Container, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
-from crms_fenicsx.surface.points import Edge
+from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.surface.intrinsic import MissingCells, Ring, ring_of
+from crms_fenicsx.foundation.surface.points import Edge
 
 
 class ArraySurface:

@@ -23,7 +23,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.output import draw
+from crms_fenicsx.results.output import draw
 
 NAN, INF = float("nan"), float("inf")
 FOIL = {"E": 300.0, "nu": 0.25, "thickness": 0.08}

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 

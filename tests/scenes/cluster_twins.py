@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.minimization.cluster_matrix import ClusterMatrix
+from crms_fenicsx.energy.minimization.cluster_matrix import ClusterMatrix
 
 Array = npt.NDArray[Any]
 

@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull, Delaunay
 
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -6,8 +6,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
-from crms_fenicsx.form_finding import FormCable, FoundForm, find_form
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
+from crms_fenicsx.foundation.meshes import MembraneMesh
 
 CORNERS = ("front left", "front right", "back right", "back left")
 SIDES = ("front", "right", "back", "left")

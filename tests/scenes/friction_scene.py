@@ -10,12 +10,12 @@ from cable_edits import put
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
-from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.friction.lateral import start_step
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.friction.lateral import start_step
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.scene import Scene
 
 PATHS = (
     [(0, 31), (SIDE, 52)],

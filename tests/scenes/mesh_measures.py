@@ -4,9 +4,9 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.membrane_mesh import vertex_nodes
-from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_nodes
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 
 def cell_corners(membrane: MembraneMesh) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import OrthotropicMembrane, meshes
-from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 FABRIC = OrthotropicMembrane(
     E1=900.0, E2=700.0, G12=30.0, nu21=0.2 * 700 / 900, thickness=1.0, warp=(0.0, 1.0, 0.0)

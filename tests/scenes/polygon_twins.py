@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.runtime.arrays import pointers
-from crms_fenicsx.surface.polygons import fan_facets, split_polygons
+from crms_fenicsx.foundation.runtime.arrays import pointers
+from crms_fenicsx.foundation.surface.polygons import fan_facets, split_polygons
 
 Lists = Sequence[Sequence[int]]
 

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
-from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 OBLIQUE = [(-40.0, 15.0, -25.0), (140.0, 71.0, -25.0)]
 """Anchored off both sides of the square, so low that it bends over its boundary."""

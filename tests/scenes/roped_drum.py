@@ -13,9 +13,9 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array
 
 EA, FREE, WRAP = 1000.0, 0.5, np.pi
 """Axial stiffness of the rope, length of its free ends, angle of wrap."""

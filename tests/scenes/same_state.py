@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from crms_fenicsx.scene.state import SceneState
+from crms_fenicsx.analysis.scene.state import SceneState
 
 
 def assert_same_state(one: SceneState, other: SceneState, but: Collection[str] = ()) -> None:

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from pattern_surfaces import quarter_sphere
 
 from crms_fenicsx import IsotropicMembrane, Solver, patterns
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 
 def inflated_sphere(

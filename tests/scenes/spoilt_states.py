@@ -10,10 +10,10 @@ from mpi4py import MPI
 from reference_meshes import square
 
 from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.analysis.verification.cable_forces import plain_vertices
+from crms_fenicsx.analysis.verification.report import Verification
+from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.verification.cable_forces import plain_vertices
-from crms_fenicsx.verification.report import Verification
-from crms_fenicsx.verification.verifier import Verifier
 
 SCENES = {  # E t of the membrane, EA of the cable looked at and of those beside it, pressure
     "stiff membrane": (2.4e5, 0.3, None, 5e-4),

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.cabling.cables.strip import Strip, StripShape
+from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.surface.points import EdgePoint
 
 
 def roof(heights: Sequence[float]) -> StripShape:

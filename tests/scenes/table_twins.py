@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 from polygon_twins import split_slowly
 
-from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.points_on_edges import on_edges
-from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.cabling.cables.points_on_edges import on_edges
+from crms_fenicsx.cabling.cables.strip import Strip
+from crms_fenicsx.foundation.surface.points import Edge, EdgePoint
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
-from crms_fenicsx.surface.points import Edge, EdgePoint
 
 Array = npt.NDArray[Any]
 Link = tuple[int, int, int, tuple[int, ...] | None]

@@ -9,8 +9,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern
-from crms_fenicsx.minimization.taylor import (
+from crms_fenicsx.energy.minimization.taylor import (
     STEPS,
     TermsOnLayout,
     fitted_order,
@@ -19,6 +18,7 @@ from crms_fenicsx.minimization.taylor import (
     stiffness_error,
     stiffness_order,
 )
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern
 
 __all__ = [
     "STEPS", "fitted_order", "gradient_order", "noise", "stiffness_error", "stiffness_order",

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from mpi4py import MPI
 from taylor import OnMesh, noise
 
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[Any]
 

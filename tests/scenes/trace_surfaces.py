@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.points import CellPoint, EdgePoint
-from crms_fenicsx.surface.trace import trace
+from crms_fenicsx.foundation.runtime.errors import PathError
+from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint
+from crms_fenicsx.foundation.surface.trace import trace
 
 
 def grid(n, m=None):

@@ -19,9 +19,9 @@ from scipy.optimize import minimize_scalar, root
 from term_twins import best_angle
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.steps.load_step import Step
 
 Array = npt.NDArray[Any]
 

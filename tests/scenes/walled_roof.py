@@ -4,9 +4,9 @@ from collections import Counter
 
 import numpy as np
 
-from crms_fenicsx.meshes import from_arrays
-from crms_fenicsx.meshes.membrane_mesh import vertex_nodes
-from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.meshes import from_arrays
+from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_nodes
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 
 def walled_roof(n=6, size=100.0, walls=(0.5,), height=20.0, rise=0.0, levels=2, seed=None):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx import LaidCable, Scene
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 STEP = 1e-30
 """The complex step: without cancellation, so that derivatives are exact to rounding."""

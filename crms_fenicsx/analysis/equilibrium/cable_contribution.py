@@ -1,0 +1,272 @@
+"""Cable points and cable tension."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crms_fenicsx.analysis.equilibrium.contribution import Contribution
+from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
+from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+    MembraneContribution,
+    PressureContribution,
+)
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.clamping import placed
+from crms_fenicsx.cabling.cables.element_tables import CableTables, cable_tables, damping
+from crms_fenicsx.cabling.cables.held_points import held_points, holds_points
+from crms_fenicsx.cabling.cables.node_positions import NodePositions
+from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.energy.minimization.damping import Damping
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.terms.cable_tension import CableTension
+from crms_fenicsx.energy.terms.held_line import HeldLine
+from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, pointers
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energy.terms.axial_friction import CapstanTension
+
+logger = logging.getLogger("crms_fenicsx")
+
+UNSMOOTHED = 1e-13
+"""Least error of a cable's smoothed length, relative to its unstressed length, to correct."""
+
+
+class CableContribution(Contribution):
+    """Tension of the cables; recreated when cables are laid, tighten or slacken.
+
+    Attributes: `numbering`: numbering of the cable points; `unknowns`: the layout with these
+    points; `node_positions`: copies point positions to the cables; `taut`: the cables in tension;
+    `tables`: this rank's elements of these, or None; `folds`: contribution of the folded cells;
+    `tension`, `sliding`: term of the taut cables that slide freely along their axis, and these;
+    `capstan`, `gripped`: term of those with axial friction, and these; `clutches`, `slipping`: of
+    those that may slip through clamps.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        pressure: PressureContribution,
+        frame: FrameBlocks | None = None,
+    ) -> None:
+        super().__init__(scene)
+        assert scene.net.strip is not None
+        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, scene.net.nodes)
+        self.unknowns = self.numbering.unknowns(frame)
+        self.numbering.hold(self.unknowns)
+        self.node_positions = NodePositions(self.numbering, self.unknowns)
+        self.taut = [cable for cable in scene.cables if cable.taut]
+        self.slipping = [cable for cable in self.taut if cable.may_slip and cable.axial is None]
+        self.sliding = [c for c in self.taut if c.axial is None and c not in self.slipping]
+        self.gripped = [cable for cable in self.taut if cable.axial is not None]
+        # first part of each sliding cable among all parts, and the total number
+        self.first_parts = pointers(
+            np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
+        )
+        self.tension: CableTension | None = None
+        self.capstan: CapstanTension | None = None
+        self.clutches: CapstanTension | None = None
+        self.tables: CableTables | None = None
+        if self.taut:
+            self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
+            folded = self.tables.folded.cells
+            scene.membrane.refuse_folds(folded, "a cable has slid too far")
+            membrane.fold(folded)
+        self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
+
+    def damping(self) -> Damping | None:
+        """Damping of quasi-Newton steps of the cable points; None without tension."""
+        return None if self.tables is None else damping(self.numbering, self.tables.segments)
+
+    @property
+    def has_history(self) -> bool:
+        return any(cable.cable.law == "step" for cable in self.scene.cables)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        terms: list[EnergyTerm] = []
+        if self.tables is not None and self.sliding:
+            self.tension = self._tension_term(self.tables)
+            terms.append(self.tension)
+        if self.tables is not None and self.gripped:
+            from crms_fenicsx.cabling.friction.axial import chain_table, grip_table, remap_axial
+            from crms_fenicsx.energy.terms.axial_friction import CapstanTension
+
+            for cable in self.gripped:
+                remap_axial(cable)
+            grips = grip_table(self.numbering, self.scene.net.strip_shape())
+            L0 = np.array([cable.L0 + cable.smoothing_length for cable in self.gripped])
+            self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
+            terms.append(self.capstan)
+        if self.tables is not None and self.slipping:
+            from crms_fenicsx.cabling.cables.slipping_clamps import slipping_tension
+
+            self.clutches = slipping_tension(self.numbering, self.tables, self.slipping)
+            terms.append(self.clutches)
+        if holds_points(self.taut):
+            shape, materials = self.scene.net.strip_shape(), self.scene.materials.values()
+            terms.append(HeldLine(held_points(self.numbering, shape, materials)))
+        return terms
+
+    def _tension_term(self, tables: CableTables) -> CableTension:
+        EA = self._stiffnesses()
+        L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
+        starts = [own.step_start for own in self.sliding for _ in own.part_lengths]
+        one = np.array([cable in self.sliding for cable in self.taut])
+        mine, number = one[tables.cable], np.cumsum(one) - 1
+        cable = number[tables.cable[mine]]
+        part = self.first_parts[cable]
+        node = self.numbering.nodes.place[tables.links[mine, 0]]
+        for c, own in enumerate(self.sliding):
+            if own.parts is not None:
+                part[cable == c] += own.parts_of(node[cable == c])
+        links = (tables.segments[mine], tables.eps[mine], part.astype(np.int32))
+        if any(starts):
+            from crms_fenicsx.energy.terms.paper.cable_elements import StepCableTension
+
+            return StepCableTension(*links, EA, L0, starts)
+        alone = np.concatenate([_parts_of_one_link(own) for own in self.sliding])
+        return CableTension(*links, EA, L0, alone)
+
+    def _stiffnesses(self) -> Array:
+        """Axial stiffnesses of the parts of the sliding cables (force)."""
+        EA = np.array([cable.cable.EA for cable in self.sliding], dtype=np.float64)
+        return np.repeat(EA, np.diff(self.first_parts))
+
+    def read_scene(self, potential: Potential) -> None:
+        numbering, unknowns = self.numbering, self.unknowns
+        own = numbering.blocks[numbering.blocks >= 0]
+        places = unknowns.X.copy()
+        numbering.place_points(places)
+        potential.x[own] = places[own] - unknowns.X[own]
+        unknowns.update_ghosts(potential.x_vector)  # far vertices too, which carry edge sliders
+        numbering.edge_sliders.place(unknowns, potential.x)
+        if self.tension is not None:
+            self.tension.EA[:] = self._stiffnesses()
+            self.tension.L0[:] = np.concatenate([cable.part_lengths for cable in self.sliding])
+            self.tension.smoothing_length[:] = np.concatenate(
+                [_smoothing(cable) for cable in self.sliding]
+            )
+        if self.capstan is not None:
+            self.capstan.L0[:] = [cable.L0 + cable.smoothing_length for cable in self.gripped]
+        if self.clutches is not None:
+            from crms_fenicsx.cabling.cables.slipping_clamps import clamp_grips, whole_lengths
+
+            self.clutches.renew(clamp_grips(self.slipping))
+            self.clutches.L0[:] = whole_lengths(self.slipping)
+
+    def locate(self, potential: Potential) -> None:
+        self.node_positions.gather(potential.x)
+
+    def write_scene(self, potential: Potential) -> None:
+        self.locate(potential)
+        own: dict[LaidCable, Array] = {}
+        if self.tension is not None:
+            forces = self.tension.tensions(potential.sums_of(self.tension))
+            own.update(zip(self.sliding, np.split(forces, self.first_parts[1:-1]), strict=True))
+        if self.clutches is not None:
+            own.update(self._write_slips(self.clutches, potential))
+        for cable in self.scene.cables:
+            tensions = own.get(cable, 0.0 * cable.part_lengths)
+            length = polyline_length(cable.positions[cable.contacts()])
+            if cable.parts is None:
+                cable.update(length=length, tension=float(tensions[0]))
+                continue
+            mean = float(tensions @ cable.part_lengths) / cable.L0
+            parts = replace(cable.parts, tensions=tensions.copy())
+            cable.update(length=length, tension=mean, parts=parts)
+
+        if self.scene.clamps:
+            self.scene.net.clamps = placed(self.scene.cables, self.scene.clamps)
+
+    def _write_slips(self, term: CapstanTension, potential: Potential) -> dict[LaidCable, Array]:
+        """Copy clamp slips to the cables, their energy to the scene; return the tensions."""
+        sums, energies = potential.sums_of(term), dict(self.scene.energies)
+        tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
+        found = {}
+        for c, cable in enumerate(self.slipping):
+            assert cable.parts is not None
+            slips = term.slips[term.nodes_of(c)].copy()
+            cable.update(parts=replace(cable.parts, slips=slips, loss=float(lost[c])))
+            found[cable] = tensions[term.spans_of(c)]
+        energies["cables"] -= term.friction_potential
+        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+        self.scene.record(energies=energies)
+        return found
+
+    def renew_smoothing_length(self, potential: Potential) -> bool:
+        lengths: list[tuple[LaidCable, float]] = []
+        changed = False
+        if self.tension is not None:
+            parts_of = np.split(potential.sums_of(self.tension), self.first_parts[1:-1])
+            for cable, own in zip(self.sliding, parts_of, strict=True):
+                lengths.append((cable, float(own.sum())))
+                changed |= _renew_smoothing(cable, own)
+        if self.clutches is not None:
+            sums = potential.sums_of(self.clutches)
+            for c, cable in enumerate(self.slipping):
+                own = sums[self.clutches.spans_of(c)] - _smoothing(cable)
+                lengths.append((cable, float(own.sum())))
+                changed |= _renew_smoothing(cable, own)
+        if self.capstan is not None:
+            sums = potential.sums_of(self.capstan)
+            for c, cable in enumerate(self.gripped):
+                spans = sums[self.capstan.spans_of(c)]
+                lengths.append((cable, float(spans.sum()) - cable.smoothing_length))
+        for cable, length in lengths:
+            more = length - cable.length
+            if abs(more) > UNSMOOTHED * cable.L0:
+                logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
+                cable.update(smoothing_length=cable.smoothing_length + more)
+                changed = True
+        return changed
+
+    def commit(self) -> None:
+        if self.tension is not None:
+            for cable, first in zip(self.sliding, self.first_parts[:-1], strict=True):
+                for start in self.tension.starts[first : first + 1]:  # empty without such cables
+                    cable.update(step_start=start)
+        if any(cable.may_slip for cable in self.taut):
+            from crms_fenicsx.cabling.cables.slipping_clamps import end_step
+
+            net = self.scene.net
+            net.clamps = end_step(self.taut, net.clamps)
+        for cable in self.scene.cables:
+            cable.update(ends_before=cable.positions[[0, -1]])
+
+
+def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
+    """Correct the smoothing lengths of a cable's parts and return whether they changed."""
+    if cable.parts is None:
+        return False
+    added = lengths - current_lengths(cable)
+    cable.update(parts=replace(cable.parts, smoothing=cable.parts.smoothing + added))
+    return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
+
+
+def _smoothing(cable: LaidCable) -> Array:
+    """Length that smoothing adds to each part of a cable between clamps (length)."""
+    return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
+
+
+def _parts_of_one_link(cable: LaidCable) -> Booleans:
+    """Whether each part of a bonded cable runs straight between two consecutive contacts."""
+    if cable.bonds is None:
+        return np.zeros(len(cable.part_lengths), dtype=bool)
+    return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
+
+
+def current_lengths(cable: LaidCable) -> Array:
+    """Current lengths of a cable's parts between clamps (length)."""
+    contacts = cable.contacts()
+    sizes = norm(np.diff(cable.positions[contacts], axis=0))
+    return np.bincount(cable.parts_of(contacts[:-1]), sizes, len(cable.part_lengths)).astype(
+        np.float64
+    )

@@ -1,0 +1,160 @@
+"""Equilibrium on given paths: minimise, update the active set, and repeat.
+
+The active set holds the cables in tension, their contacts with the membrane and their crossings. It
+is updated from solved states. The path of a lifted cable part is kept below its span.
+"""
+
+from __future__ import annotations
+
+import logging
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.cabling.contact.active_set import ActiveSet
+from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.model.cable_state import CableNode
+
+logger = logging.getLogger("crms_fenicsx")
+
+MAX_PROJECTIONS = 60
+"""Limit of projections of lifted parts' paths below their spans in one load step."""
+
+PATHS = 1e-3
+"""Residual, relative to the force scale, below which paths are examined. Contacts are updated
+earlier: a wrong contact can be undone, a passed vertex cannot."""
+
+WEAK = 0.1
+"""Residual, relative to the weakest tension, below which contacts are updated: with a larger one
+taut cables would be taken for slack."""
+
+
+Look = Callable[[bool], bool]
+"""Called near equilibrium with whether contacts change; returns whether to end the solve."""
+
+
+class ContactLoop:
+    """Solves one load step on given paths."""
+
+    def __init__(
+        self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: SceneState
+    ) -> None:
+        self.system, self.scene = system, system.scene
+        self.active, self.sliding, self.start = active, sliding, start
+        self._projections = 0
+
+    def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
+        """Find the equilibrium on the current paths, or a state near it if `rough`."""
+        return self.solve(h0_prestress, operator.not_ if rough else None)
+
+    def solve(self, h0_prestress: tuple[float, ...], look: Look | None = None) -> Outcome:
+        """Find the equilibrium on the current paths. Collective. `look` is called near it."""
+        system, active = self.system, self.active
+        system.read_scene()
+        system.locate_cables()
+        changes = active.tighten()  # contacts need a solved state
+        if self.sliding is not None and not changes and self.sliding.straighten():
+            changes = ["paths pulled taut"]
+        total: Outcome | None = None
+        looked = False
+
+        def interrupt(residual: float, scale: float, last: bool) -> bool:
+            nonlocal changes, looked
+            if looked:
+                return False
+            system.write_scene()
+            if residual > self._weakest() * WEAK and not last:
+                return False
+            changes = self._changes()
+            if residual > PATHS * scale or (changes and not self._may_join_paths()):
+                return bool(changes)
+            ends = look is not None and look(bool(changes))
+            if ends:  # new paths are solved together with new contacts
+                changes = []
+            looked = not changes
+            return ends or bool(changes)
+
+        while True:
+            if changes:
+                logger.debug("%s", "; ".join(changes))
+                if self.sliding is not None:
+                    self.sliding.straighten()
+                system.rebuild()
+                system.read_scene()
+            if system.has_history:  # every term starts the step from there
+                restore_positions(self.scene, self.start)
+                system.read_scene()
+            changes = []
+            outcome = system.minimize(h0_prestress, interrupt)
+            h0_prestress = (0.0,)  # the membrane is stressed now
+            total = outcome if total is None else total + outcome
+            if not outcome.converged:
+                return total
+            if outcome.reason != "interrupted":
+                system.write_scene()
+                changes = self._changes()
+            if not changes:
+                if not looked and look is not None:
+                    look(False)
+                return total
+            if active.cycling_cable():
+                reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
+                return replace(total, converged=False, reason=reason)
+
+    def _may_join_paths(self) -> bool:
+        """Whether paths may change together with contacts: where cables only lift off, so that the
+        state's energy still is a bound, and no friction forces belong to the old contacts."""
+        return self.active.only_lifted and not self.scene.net.has_friction
+
+    def _weakest(self) -> float:
+        """Least tension, or friction force, of the cables in tension (force)."""
+        taut = [cable for cable in self.scene.cables if cable.taut]
+        grips = [float(c.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.lateral]
+        return min((*(cable.tension for cable in taut), *filter(None, grips)), default=0.0)
+
+    def _changes(self) -> list[str]:
+        """Apply the changes that the solved state demands and return them in words."""
+        shape = self.scene.net.strip_shape()
+        changes = self.active.update(shape) or self._lift_clamps()
+        if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
+            changes = self.sliding.renew_projections(shape)
+            self._projections += len(changes)
+        return changes
+
+    def _lift_clamps(self) -> list[str]:
+        """Release clamps from vertices and edges where cables pull them off the membrane."""
+        if self.sliding is None or not self.scene.clamps:
+            return []
+        from crms_fenicsx.cabling.paths.clamp_release import lift_clamps
+
+        return lift_clamps(self.sliding.change)
+
+
+def restore_positions(scene: Scene, state: SceneState) -> None:
+    """Restore the positions of membrane and cables on their new paths. Collective. Path points that
+    existed are put back; new ones are placed on the restored membrane."""
+    scene.u.x.array[:] = state.u
+    scene.frame.state = state.frame
+    shape = scene.net.strip_shape()
+    for cable, was in state.net.cables.items():
+        known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
+        positions, fractions = cable.positions.copy(), cable.fractions.copy()
+        for k in range(len(cable.nodes)):
+            old = known.get(_key(cable.nodes, k))
+            if old is not None:
+                positions[k], fractions[k] = was.positions[old], was.fractions[old]
+            else:
+                positions[k] = shape.mean(*cable.interpolation(k))
+        cable.update(positions=positions, fractions=fractions)
+
+
+def _key(nodes: Sequence[CableNode], k: int) -> object:
+    """Key that identifies a node while its path changes."""
+    point = nodes[k].point
+    if point is None:
+        return "end", k > 0
+    return nodes[k].kind, point.support if nodes[k].slides else point

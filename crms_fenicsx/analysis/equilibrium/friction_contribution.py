@@ -1,0 +1,103 @@
+"""Lateral and axial friction of cables on the membrane."""
+
+from __future__ import annotations
+
+from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+from crms_fenicsx.analysis.equilibrium.contribution import Contribution
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.friction import lateral
+from crms_fenicsx.cabling.friction.axial import (
+    end_axial_step,
+    grip_table,
+    is_aligned,
+    store_solution,
+)
+from crms_fenicsx.cabling.friction.lateral import element_table, slip_table
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.terms.axial_friction import CapstanTension
+from crms_fenicsx.energy.terms.lateral_friction import LateralFriction
+from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElementEnergy
+from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.foundation.dofs.layout import Unknowns
+
+
+class FrictionContribution(Contribution):
+    """Terms of lateral friction, and the state of all friction.
+
+    Attributes: `stick_slip`, `elements`: terms of Coulomb's law and of the paper's friction
+    elements; None without such cables.
+    """
+
+    def __init__(self, scene: Scene, cables: CableContribution) -> None:
+        super().__init__(scene)
+        self.cables = cables
+        self.stick_slip: LateralFriction | None = None
+        self.elements: FrictionElementEnergy | None = None
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether axial friction of some cable acts at other nodes than in the potential."""
+        return not all(is_aligned(cable) for cable in self.scene.cables)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        laws = {cable.cable.sideways.law for cable in self.cables.taut if cable.cable.sideways}
+        if not laws:
+            return []
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+        for cable in self.cables.taut:
+            lateral.remap(cable)
+            lateral.place_elements(cable, shape)
+        terms: list[EnergyTerm] = []
+        if "coulomb" in laws:
+            self.stick_slip = LateralFriction(slip_table(numbering, shape))
+            terms.append(self.stick_slip)
+        if "step" in laws:
+            self.elements = FrictionElementEnergy(element_table(numbering, shape))
+            terms.append(self.elements)
+        return terms
+
+    def renew_friction(self) -> None:
+        capstan = self.cables.capstan
+        if self.stick_slip is None is self.elements and capstan is None:
+            return
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+        if self.stick_slip is not None:
+            self.stick_slip.renew(slip_table(numbering, shape))
+        if self.elements is not None:
+            self.elements.renew(element_table(numbering, shape))
+        if capstan is not None:
+            capstan.renew(grip_table(numbering, shape))
+
+    def write_scene(self, potential: Potential) -> None:
+        energies = self.scene.energies
+        if "friction" in energies:  # the state knows the stored part; the rest is heat
+            shape = self.scene.net.strip_shape()
+            for cable in self.scene.cables:
+                lateral.note_sliding(cable, shape)
+            stored = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
+            self.scene.record(energies={**energies, "friction": stored})
+        if self.cables.capstan is not None:
+            self._write_gripped(self.cables.capstan, potential)
+
+    def _write_gripped(self, capstan: CapstanTension, potential: Potential) -> None:
+        """Copy the state of the cables with axial friction to the scene."""
+        energies, sums = dict(self.scene.energies), potential.sums_of(capstan)
+        tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
+        for c, cable in enumerate(self.cables.gripped):
+            spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
+            unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
+            store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
+        energies["cables"] -= capstan.friction_potential
+        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+        self.scene.record(energies=energies)
+
+    def commit(self) -> None:
+        gripped = [cable for cable in self.scene.cables if cable.lateral is not None]
+        held_along = [cable for cable in self.scene.cables if cable.axial is not None]
+        if not gripped and not held_along:
+            return
+        shape = self.scene.net.strip_shape()
+        for cable in gripped:
+            lateral.end_step(cable, shape)
+        for cable in held_along:
+            end_axial_step(cable, shape)

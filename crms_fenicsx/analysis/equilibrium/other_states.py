@@ -1,0 +1,109 @@
+"""Look for equilibria of less energy beside that of a mostly wrinkled membrane.
+
+The energy of a membrane without compression under pressure is not convex: it can have several
+minima, as where the edge of an air cushion falls into folds, and the history of loads decides which
+one is found. So the loads are also put on the unstressed membrane at once, and the best state is
+displaced at random, by up to a cell, and solved again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.foundation.runtime.arrays import Array
+
+KICK = 1.0
+"""Largest displacement of a start, relative to the mean cell size. With less than a half starts
+fall back to where they came from, in a square air cushion of 32 cells a side."""
+
+WRINKLED = 0.5
+"""Share of the area that is wrinkled or slack above which other states are looked for: one or two
+solves more."""
+
+NEAR = 0.1
+"""Largest distance of another state, relative to the membrane's size: folds move by less, and what
+has not snapped through must not do so in the search."""
+
+LESS = 1e-7
+"""Fall of the energy, relative to the sum of all its kinds, that is another state's."""
+
+
+SCATTER_CHECK = "scatter of the energy"
+"""Name of the check in the verification."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Difference between the state of the load history and the one of least energy found."""
+
+    outcome: Outcome  # of the additional solves
+    energy: float  # fall of the energy, relative to the sum of all its kinds; 0 without another
+    distance: float  # largest distance between the two states (length)
+    place: Array  # (3,) where it is, on the stress-free membrane (length)
+
+
+def may_have_others(system: System) -> bool:
+    """Whether other states are looked for: a mostly wrinkled membrane alone and under pressure,
+    whose state does not depend on its history. Collective."""
+    scene = system.scene
+    parts = scene.cables or scene.frame or scene.ponds or scene.terms
+    follows = any(load.is_active_wind for load in scene.loads)
+    if parts or follows or system.has_history or scene.floor_level is not None:
+        return False
+    if scene.pressure == 0.0 and scene.air.sealed is None:  # the energy is convex
+        return False
+    taut = np.rint(system.membrane.energy.cell_results()[:, 6]) > 1
+    areas = scene.membrane.cell_areas
+    sums = scene.comm.allreduce(np.array([areas.sum(), areas[~taut].sum()]))
+    return bool(sums[1] > WRINKLED * sums[0])
+
+
+def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
+    """Bring the scene to the state of least energy found. Collective. `at_once`: extra prestress of
+    H0 for the start from the unstressed membrane; empty if that has led to the present state."""
+    scene, total = system.scene, None
+    first, before = scene.u.x.array.copy(), scene.energy
+    scale = sum(map(abs, scene.energies.values()))
+    unstressed = np.where(scene.held.ravel(), first, 0.0)
+    for prestress in filter(None, (at_once, (0.0,))):
+        best, energy = scene.u.x.array.copy(), scene.energy
+        kicked = best + _kick(scene)
+        scene.u.x.array[:] = unstressed if prestress is at_once else kicked
+        system.read_scene()
+        outcome = system.minimize(prestress)
+        system.write_scene()
+        total = outcome if total is None else total + outcome
+        near = _furthest(scene, scene.u.x.array - first)[0] < NEAR * scene.membrane.size
+        if not (outcome.converged and near and scene.energy < energy - LESS * scale):
+            scene.u.x.array[:] = best
+            system.read_scene()
+            system.write_scene()
+    assert total is not None
+    fall = max(before - scene.energy, 0.0) / scale
+    return Scatter(total, fall, *_furthest(scene, scene.u.x.array - first))
+
+
+def _kick(scene: Scene) -> Array:
+    """Random displacements of the vertices (length), the same on any number of ranks."""
+    cells = scene.mesh.mesh.topology.index_map(2).size_global
+    size = scene.membrane.size / np.sqrt(cells / 2)
+    places = scene.membrane.stress_free / size
+    ways = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])
+    noise = np.sin(places @ ways) * 43758.5453
+    kick = KICK * size * (2 * (noise - np.floor(noise)) - 1)
+    return np.where(scene.held, 0.0, kick).ravel()
+
+
+def _furthest(scene: Scene, moved: Array) -> tuple[float, Array]:
+    """Largest displacement (length), and its place on the stress-free membrane. Collective."""
+    own = scene.V.dofmap.index_map.size_local
+    sizes = np.linalg.norm(moved.reshape(-1, 3)[:own], axis=1)
+    k = int(np.argmax(sizes)) if own else -1
+    place = scene.membrane.stress_free[k].tolist() if own else [0.0] * 3
+    size, where = max(scene.comm.allgather((float(sizes[k]) if own else 0.0, place)))
+    return size, np.array(where)

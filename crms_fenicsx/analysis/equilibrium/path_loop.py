@@ -1,0 +1,205 @@
+"""Equilibrium on the paths of least energy: change paths while the energy falls.
+
+Trial states near equilibrium suffice to compare energies; only the last one converges fully.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.cabling.cables.crossings import tangled
+from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
+from crms_fenicsx.cabling.contact.lift_off import Polylines, sunk
+from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials
+from crms_fenicsx.cabling.paths.path_change import PathChange
+from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
+from crms_fenicsx.energy.minimization.outcome import Outcome
+
+CAUGHT, STUCK = 0.05, 0.15
+"""Kinks of a folded edge (rad) above which its cable is laid again, and above which the state is
+rejected if fold points have approached each other.
+
+Fold points on two edges with a common vertex can approach each other away from it: their chord then
+loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound states are
+below 0.01 on meshes of 9 cells a side.
+"""
+
+TENSE = 0.01
+"""Kink (rad) above which fold points of a cable with friction are straightened."""
+
+CLEAR = 1e-7
+"""Fall of the energy, relative to the sum of all its kinds, that another arrangement of crossings
+must bring: rough states of the same arrangement differ by less."""
+
+MAX_PATHS = 60
+"""Limit of path changes in one load step."""
+
+
+@dataclass(frozen=True)
+class _Try:
+    """Equilibrium on some paths, perhaps rough, and the path changes it demands."""
+
+    outcome: Outcome  # of the minimisation
+    state: SceneState  # before the path change
+    energy: float  # potential energy of that state (force x length)
+    flips: int  # vertices passed by the path change
+
+
+class PathLoop:
+    """Solves one load step of laterally sliding cables, and finds their paths."""
+
+    def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
+        assert contacts.sliding is not None
+        self.contacts, self.sliding = contacts, contacts.sliding
+        self.system, self.scene = contacts.system, contacts.scene
+        self.change, self.tried = change, tried
+
+    def solve(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
+        """Find the equilibrium and the paths of the cables. Collective."""
+        tried, trials = self.tried, VertexTrials(self.change, self.tried)
+        others = CrossingTrials(self.change, tried)
+        best = self._try(h0_prestress, rough)
+        total, flips = best.outcome, best.flips
+        laid_again: set[int] = set()
+        tries = 0
+        settled = True  # the potential has the best paths and the scene is in equilibrium
+        while best.outcome.converged:
+            moved: list[Trial] = []
+            other = False
+            if not flips:
+                caught: set[int] = set()
+                if settled:
+                    caught, sunken = self._kinked_cables(CAUGHT), self._sunk()
+                    caught = self._sliding(caught | sunken) - laid_again
+                    # A cable through the membrane is shorter: its energy is no bound.
+                    energy = math.inf if sunken & caught else self.system.objective
+                    best = replace(best, state=self.scene.state, energy=energy)
+                if caught:
+                    laid_again |= caught
+                    self.sliding.lay_again(caught)
+                else:
+                    if tries < MAX_PATHS:
+                        moved = trials.next(best.energy, self._scale())
+                        other = not moved and others.next()
+                    if not moved and not other and not settled:
+                        self.system.rebuild()
+                        total = total + self.contacts.solve_in_cells((0.0,), rough=True)
+                        best, settled = replace(best, outcome=total), True
+                        continue
+                    if not moved and not other:
+                        flips = self._pass_vertices(None)
+                        if not flips and not self._straighten_kinks():
+                            break
+            if tries == MAX_PATHS:
+                reason = f"after {tries} changes the paths of the cables still want to change"
+                return replace(total, converged=False, reason=reason)
+            tries += 1
+            proposed, refused = tried.proposed, tried.refused_paths()
+            self.system.rebuild()
+            new = self._try((0.0,), rough=True)
+            total = total + new.outcome
+            excess = new.energy - best.energy if new.outcome.converged else math.inf
+            if excess < (-CLEAR * self._scale() if other else 0.0):
+                best, flips, settled = new, new.flips, True
+                if moved or other:
+                    laid_again.clear()
+                    others.accept(-excess)
+                continue
+            if other:
+                others.reject(excess)
+            elif not moved:
+                tried.count_misled()
+            elif trials.halve(moved):
+                tried.refused = refused
+            self.scene.state = best.state
+            # Take back half of the flips; a single one cannot be halved.
+            flips = self._change_paths(flips // 2)
+            if not flips:
+                tried.rejected |= proposed
+                settled = False
+        return self._accepted(total, rough)
+
+    def _accepted(self, total: Outcome, rough: bool) -> Outcome:
+        """Converge fully, unless `rough`, and reject unsound states."""
+        if total.converged and not rough and total.residual > total.tolerance:
+            total = total + self.contacts.solve((0.0,))
+        if not total.converged:
+            return total
+        self.sliding.check_on_membrane()
+        caught = self.system.kinked_cables(STUCK)
+        if caught:
+            caught &= self._collapsed()
+        caught |= self._sunk()
+        if caught:
+            names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
+            reason = f"{names}: caught between edges of the mesh"
+            return replace(total, converged=False, reason=reason)
+        return total
+
+    def _try(self, h0_prestress: tuple[float, ...], rough: bool) -> _Try:
+        """Solve on the current paths; the scene is left with the next paths to try."""
+        flips = 0
+        state, energy = self.contacts.start, 0.0
+
+        def look(contacts_change: bool) -> bool:
+            nonlocal flips, state, energy
+            state, energy = self.scene.state, self.system.objective
+            flips = self._change_paths(None)
+            return flips > 0 or (rough and not contacts_change)
+
+        outcome = self.contacts.solve(h0_prestress, look)
+        return _Try(replace(outcome, flips=flips), state, energy, flips)
+
+    def _change_paths(self, most: int | None) -> int:
+        """Move the cables over at most `most` vertices each; return the number passed."""
+        if most == 0:
+            return 0
+        return max(self.sliding.slide(most), self._pass_vertices(most))
+
+    def _pass_vertices(self, most: int | None) -> int:
+        """Move cables with friction over the vertices that they have reached."""
+        if not self.scene.net.has_friction:
+            return 0
+
+        from crms_fenicsx.cabling.paths.friction_release import pass_vertices
+
+        return pass_vertices(self.change, self.tried, most)
+
+    def _straighten_kinks(self) -> bool:
+        """Put caught fold points of cables with friction back on straight edges."""
+        if not self.scene.net.has_friction:
+            return False
+
+        from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
+
+        return straighten_kinks(self.change, self.tried, self.system.kinked_nodes(TENSE))
+
+    def _scale(self) -> float:
+        """Sum of the absolute energies of all kinds (force x length)."""
+        return sum(map(abs, self.scene.energies.values()))
+
+    def _kinked_cables(self, limit: float) -> set[int]:
+        """Numbers of the cables that kink edges beyond a limit (rad) or are tangled."""
+        return self.system.kinked_cables(limit) | tangled(self.scene.net.crossings)
+
+    def _collapsed(self) -> set[int]:
+        """Numbers of the cables whose fold points have approached each other away from vertices."""
+        cables, shape = self.scene.cables, self.scene.net.strip_shape()
+        lines = Polylines(self.scene.net.nodes, positions_of(cables))
+        return lines.collapsed(shape, fractions_of(cables))
+
+    def _sliding(self, numbers: set[int]) -> set[int]:
+        """Those cables, by number, that slide sideways without friction."""
+        cables = self.scene.cables
+        return {c for c in numbers if cables[c].slides_freely and not cables[c].keeps_line}
+
+    def _sunk(self) -> set[int]:
+        """Numbers of the cables that run below the membrane beside a vertex. Collective."""
+        cables = self.scene.cables
+        if not any(cable.lifted.any() for cable in cables):
+            return set()
+        return sunk(cables, self.scene.net.nodes, self.scene.net.strip_shape())

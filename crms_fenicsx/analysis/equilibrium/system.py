@@ -1,0 +1,289 @@
+"""Conversion of a scene to a potential to minimise, and of the solution to the scene's state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    AddedTermsContribution,
+    Contribution,
+    force_per_area,
+)
+from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+    MembraneContribution,
+    MembraneLoadsContribution,
+    PressureContribution,
+    hold,
+    tiny_force,
+)
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.stability import is_convex_from
+from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.model.cable_state import NodeId
+
+if TYPE_CHECKING:
+    from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+    from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
+    from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+
+FAR = 0.01
+"""Movement in a minimisation, relative to the membrane's size, above which snap-through is checked:
+most load steps of an erected structure move less."""
+
+ENDLESS = 10.0
+"""Movement under water, relative to the membrane's size, above which no equilibrium is expected: no
+fabric stretches so far."""
+
+
+class System:
+    """The potential of a scene, assembled from the contributions of its features.
+
+    Forms are compiled when a term is first needed. The layout of the unknowns and the cable tables
+    are recreated when cables are laid, tighten or slacken.
+
+    Attributes: `contributions`: those of the scene's features, in the order of their terms;
+    `membrane`, `pressure`, `cables`, `bars`, `ponds`: some of them, the last three None if absent;
+    `unknowns`, `potential`: the layout, and the sum of the terms over it; `objective`: minimum of
+    the last solve, with friction more than the scene's energy (force x length).
+    """
+
+    def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
+        self.scene, self.prefix, self.rtol = scene, prefix, rtol
+        self.membrane = MembraneContribution(scene)
+        self.pressure = PressureContribution(scene, self.membrane)
+        self._lasting = [self.membrane, self.pressure, MembraneLoadsContribution(scene)]
+        self.cables: CableContribution | None = None
+        self.ponds: PondContribution | None = None
+        self.minimizer: Minimizer | None = None
+        self._solved = True
+        """Whether the last solve converged; if not, the next one does without Newton's method,
+        which would most often fail in the same way, and slowly."""
+        self.objective = 0.0
+        self.rebuild(scene.net.arranged != scene.net.cables)
+        self.follow()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self.minimizer is not None:
+            self.minimizer.destroy()
+            self.potential.destroy()
+            self.minimizer = None
+            del self.potential, self.contributions  # free their memory before the next ones
+            self.cables = self.ponds = None
+
+    def invalidate(self) -> None:
+        """Make the next solve start with a rebuild."""
+        self.built_for = -1
+
+    def reset_h0(self) -> None:
+        """Make the next solve start with a new H0."""
+        if self.minimizer is not None:
+            self.minimizer.reset_h0()
+
+    def rebuild(self, arrange: bool = True) -> None:
+        """Recreate layout, terms and minimiser for the current scene. Collective. Without `arrange`
+        the crossings stay as in the solve that led to this state, for inspection."""
+        self.destroy()
+        scene, damping = self.scene, None
+        self._arranged = arrange or not scene.cables
+        if arrange:
+            scene.net.arrange_crossings()
+        self.membrane.unfold()
+        self.membrane.energy.renew_materials()
+        self.contributions: list[Contribution] = list(self._lasting)
+        self.bars = self._bar_contribution()
+        if scene.cables:
+            from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+
+            frame = None if self.bars is None else self.bars.blocks
+            self.cables = CableContribution(scene, self.membrane, self.pressure, frame)
+            self.unknowns, damping = self.cables.unknowns, self.cables.damping()
+            self.contributions += [self.cables, self.cables.folds]
+            if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
+                from crms_fenicsx.analysis.equilibrium.friction_contribution import (
+                    FrictionContribution,
+                )
+
+                self.contributions.append(FrictionContribution(scene, self.cables))
+        else:
+            self.cables = None
+            self.unknowns = (
+                Unknowns(scene.V) if self.bars is None else self.bars.blocks.layout(scene.V)
+            )
+        if self.bars is not None:
+            self.contributions.append(self.bars)
+        self.ponds = None
+        if scene.ponds:
+            from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+
+            self.ponds = PondContribution(scene, self.membrane, self.cables)
+            self.contributions.append(self.ponds)
+        self.contributions.append(AddedTermsContribution(scene))
+        hold(scene, self.unknowns)
+        terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
+        if self.bars is not None:
+            damping = self.bars.damping(damping)
+        self.potential = Potential(self.unknowns, scene.u, terms, damping)
+        self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
+        self.built_for, self._begun = scene.versions.model_version, False
+
+    def _bar_contribution(self) -> BarContribution | None:
+        """Contribution of bars and joints, or None."""
+        if not self.scene.frame:
+            return None
+        from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
+
+        return BarContribution(self.scene)
+
+    def prepare(self) -> None:
+        """Bring the potential up to date with the scene's parts and loads. Collective."""
+        built = self.minimizer is not None and self._arranged  # not so after a refused rebuild
+        if (
+            not built
+            or self.built_for != self.scene.versions.model_version
+            or any([part.is_stale for part in self.contributions])
+        ):
+            self.rebuild()
+        else:  # the potential still counts slips from the start of the last step
+            self.renew_friction()
+
+    def read_scene(self) -> None:
+        """Copy state and loads from the scene."""
+        for part in self.contributions:
+            part.read_scene(self.potential)
+        self.potential.place()
+
+    def update(self) -> None:
+        """Bring the potential to the scene's state for inspection."""
+        self._follow_scene()
+        if not self._begun:  # step-wise laws have no forces before
+            self._begin_step()
+
+    def _follow_scene(self) -> None:
+        """Copy state and loads from the scene, in a new layout if its parts changed."""
+        if self.built_for != self.scene.versions.model_version:
+            self.rebuild(self.scene.net.arranged != self.scene.net.cables)
+        self.read_scene()
+
+    def _begin_step(self) -> None:
+        """Begin a load step at the state read."""
+        self.potential.begin_step()
+        self._begun = True
+
+    def added_force_per_area(self) -> float:
+        """Mean size of the forces of ponds and user terms (force per area). Collective."""
+        if not self.scene.terms and not self.scene.ponds:
+            return 0.0
+        self._follow_scene()
+        of_terms = force_per_area(self.scene, self.potential) if self.scene.terms else 0.0
+        return of_terms + (0.0 if self.ponds is None else self.ponds.force_per_area(self.potential))
+
+    def locate_cables(self) -> None:
+        """Copy the positions of cable points to the scene, on all ranks. Collective."""
+        for part in self.contributions:
+            part.locate(self.potential)
+
+    def write_scene(self) -> None:
+        """Copy the solved state to the scene. Collective."""
+        self.potential.bring_up_to_date()
+        self.scene.record(energies=self.potential.energies())
+        self.objective = self.scene.energy
+        for part in self.contributions:
+            part.write_scene(self.potential)
+
+    def renew_friction(self) -> None:
+        """Update the potential's friction forces from the cables. Collective."""
+        for part in self.contributions:
+            part.renew_friction()
+
+    def renew_smoothing_length(self) -> bool:
+        """Correct the cable lengths for smoothing and return whether that changed them."""
+        return any([part.renew_smoothing_length(self.potential) for part in self.contributions])
+
+    def minimize(
+        self, h0_prestress: tuple[float, ...], interrupt: Interrupt | None = None
+    ) -> Outcome:
+        """Minimise the potential from the state read; see `Minimizer.solve`."""
+        assert self.minimizer is not None
+        self.minimizer.atol = tiny_force(self.scene)
+        self.minimizer.no_energy = self.minimizer.atol * self.scene.membrane.size
+        self.minimizer.newton = self._solved
+        if self.ponds is not None:
+            self.minimizer.reach = ENDLESS * self.scene.membrane.size
+        self._begin_step()
+        start = self.potential.x.copy()
+        try:
+            outcome = self.minimizer.solve(h0_prestress, interrupt)
+        except PETSc.Error as error:
+            if error.__cause__ is not None:  # an error in a callback, or an interrupt
+                raise error.__cause__ from None
+            raise
+        self._solved = outcome.converged
+        far = outcome.converged and self._moved(start) > FAR * self.scene.membrane.size
+        return replace(outcome, nonconvex=far and not is_convex_from(self.potential, start))
+
+    def _moved(self, start: Array) -> float:
+        """Largest movement (length) of a vertex or joint since a start. Collective."""
+        way = self.potential.x - start
+        points = [way[: self.unknowns.n_vertices]]
+        if self.bars is not None:
+            points.append(way[self.bars.blocks.joint_blocks])
+        squares = np.concatenate([np.einsum("ni,ni->n", some, some) for some in points])
+        largest = float(squares.max(initial=0.0))
+        return float(self.scene.comm.allreduce(largest, op=MPI.MAX)) ** 0.5
+
+    def pressed_facets(self) -> tuple[Integers, Array]:
+        """Corners (n, 3) and weighted area vectors (n, 3) of this rank's pressurised facets."""
+        dofs = self.scene.V.dofmap.list[self.pressure.cells.x.array > 0.5]
+        corners = self.unknowns.vertex_blocks()[dofs]
+        weights: Array = np.ones(len(dofs))
+        if self.cables is not None and self.cables.tables is not None:
+            facets = self.cables.tables.facets
+            corners = np.concatenate([corners, facets.corners])
+            weights = np.concatenate([weights, facets.weights])
+        # By components: numpy takes five times as long on rows of three.
+        places = np.ascontiguousarray((self.unknowns.X + self.potential.x).T)
+        start = places.take(corners[:, 0], axis=1)
+        (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
+        vectors = np.array([b * f - c * e, c * d - a * f, a * e - b * d])
+        vectors *= weights / 2
+        return corners, vectors.T
+
+    def kinked_nodes(self, limit: float) -> set[NodeId]:
+        """Fold points with an edge kink above a limit (rad). Collective."""
+        return set().union(*(part.kinked_nodes(limit) for part in self.contributions))
+
+    def kinked_cables(self, limit: float) -> set[int]:
+        """Numbers of the cables with caught nodes."""
+        return {c for c, _ in self.kinked_nodes(limit)}
+
+    @property
+    def has_history(self) -> bool:
+        """Whether some law depends on the state at the start of a load step."""
+        return any(part.has_history for part in self.contributions)
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether another system has changed the scene's state since."""
+        return self._state_version != self.scene.versions.state_version
+
+    def follow(self) -> None:
+        """Record that this system agrees with the state of its scene."""
+        self._state_version = self.scene.versions.state_version
+
+    def commit(self) -> None:
+        """End a load step. Collective."""
+        self.potential.commit()
+        self.scene.versions.change_state()
+        self.follow()
+        for part in self.contributions:
+            part.commit()

@@ -1,0 +1,354 @@
+"""The loads of a scene: on its membrane and joints, and ponded water."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from crms_fenicsx.analysis.scene.frame import Frame, Place
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.handle import ReadOnly, Stateful
+from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.membrane_load import (
+    Area,
+    Coefficient,
+    MembraneLoad,
+    Traction,
+    fixed_direction_load,
+    line_load,
+    nodal_load,
+    wind_load,
+)
+from crms_fenicsx.model.pond import Pond, upper_side
+from crms_fenicsx.model.versions import Versions
+
+AIR = ("pressure", "temperature", "atmosphere")
+"""Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
+
+
+@dataclass(frozen=True)
+class LoadsState:
+    """State of the loads of a scene."""
+
+    loads: tuple[MembraneLoad, ...] = ()  # on membrane and joints, with their factors
+    ponds: tuple[Pond, ...] = ()  # with their levels, volumes and factors
+
+
+class Loads(Stateful[LoadsState]):
+    """Loads on the membrane and on joints, and ponds; iterate over it for the loads."""
+
+    ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
+    """The ponds, with their current levels, volumes and factors."""
+
+    def __init__(self, membrane: Membrane, versions: Versions, frame: Frame) -> None:
+        self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
+        self._frame = frame
+        self.state = LoadsState()
+
+    def __iter__(self) -> Iterator[MembraneLoad]:
+        return iter(self.state.loads)
+
+    def __len__(self) -> int:
+        return len(self.state.loads)
+
+    def load(self, name: str) -> MembraneLoad:
+        """Return the load with a name.
+
+        Raises
+        ------
+        InputError
+            No load has that name.
+        """
+        return checks.named("load", {load.name: load for load in self}, name)
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Current factors of loads and ponds, by name."""
+        ponds = {pond.name: pond.factor for pond in self.ponds}
+        return {load.name: load.factor for load in self} | ponds
+
+    def replace_each(self, change: Callable[[Any], Any]) -> None:
+        """Internal: replace each load and pond by a function's value."""
+        self.state = LoadsState(
+            tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
+        )
+
+    @collective
+    def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
+        """Put a load of fixed direction on the membrane.
+
+        Its forces follow from the current shape and then keep direction and size;
+        `Solver.advance` scales them by the load's factor.
+
+        Parameters
+        ----------
+        force
+            Force per area (force / length squared): (3,), or a function that returns (3, n) for
+            points (3, n) on the current surface and its unit normals (3, n), which point the way
+            that pressure pushes.
+        name
+            Name in load steps and results.
+        per
+            Reference area: the current "surface"; its "plan", the projection along z, as for snow;
+            or the stress-free "material", as for the membrane's weight.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite or of another shape, an unknown area, or a
+            name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
+        >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
+        >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
+        """
+        self._check_new("put_load", name, force=force, per=per)
+        self.add(fixed_direction_load(self.membrane, force, name, per))
+
+    @collective
+    def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
+        """Put wind on the membrane; `Solver.advance` applies it by its factor.
+
+        The pressure stays normal to the surface: a load step ends when the wind's forces are those
+        on the deformed shape. Coefficients stay with the cells as these move.
+
+        Parameters
+        ----------
+        pressure
+            Peak velocity pressure q_p (force per area), positive.
+        coefficient
+            Pressure coefficient c_p, positive for pressure on the outside and negative for
+            suction, as in EN 1991-1-4: one number, one for each named part of the mesh, or a
+            function that returns (n,) for points (3, n) on the current surface and its outward
+            unit normals (3, n).
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a pressure that is not positive, coefficients that are not finite or of
+            another shape, an unknown or missing part, overlapping parts, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
+        >>> solver.advance(load={"wind along x": 1.5})
+        """
+        self._check_new("put_wind", name, pressure=pressure, coefficient=coefficient)
+        self.add(wind_load(self.membrane, pressure, coefficient, name))
+
+    @collective
+    def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
+        """Put forces on the membrane's vertices, as from another program. Collective.
+
+        They keep direction and size. The function is copied: later changes have no effect.
+
+        Parameters
+        ----------
+        forces
+            Force on each vertex (force), as a ``dolfinx.fem.Function(scene.V)``; values of ghosts
+            are ignored.
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no function in the space `V`, a force that is not finite, or a name that
+            is taken.
+
+        Examples
+        --------
+        >>> forces = dolfinx.fem.Function(scene.V)
+        >>> forces.x.array[:] = fluid_forces
+        >>> scene.put_forces(forces, name="fluid")
+        >>> solver.advance(load={"fluid": 1.0})
+        """
+        self._check_new("put_forces", name)
+        self.add(nodal_load(self.membrane, forces, name))
+
+    @collective
+    def put_line_load(
+        self, force: Sequence[float] | Array, edges: str, *, name: str = "line load"
+    ) -> None:
+        """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
+
+        Its forces follow from the current lengths of the edges and then keep direction and size;
+        half of an edge's force acts at each end.
+
+        Parameters
+        ----------
+        force
+            Force per length, (3,) (force / length).
+        edges
+            Name of a group of edges of the mesh.
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite, an unknown group, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
+        >>> solver.advance(load={"snow guard": 1.35})
+        """
+        self._check_new("put_line_load", name, force=force, edges=edges)
+        self.add(line_load(self.membrane, force, edges, name))
+
+    @collective
+    def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
+        """Put forces on joints; `Solver.advance` applies them by their factor. Collective.
+
+        Parameters
+        ----------
+        forces
+            Force on each joint, (3,) (force), constant in direction and size.
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no joint of this scene, a force that is not finite, or a name that is
+            taken.
+
+        Examples
+        --------
+        >>> scene.put_joint_load({top: (0.0, 0.0, -5.0)}, name="lamp")
+        >>> solver.advance(load={"lamp": 1.35})
+        """
+        self._check_new("put_joint_load", name, forces=forces)
+        checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
+        found: dict[str, tuple[float, float, float]] = {}
+        for joint, force in forces.items():
+            if not self._frame.owns(joint):
+                raise InputError(
+                    f"put_joint_load: {joint!r} is no joint of this scene; give what "
+                    "scene.add_joint(...) has returned."
+                )
+            x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
+            found[joint.name] = (x, y, z)
+        intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
+        nodal = np.zeros(self.membrane.held.shape)
+        self.add(MembraneLoad(name, nodal, intensity, joints=found))
+
+    @collective
+    def put_pond(
+        self,
+        weight: float,
+        *,
+        level: float | None = None,
+        volume: float | None = None,
+        on: Sequence[str] | None = None,
+        name: str = "pond",
+    ) -> None:
+        """Let water stand on the membrane; `Solver.advance` applies it by its factor. Collective.
+
+        It covers everything below its level where the membrane's outer side faces up (the upper
+        foil of a cushion), and its pressure grows with its depth. It does not run off over a rim
+        below the level. Give the level, if water can flow in and out, or else the volume.
+
+        Parameters
+        ----------
+        weight
+            Weight of the water by volume (force / length cubed), such as 10 kN / m^3.
+        level
+            Height z of the surface of the water (length).
+        volume
+            Amount of water (length cubed); its level follows.
+        on
+            Parts of the mesh below the water, on the side that faces up; by default all cells
+            whose outer side faces up when stress-free.
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a weight or volume that is not positive, neither or both of level and
+            volume, an unknown part, cells that have no upper side or face both ways, or a name
+            that is taken.
+
+        Notes
+        -----
+        A load step to an unstable equilibrium raises a `PondWarning`, one without equilibrium a
+        `ConvergenceError`. The rim of the flooded cells must be held, or slide in planes of
+        symmetry.
+
+        Examples
+        --------
+        >>> scene.put_pond(10.0, level=6.2, on=["roof"])
+        >>> solver.advance(load={"pond": 1.0}, steps=4)
+        >>> scene.ponds[0].volume
+        """
+        self._check_new("put_pond", name, weight=weight, level=level, volume=volume, on=on)
+        weight = checks.positive("put_pond: weight", weight)
+        if (level is None) == (volume is None):
+            raise InputError(
+                f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
+            )
+        if on is not None:
+            checks.collection("put_pond: on", on, Sequence, 'on=["roof"]', 1)
+            for part in on:
+                checks.named("part", self.membrane.mesh.parts, part)
+        parts = tuple(on or ())
+        if volume is not None:
+            volume = checks.positive("put_pond: volume", volume)
+            pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
+        else:
+            level = checks.finite("put_pond: level", level)
+            pond = Pond(name, weight, "level", level, 0.0, parts, 1)
+        pond = replace(pond, side=upper_side(pond, self.membrane))
+        self.update(ponds=(*self.ponds, pond))
+        self.versions.change_model(acts=False)
+
+    @collective
+    def remove_load(self, name: str) -> None:
+        """Remove a load or pond from the next load step on. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown load.
+        """
+        checks.same(self.comm, "remove_load", name=name)
+        factor = checks.named("load", self.factors, name)
+        self.state = LoadsState(
+            tuple(load for load in self if load.name != name),
+            tuple(pond for pond in self.ponds if pond.name != name),
+        )
+        self.versions.change_model(acts=factor != 0.0)
+
+    def add(self, load: MembraneLoad) -> None:
+        """Internal: add a load made on the current shape."""
+        self.update(loads=(*self.state.loads, load))
+        self.versions.change_model(acts=load.factor != 0.0)
+
+    def _check_new(self, call: str, name: str, **given: object) -> None:
+        """Check a new load's name, and that arguments agree on all ranks. Collective."""
+        checks.same(self.comm, call, name=name, **given)
+        self.membrane.check_finite(call)
+        checks.text(f"{call}: name", name)
+        if name in AIR:
+            raise InputError(
+                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
+            )
+        if name in self.factors:
+            raise InputError(
+                f"{call}: there is a load {name!r} already; give another name, or take that one "
+                f"away with scene.remove_load({name!r})."
+            )

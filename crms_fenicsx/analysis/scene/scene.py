@@ -1,0 +1,781 @@
+"""The scene: a membrane with its supports, cables and loads, in its current state."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
+
+from dolfinx import fem
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.scene.air import Air
+from crms_fenicsx.analysis.scene.frame import Frame
+from crms_fenicsx.analysis.scene.loads import Loads
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.checks import counted, span
+from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.handle import ReadOnly
+from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.changed_materials import checked_materials
+from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
+from crms_fenicsx.model.net import Net
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths, patch_radii
+from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
+
+ANOTHER = "make another Scene(...)"
+"""Remedy named when a property fixed at construction is assigned."""
+
+Law = Literal["total", "step"]
+PressureLaw = Literal["total", "lagged", "step"]
+
+
+Part = TypeVar("Part")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def of_part(
+    name: str, method: Callable[Concatenate[Part, Arguments], Result]
+) -> Callable[Concatenate[Any, Arguments], Result]:
+    """A scene's method that forwards to a method of one of its parts."""
+
+    @functools.wraps(method)
+    def call(scene: Any, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        __tracebackhide__ = True
+        return method(getattr(scene, name), *args, **kwargs)
+
+    return call
+
+
+PARTS = ("membrane", "loads", "air", "frame", "net")
+"""Parts that own a scene's state, by their names in `Scene` and `SceneState`."""
+
+
+class Scene:
+    """A cable-reinforced membrane structure and its current state, in any consistent units.
+
+    Parameters
+    ----------
+    mesh
+        The stress-free membrane.
+    material
+        Material of the membrane, or of each of its parts by name.
+    strain
+        "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
+        strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
+    pressure
+        "total": the exact follower pressure. The rim of the pressurised surface must be held, or
+        slide in planes x, y or z = constant that are held in their normal direction, as planes of
+        symmetry. "lagged": the nodal forces that the follower pressure has at a step's start. The
+        rim may be free; steps are then repeated until these forces are those of the step's end.
+        "step": the paper's nodal forces, (2.4-1, 2), which also keep direction and size in a step,
+        but leave fold points unloaded: corners of a folded cell carry the pressure on the triangle
+        between them.
+    pressure_on
+        The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
+        roof, which has the same air on both sides.
+    penalty
+        Factor c of the penalty mu = c E t A that keeps unfolded cells flat triangles; stable and
+        free of locking from 1e-3 to 1.
+    literal_penalty
+        The paper's uniform coefficient mu = nu of (2.5-1) instead (force x length).
+    frames : (n, 2, 3)
+        For this rank's cells with individual stress-free shapes, from `patterns.sew`: images in the
+        mesh of their unit vectors along warp and weft.
+
+    Raises
+    ------
+    InputError
+        An unknown part, cells without a material or with several, or step-wise strain with a
+        material that wrinkles.
+
+    Warns
+    -----
+    PenaltyWarning
+        A penalty factor outside the range in which folded cells are sound.
+    """
+
+    mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
+    V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
+    """Function space of the displacements."""
+    u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
+    """Displacement of the vertices from the stress-free shape (length)."""
+    held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
+    """Held components of the vertices, by local degree of freedom."""
+    materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly(
+        "membrane.materials", "call scene.set_material(...)"
+    )
+    comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    pressure: ReadOnly[float] = ReadOnly("air.pressure", "call solver.advance(pressure=...)")
+    """Current pressure (force per area)."""
+    loads: ReadOnly[Loads] = ReadOnly("_loads", "call scene.put_load(...) and the like")
+    """Loads on the membrane and on joints, and ponds."""
+    air: ReadOnly[Air] = ReadOnly(
+        "_air", "call solver.advance(pressure=...) or scene.air.seal(...)"
+    )
+    """The air under the membrane."""
+    frame: ReadOnly[Frame] = ReadOnly("_frame", "call scene.add_bar(...)")
+    """Bars and their joints."""
+    cables: ReadOnly[tuple[LaidCable, ...]] = ReadOnly(
+        "net.cables", "call scene.lay_cable(...) or scene.remove(...)"
+    )
+    """The laid cables, in order."""
+    clamps: ReadOnly[tuple[Clamp, ...]] = ReadOnly("net.clamps", "call scene.clamp(...)")
+    """The clamps between cables."""
+    joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("frame.joints", "call scene.add_joint(...)")
+    """The joints of bars, including anchors, in the order of addition."""
+    bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
+    """The bars, in the order of addition."""
+    warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
+    """Warnings of load steps on the current state; snap-throughs stay until an earlier state is
+    restored."""
+    energies: ReadOnly[Mapping[str, float]] = ReadOnly("_energies", "call solver.advance(...)")
+    """Energy of each kind of term in the current state (force x length)."""
+    step_history: ReadOnly[StepHistory | None] = ReadOnly(
+        "_step_history", "call solver.advance(...)"
+    )
+    """Data of previous load steps for the step-wise laws; None before the first step."""
+    terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
+    """The energy terms added by the user."""
+    floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
+    strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
+    pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
+    penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
+    literal_penalty: ReadOnly[float | None] = ReadOnly(
+        "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
+    )
+
+    factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
+    """Current factors of loads and ponds, by name."""
+    ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
+    """The ponds, with their current levels, volumes and factors."""
+    volume: ReadOnly[float] = ReadOnly("air.volume", "call solver.advance(...)")
+    """Volume gained under the cells under pressure since the stress-free shape (length cubed), see
+    `Air.volume`."""
+
+    put_load = of_part("loads", Loads.put_load)
+    put_wind = of_part("loads", Loads.put_wind)
+    put_forces = of_part("loads", Loads.put_forces)
+    put_line_load = of_part("loads", Loads.put_line_load)
+    put_joint_load = of_part("loads", Loads.put_joint_load)
+    put_pond = of_part("loads", Loads.put_pond)
+    load = of_part("loads", Loads.load)
+    remove_load = of_part("loads", Loads.remove_load)
+    seal = of_part("air", Air.seal)
+    unseal = of_part("air", Air.unseal)
+    add_joint = of_part("frame", Frame.add_joint)
+    vertex_at = of_part("frame", Frame.vertex_at)
+    add_bar = of_part("frame", Frame.add_bar)
+    bar = of_part("frame", Frame.bar)
+    joint = of_part("frame", Frame.joint)
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        material: MembraneMaterial | Mapping[str, MembraneMaterial],
+        *,
+        strain: Law = "total",
+        pressure: PressureLaw = "total",
+        pressure_on: Sequence[str] | None = None,
+        penalty: float = 0.1,
+        literal_penalty: float | None = None,
+        frames: Array | None = None,
+    ) -> None:
+        checks.of_type("Scene: mesh", mesh, MembraneMesh)
+        checks.same(
+            mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
+            penalty=penalty, literal_penalty=literal_penalty,
+        )  # fmt: skip
+        checks.one_of("Scene: strain", strain, ("total", "step"))
+        checks.one_of("Scene: pressure", pressure, ("total", "lagged", "step"))
+        self._strain_law, self._pressure_law = strain, pressure
+        self._penalty = checks.positive("Scene: penalty", penalty)
+        if literal_penalty is not None:
+            literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
+        self._literal_penalty = literal_penalty
+        self.membrane = Membrane(mesh, material, pressure_on, frames)
+        if literal_penalty is None:
+            warn_of_penalty(self.comm, self.penalty)
+        if strain == "step":
+            self.membrane.refuse_step_strain()
+        self.versions = Versions()
+        """Internal: version numbers of model and state, and the state in equilibrium."""
+        self.net = CableNet(self.membrane)
+        self._frame = Frame(self.membrane, self.versions)
+        self._loads = Loads(self.membrane, self.versions, self.frame)
+        self._air = Air(self.net, self.versions, pressure)
+        self._floor_level: float | None = None
+        self._terms: tuple[EnergyTerm, ...] = ()
+        self._energies: Mapping[str, float] = {}
+        self._warnings: tuple[StateWarning, ...] = ()
+        self._step_history: StepHistory | None = None
+
+    @property
+    def state(self) -> SceneState:
+        """Everything that load steps, supports, loads and cables can change, as one value."""
+        parts: dict[str, Any] = {name: getattr(self, name).state for name in PARTS}
+        return SceneState(
+            **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
+            step_history=self.step_history, terms=self.terms, version=self.versions.current,
+            scene=self,
+        )  # fmt: skip
+
+    @state.setter
+    def state(self, state: SceneState) -> None:
+        for name in PARTS:
+            getattr(self, name).state = getattr(state, name)
+        self._floor_level, self._terms = state.floor, state.terms
+        self._energies, self._warnings = state.energies, state.warnings
+        self._step_history, self.versions.current = state.step_history, state.version
+
+    def record(
+        self,
+        *,
+        energies: Mapping[str, float] | None = None,
+        warnings: tuple[StateWarning, ...] | None = None,
+        step_history: StepHistory | None = None,
+    ) -> None:
+        """Internal: take over results of a load step besides the states of the parts."""
+        self._energies = self._energies if energies is None else dict(energies)
+        self._warnings = self._warnings if warnings is None else warnings
+        self._step_history = self._step_history if step_history is None else step_history
+
+    @property
+    def energy(self) -> float:
+        """Total potential energy of the current state (force x length)."""
+        return sum(self.energies.values())
+
+    @property
+    def dissipated(self) -> float:
+        """Energy dissipated by friction in all load steps (force x length)."""
+        return self.net.dissipated
+
+    def positions(self) -> Array:
+        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts."""
+        return self.membrane.positions()
+
+    def vertices(self, where: str | Marker) -> Indices:
+        """Local degrees of freedom of vertices in a named group or marked by a function.
+
+        Collective; see `Membrane.vertices`.
+        """
+        return self.membrane.vertices(where)
+
+    @collective
+    @changes_model
+    def fix(self, where: str | Marker, directions: str = "xyz") -> None:
+        """Hold vertices at their current displacement.
+
+        A group of edges held in all directions is held over its whole length: its edges stay
+        straight, and cables that cross them slide along them. With points and marked vertices,
+        edges between them can fold.
+
+        Parameters
+        ----------
+        where
+            As for `vertices`; "boundary" is the membrane's whole boundary.
+        directions
+            Held components of the displacement, out of "xyz".
+
+        Raises
+        ------
+        InputError
+            Unknown vertices or directions, or edges that cables already cross.
+        """
+        checks.same(self.comm, "fix", where=where, directions=directions)
+        self.membrane.hold(where, directions, new_edges=not self.cables)
+
+    @collective
+    @changes_model
+    def floor(self, z: float = 0.0) -> None:
+        """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
+
+        Raises
+        ------
+        InputError
+            A membrane that is below it.
+        """
+        checks.same(self.comm, "floor", z=z)
+        z = checks.finite("floor: z", z)
+        self.membrane.check_finite("floor")
+        heights = self.positions()[:, 2]
+        with raised_together(self.comm):
+            if len(heights) and heights.min() < z:
+                raise InputError(
+                    f"floor: the membrane is at z = {heights.min():g}, below the floor z = {z:g}; "
+                    "put the floor lower."
+                )
+        self._floor_level = z
+
+    @collective
+    @changes_model
+    def add_term(self, term: EnergyTerm) -> None:
+        """Add a user's term to the potential energy, which load steps minimise.
+
+        `energies` has its energy under its name; its forces are loads, which supports carry.
+        Checkpoints do not store terms: a script that resumes from one adds them again.
+
+        Parameters
+        ----------
+        term
+            See `EnergyTerm`; `taylor_test` checks its derivatives.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no `EnergyTerm`, a name that is taken, or sums, energy or forces that are
+            not finite in the current state.
+        """
+        checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
+        self.membrane.check_finite("add_term")
+        taken = [other.name for other in self.terms]
+        term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
+        self._terms = (*self._terms, term)
+        self.record(energies={**self.energies, term.name: energy})
+
+    def cable(self, name: str) -> LaidCable:
+        """Return the cable with a name.
+
+        Raises
+        ------
+        InputError
+            No cable has that name.
+        """
+        return self.net.cable(name)
+
+    @collective
+    @changes_model
+    def lay_cable(
+        self,
+        cable: Cable,
+        path: Sequence[Sequence[float] | Joint] | Array,
+        *,
+        L0: float | None = None,
+        tension: float | None = None,
+        shortest: bool = False,
+        hold: Hold = "outside",
+        layer: int = 0,
+        name: str | None = None,
+        measured_on: Literal["surface", "facets"] = "surface",
+    ) -> LaidCable:
+        """Lay a cable on the membrane's current shape.
+
+        The cable lies on the membrane's outer side and spans hollows in a straight line, and holes
+        from edge to edge unless it is in a pocket or bonded; at a seam of three or more parts it
+        stays on those that bound the outer side. It is just taut unless
+        `L0` or `tension` is given. An end on a held edge is held there; moved along the boundary it
+        passes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an
+        end is tied to its place. In load steps the cable slides as far as friction permits, also
+        sideways, lifts off and touches down.
+
+        Parameters
+        ----------
+        cable
+            Data of the cable.
+        path
+            Points of its path, in plan (k, 2) or in space (k, 3) (length). A first or last point in
+            space off the membrane is an anchor, from which the cable runs straight to the membrane:
+            from beyond the boundary to the first contact, from above the membrane to the place
+            below. A `Joint` as first or last point (the others in space) holds the end.
+        L0
+            Unstressed length (length).
+        tension
+            Tension at laying (force), which determines the unstressed length.
+        shortest
+            Whether to lay the cable along the shortest path on the membrane near `path`, the
+            position of a frictionless cable.
+        hold
+            Connection of the cable to the membrane:
+
+            * "outside": none; it slides and lifts off.
+            * "sleeve": it slides, also sideways, but cannot lift off.
+            * "pocket": it slides along itself only, on its line sewn to the fabric. A cable along
+              free edges does so in any case.
+            * "bonded": it does not slide at all, like sewn-on belts and bolt ropes; each segment
+              between two sides of cells has its own tension, `LaidCable.tensions`.
+
+            Friction is ignored in directions in which the cable cannot slide.
+        layer
+            Of two crossing cables the one with the higher layer lies on top; for equal layers, the
+            later one.
+        name
+            Name in results; by default "cable 1", "cable 2" ...
+        measured_on
+            Without `L0`: whether the length is measured on the smooth "surface" through the
+            vertices, or on the inscribed "facets", where it is too short; ``Cable(law="step")`` and
+            bonded cables use the facets.
+
+        Returns
+        -------
+        LaidCable
+            The cable, a handle for load steps and results.
+
+        Raises
+        ------
+        PathError
+            The path leaves the membrane for good or with a cable that cannot span the hole, could
+            only pass behind it, starts inside it, leads to a part behind a seam, or returns through
+            the cells where it left.
+        InputError
+            An L0 or tension that is not positive, both of them, or a name in use.
+        """
+        from crms_fenicsx.cabling.paths.laying import lay
+
+        given: dict[str, Any] = {
+            "L0": L0, "tension": tension, "shortest": shortest, "hold": hold, "layer": layer,
+            "name": name, "measured_on": measured_on,
+        }  # fmt: skip
+        checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
+        self.membrane.check_finite("lay_cable")
+        given["layer"] = checks.whole("lay_cable: layer", layer, 0)
+        route, joints = self.frame.path_of(path)
+        return lay(self.net, cable, route, **given, joints=joints)
+
+    @collective
+    @changes_model
+    def lay_net(
+        self,
+        net: Net,
+        cable: Cable,
+        *,
+        tension: float | None = None,
+        hold: Hold = "outside",
+        clamped: bool = False,
+    ) -> tuple[LaidCable, ...]:
+        """Lay a cable on each line of a net, under the line's name. Collective.
+
+        Later families lie on top.
+
+        Parameters
+        ----------
+        net
+            A layout from `crms_fenicsx.nets`.
+        cable, tension, hold
+            As for `lay_cable`, the same for all lines.
+        clamped
+            Whether to clamp all crossings, as `clamp` does.
+
+        Returns
+        -------
+        tuple of LaidCable
+            The cables, in the order of ``net.lines``.
+
+        Raises
+        ------
+        PathError, InputError
+            As for `lay_cable`; then no cable is laid.
+
+        Examples
+        --------
+        >>> net = nets.sections(scene, angles=(0.8, -0.8), offsets=[-9, -3, 3, 9])
+        >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
+        >>> scene.cable("A1").tension
+        """
+        if not isinstance(net, Net):
+            raise InputError(
+                f"lay_net: {net!r} is no net; give one of crms_fenicsx.nets, such as "
+                "nets.equidistant(...)."
+            )
+        before = self.net.state
+        try:
+            laid = tuple(
+                self.lay_cable(cable, line.path, tension=tension, hold=hold, name=line.name)
+                for line in net.lines
+            )
+            if clamped:
+                self.clamp(*laid)
+            return laid
+        except InputError:
+            self.net.state = before
+            raise
+
+    @collective
+    @changes_model
+    def clamp(
+        self,
+        *cables: LaidCable | str,
+        near: Sequence[Sequence[float]] | Array | None = None,
+        slip: float | None = None,
+    ) -> tuple[Clamp, ...]:
+        """Clamp cables to each other where they cross. Collective.
+
+        A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
+        and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
+        which varies only with friction along it. The unstressed lengths between clamps are those at
+        clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
+        an equilibrium.
+
+        Parameters
+        ----------
+        *cables
+            Two or more cables of this scene, or their names.
+        near
+            Points in space, (k, 3) (length), whose nearest crossings are clamped; by default all
+            crossings are.
+        slip
+            Grip of the clamps (force): a cable slips through where its tensions before and after
+            the clamp would differ by more, which moves unstressed length from one part to the
+            other; the work counts in `dissipated`. The grip acts on the unstressed cable: on the
+            stretched one it is smaller by the strain. By default clamps never slip.
+
+        Returns
+        -------
+        tuple of Clamp
+            The new clamps; existing ones stay.
+
+        Raises
+        ------
+        InputError
+            On all ranks: cables that do not cross, lie apart where they do, or have the step-wise
+            law.
+
+        Warns
+        -----
+        NetWarning
+            Some of three or more cables lie apart where they cross; these crossings stay open.
+
+        Examples
+        --------
+        >>> scene.clamp("A1", "B2")
+        >>> scene.clamp(*scene.cables)
+        """
+        checks.same(self.comm, "clamp", cables=cables, near=near, slip=slip)
+        return self.net.clamp(cables, near, slip)
+
+    @collective
+    @changes_model
+    def unclamp(
+        self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
+    ) -> None:
+        """Open clamps, so that the cables slide in the next load step. Collective.
+
+        Parameters
+        ----------
+        *cables, near
+            As for `clamp`: all clamps between the cables, or those nearest to the points.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown clamp.
+        """
+        checks.same(self.comm, "unclamp", cables=cables, near=near)
+        self.net.unclamp(cables, near)
+
+    @collective
+    @changes_model
+    def remove(self, cable: LaidCable | str) -> None:
+        """Remove a cable from the next load step on. Collective.
+
+        Cables that crossed it then lie on the membrane, or on the cables below. `dissipated` keeps
+        the energy of its friction; tables and pictures keep its history. A new cable may take its
+        name.
+
+        Parameters
+        ----------
+        cable
+            A cable of this scene, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown cable.
+        """
+        checks.same(self.comm, "remove", cable=cable)
+        self.net.remove(cable)
+
+    @collective
+    @changes_model
+    def remove_bar(self, bar: PlacedBar | str) -> None:
+        """Remove a bar, and anchors that nothing else needs, from the next load step on.
+
+        Collective. Joints stay.
+
+        Parameters
+        ----------
+        bar
+            A bar of this scene, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown bar.
+        """
+        checks.same(self.comm, "remove_bar", bar=bar)
+        if isinstance(bar, str):
+            bar = self.frame.bar(bar)
+        if not any(bar is own for own in self.bars):
+            raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
+        used = {name for one in (*self.loads, *self.cables) for name in one.joints}
+        self.frame.remove(bar, used)
+
+    @collective
+    @changes_model
+    def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
+        """Change the numbers of the membrane's materials from the next load step on. Collective.
+
+        For parameter studies: no form is compiled again.
+
+        Parameters
+        ----------
+        material
+            One for all, or some of the materials by their parts as given to `Scene`, with the same
+            classes, warps and wrinkling.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown part, a material that differs by more than numbers, or the
+            paper's step-wise strain, whose stresses add up over the steps.
+
+        Examples
+        --------
+        >>> for E in (300.0, 450.0, 600.0):
+        ...     scene.set_material({"roof": IsotropicMembrane(E=E, nu=0.3, thickness=1.0)})
+        ...     solver.advance()
+        """
+        checks.same(self.comm, "set_material", material=material)
+        if self.strain_law == "step":
+            raise InputError(
+                'set_material: strain="step" goes on from stresses of the material before; use '
+                'strain="total", or make another Scene(...).'
+            )
+        self.membrane.materials.update(checked_materials(self.membrane, material))
+
+    @collective
+    @changes_model
+    def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
+        """Change the axial stiffness of cables and bars from the next load step on. Collective.
+
+        They keep their unstressed lengths.
+
+        Parameters
+        ----------
+        EA
+            Axial stiffness (force) by cables and bars of this scene.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no cable or bar of this scene, or a stiffness that is not positive.
+
+        Examples
+        --------
+        >>> scene.set_stiffness({ridge: 2 * ridge.cable.EA})
+        >>> solver.advance()
+        """
+        checks.same(self.comm, "set_stiffness", EA=EA)
+        checks.collection("set_stiffness: EA", EA, Mapping, "{cable: EA}", 1)
+        for one, stiffness in EA.items():
+            if not any(one is own for own in (*self.cables, *self.bars)):
+                raise InputError(
+                    f"set_stiffness: {one!r} is no cable or bar of this scene; give what "
+                    "scene.lay_cable(...) or scene.add_bar(...) has returned."
+                )
+            checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
+        for one, stiffness in EA.items():
+            if isinstance(one, LaidCable):
+                one.update(cable=replace(one.cable, EA=float(stiffness)))
+            else:
+                one.update(bar=replace(one.bar, EA=float(stiffness)))
+
+    @collective
+    def set_strengths(
+        self,
+        strengths: Strengths | Mapping[str, Strengths],
+        *,
+        factors: Mapping[str, float] | None = None,
+        patches: float | Mapping[str, float] | None = None,
+    ) -> None:
+        """Set the fabric's strengths, for the utilisation in results, files and reports.
+
+        They replace earlier ones, do not change the equilibrium and are not in checkpoints.
+
+        Parameters
+        ----------
+        strengths
+            Design strengths in warp and weft, divided by the partial factors (force per length; of
+            isotropic material the smaller counts): one pair, or one per part; others have none.
+        factors
+            Divisors of the strengths for the duration and temperature of loads, by the names of
+            existing loads and ponds. The largest of those that act counts, 1 without any.
+        patches
+            Radii on the stress-free membrane of the reinforcement around its corners (length), by
+            group of points, or one for all corners. Within them the strengths of the plain fabric
+            do not judge; 0: none. By default a twentieth of the distance to the next corner.
+            Corners are point supports, ends of bars, ends of cables on free fabric, ends of held
+            edges, re-entrant corners of free edges, and the named points: section forces there
+            grow without limit as cells become finer.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown part, load or group of points, overlapping parts, strengths or
+            factors that are not positive, or a negative radius.
+
+        Examples
+        --------
+        >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
+        >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
+        >>> scene.set_strengths((84.0, 80.0), patches={"mast head": 0.6, "low point": 0.4})
+        """
+        given = {"strengths": strengths, "factors": factors, "patches": patches}
+        checks.same(self.comm, "set_strengths", **given)
+        divided = checked_factors("set_strengths", factors, self.factors)
+        if isinstance(strengths, Mapping):
+            strengths = checks.in_one_order(self.comm, strengths)
+        found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
+        self.membrane.patches = patch_radii("set_strengths", patches, self.membrane.mesh)
+        self.membrane.strengths, self.membrane.strength_factors = found, divided
+
+    def strength_factor(self) -> float:
+        """Internal: divisor of the strengths under the current loads."""
+        return self.membrane.strength_factor(self.factors)
+
+    def in_equilibrium(self) -> bool:
+        """Internal: whether nothing has changed since the last load step. Collective."""
+        settled = self.versions.are_settled(self.membrane.owned_u)
+        return bool(self.comm.allreduce(settled, op=MPI.LAND))
+
+    def require_equilibrium(self, call: str) -> None:
+        """Internal: raise an error unless the last load step found the current state. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: the state has changed since, or there was no load step.
+        """
+        if not self.in_equilibrium():
+            raise InputError(f"{call}: {self.versions.trouble}; call solver.advance() before.")
+
+    def __repr__(self) -> str:
+        """One line; not collective."""
+        mesh, cables = self.membrane.mesh.mesh, self.net.cables
+        loads = {"pressure": self.pressure, **self.loads.factors}
+        words = [
+            counted(mesh.topology.index_map(2).size_global, "cell"),
+            ", ".join(f"{name} {factor:.6g}" for name, factor in loads.items()),
+        ]
+        if cables:
+            tensions = span([cable.tension for cable in cables])
+            words.append(f"{counted(len(cables), 'cable')}, tension {tensions}")
+        if self.bars:
+            forces = span([bar.force for bar in self.bars])
+            words.append(f"{counted(len(self.bars), 'bar')}, force {forces}")
+        solved = self.versions.current.equilibrium is not None
+        if solved and not self.versions.are_settled(self.membrane.owned_u):
+            words.append(UNBALANCED)
+        return f"Scene({'; '.join(words)})"

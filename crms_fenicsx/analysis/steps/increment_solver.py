@@ -1,0 +1,280 @@
+"""Solve one increment of the loads: equilibrium, follower loads and verification."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.equilibrium.other_states import (
+    LESS,
+    SCATTER_CHECK,
+    lower_state,
+    may_have_others,
+)
+from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.loading import Target, has_free_rim
+from crms_fenicsx.analysis.steps.options import Options
+from crms_fenicsx.analysis.verification.report import Check, Verification
+from crms_fenicsx.analysis.verification.verifier import Verifier
+from crms_fenicsx.cabling.contact.lift_off import SUNK, is_foot, size_at
+from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.foundation.runtime.errors import as_text
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.versions import StateWarning
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+
+
+def starting_prestress(
+    system: System, target: Target, share: float, stressed: bool = True
+) -> tuple[float, ...]:
+    """Extra prestress in H0 for each attempt, the last 0 (force per length), from the present state
+    or, if not `stressed`, from the unstressed membrane. Collective."""
+    # A flat sheet has no stiffness against pressure: its stress will be 0.3 (p^2 L^2 E t)^(1/3).
+    scene, size = system.scene, system.scene.membrane.size
+    modulus = max(m.reference_modulus for m in scene.materials.values())
+    travel = share * target.movements.travel
+    loads = abs(scene.pressure) + system.added_force_per_area()
+    loads += sum(abs(load.factor) * load.intensity for load in scene.loads)
+    coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
+    coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
+    present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
+    if stressed and present > 0.3 * coming:
+        return (0.0,)
+    return (coming, 0.1 * coming, 0.01 * coming, 0.0)
+
+
+def covered_ends(scene: Scene) -> Iterator[StateWarning]:
+    """Warn of cable ends that start above the membrane and now lie under it. Collective."""
+    over = [
+        (cable, which, end, foot)
+        for cable in scene.cables
+        for which, end, foot in (("start", 0, 1), ("end", -1, len(cable.nodes) - 2))
+        if len(cable.nodes) > 2 and cable.nodes[end].kind == "anchor" and is_foot(cable, foot)
+    ]
+    if not over:
+        return
+    shape = scene.net.strip_shape()
+    for cable, which, end, foot in over:
+        node = cable.nodes[foot]
+        above = cable.positions[end] - shape.mean(*node.interpolation())
+        gap = float(above @ shape.normal(node.support))
+        if gap < -SUNK * size_at(shape, node.support):
+            yield StateWarning(
+                "cable end",
+                f"the {which} of {cable.name!r} at {as_text(cable.positions[end])} lies {-gap:.3g} "
+                "under the membrane, which a cable cannot pass; move it up or off the membrane.",
+            )
+
+
+@dataclass(frozen=True)
+class Increment:
+    """Result of an increment."""
+
+    outcome: Outcome  # of all its solves
+    # of the accepted state; None if verification is off or no equilibrium was found
+    verification: Verification | None = None
+    # of instability, of cable ends under the membrane and of uncertain forces
+    warnings: tuple[StateWarning, ...] = ()
+
+
+MAX_FOLLOWER_SOLVES = 50
+"""Limit of solves per increment under wind, or under lagged pressure with free edges."""
+
+
+class IncrementSolver:
+    """Brings a scene to equilibrium at an increment's loads, or restores its state before."""
+
+    def __init__(self, scene: Scene, options: Options) -> None:
+        self.scene, self._options = scene, options
+        self._verifier = Verifier(scene) if options.verify else None
+        self._system: System | None = None
+        self._search: EquilibriumSearch | None = None
+        self._earlier: TriedPaths | None = None
+        """Rejected paths of the run that this one resumes."""
+        self._known: tuple[LaidCable, ...] = ()
+        """Cables at the last load step."""
+
+    @property
+    def system(self) -> System:
+        """The scene's potential and its minimiser, made on first use."""
+        if self._system is not None and self._system.is_outdated:
+            self.release()  # another solver has advanced the scene
+        if self._system is None:
+            self._system = System(self.scene, self._options.prefix, self._options.rtol)
+        return self._system
+
+    def release(self) -> None:
+        """Free the potential's memory; `system` makes it again."""
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = self._earlier = None
+
+    @property
+    def search(self) -> EquilibriumSearch:
+        """Search for the equilibrium of each increment, made on first use."""
+        system = self.system
+        if self._search is None:
+            tried = self._earlier if self._options.slide else None
+            self._search = EquilibriumSearch(system, self._options.slide, tried)
+        return self._search
+
+    @property
+    def tried(self) -> TriedPaths | None:
+        """Paths that cables tried and rejected; None before the first."""
+        if self._search is not None and self._search.tried is not None:
+            return self._search.tried
+        return self._earlier
+
+    def forget_removed(self) -> None:
+        """Drop tried paths of removed cables: a new cable may have the same name."""
+        tried = self.tried
+        for cable in self._known:
+            if tried is not None and cable not in self.scene.cables:
+                tried.forget(cable.name)
+        self._known = self.scene.cables
+
+    def resume(self, tried: TriedPaths | None) -> None:
+        """Continue from the scene's state and the paths tried before."""
+        self.release()
+        self._earlier, self._known = tried, self.scene.cables
+
+    def restart_h0(self) -> None:
+        """Reset H0, so that the next solve equals that of a resumed run."""
+        if self._system is not None:
+            self._system.reset_h0()
+
+    def solve(
+        self, target: Target, first: SceneState, before: SceneState, done: float, goal: float,
+        steps: int,
+    ) -> Increment:  # fmt: skip
+        """Solve and verify an increment; restore the state before if it fails. Collective."""
+        try:
+            target.apply(self.scene, first, done / steps, goal / steps)
+            share = (goal - done) / steps
+            prestress = starting_prestress(self.system, target, share)
+            at_once: tuple[float, ...] | None = None
+            if goal > steps - 1e-9:
+                loaded = self.scene.comm.allreduce(bool(before.u.any()), op=MPI.LOR)
+                at_once = starting_prestress(self.system, target, 1.0, False) if loaded else ()
+            found = self._solve(prestress, at_once)
+        except BaseException:
+            self._restore(before)
+            raise
+        if not found.outcome.converged:
+            self._restore(before)
+        return found
+
+    def _solve(
+        self, h0_prestress: tuple[float, ...], at_once: tuple[float, ...] | None
+    ) -> Increment:
+        """`at_once`: as for `lower_state`; None: states of less energy are not looked for."""
+        if self._verifier is not None:
+            self._verifier.begin()
+        outcome, verification = self.search.find(h0_prestress), None
+        if outcome.converged and has_free_rim(self.scene):
+            outcome = self._iterate_pressure(outcome)
+        if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
+            outcome = self._iterate_wind(outcome)
+        hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
+        if outcome.converged and hanging is not None:
+            size = f"{hanging.volume:.3g}"
+            reason = f"the pond {hanging.name!r} has the volume {size}, over cells that face down"
+            outcome = replace(outcome, converged=False, reason=reason)
+        if self._verifier is not None and outcome.converged:
+            scatter: tuple[Check, ...] = ()
+            if at_once is not None and may_have_others(self.system):
+                outcome, scatter = self._lower(outcome, at_once)
+            verification = self._verifier.check(self.system, outcome, scatter)
+            if not verification.passed:
+                outcome = replace(outcome, converged=False, reason=str(verification))
+        warnings = self._warnings(outcome) if outcome.converged else ()
+        if outcome.converged and verification is not None:
+            warnings += verification.warnings
+        if self._options.stability == "refuse":
+            unstable = [one.text for one in warnings if one.is_unstable]
+            if unstable:
+                outcome = replace(outcome, converged=False, reason=unstable[0])
+        if outcome.converged:
+            self.system.commit()
+        return Increment(outcome, verification, warnings)
+
+    def _lower(
+        self, outcome: Outcome, at_once: tuple[float, ...]
+    ) -> tuple[Outcome, tuple[Check, ...]]:
+        """Look for states of less energy, and check how far they are. Collective."""
+        found = lower_state(self.system, at_once)
+        apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
+        where = apart if found.energy > 0.0 else ""
+        check = Check(SCATTER_CHECK, found.energy, LESS, where, binding=False)
+        total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
+        return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
+
+    def _warnings(self, outcome: Outcome) -> tuple[StateWarning, ...]:
+        """Warnings about the state found. Collective."""
+        found = list(covered_ends(self.scene))
+        if self._options.stability != "ignore" and (self.system.bars or self.system.ponds):
+            from crms_fenicsx.analysis.equilibrium.instability import instabilities
+
+            found += instabilities(self.system, outcome.tolerance)
+        return tuple(found)
+
+    def _iterate_pressure(self, outcome: Outcome) -> Outcome:
+        """Solve again under lagged pressure until its forces are normal to the final shape."""
+        for _ in range(MAX_FOLLOWER_SOLVES):
+            self.system.commit()
+            more = self.search.find((0.0,))
+            outcome = outcome + more
+            if more.iterations == 0 or not more.converged:
+                return outcome
+        reason = f"the pressure at free edges still turns after {MAX_FOLLOWER_SOLVES} solves"
+        return replace(outcome, converged=False, reason=reason)
+
+    def _iterate_wind(self, outcome: Outcome) -> Outcome:
+        """Solve again until the wind forces match the shape found."""
+        scene, comm = self.scene, self.scene.comm
+        for _ in range(MAX_FOLLOWER_SOLVES):
+            turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
+            pairs = zip(turned, scene.loads, strict=True)
+            change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
+            size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
+            if size <= self._options.rtol * outcome.scale:
+                return outcome
+            scene.loads.update(loads=turned)
+            self.system.commit()
+            outcome = outcome + self.search.find((0.0,))
+            if not outcome.converged:
+                return outcome
+        reason = f"the wind still turns with the membrane after {MAX_FOLLOWER_SOLVES} solves"
+        return replace(outcome, converged=False, reason=reason)
+
+    def snapshot(self) -> SceneState:
+        """The scene's state and the paths tried."""
+        return replace(self.scene.state, tried=deepcopy(self.tried))
+
+    def go_back_to(self, snapshot: SceneState) -> None:
+        """Restore a state and the paths tried up to it."""
+        self._restore(snapshot)
+        self._search, self._earlier = None, deepcopy(snapshot.tried)
+        self._known = self.scene.cables
+
+    def _restore(self, state: SceneState) -> None:
+        """Restore a state of the scene."""
+        scene, system = self.scene, self._system
+        # Terms hold the history of step-wise laws, so another history needs new terms.
+        same = scene.step_history is state.step_history
+        keeps = same and system is not None and not system.is_outdated
+        scene.state = state
+        if system is not None:  # its tables may be for other taut cables
+            system.invalidate()
+            if keeps:
+                system.follow()

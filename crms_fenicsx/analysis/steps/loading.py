@@ -1,0 +1,279 @@
+"""Check the loads of `Solver.advance`: factors, pressure, fans and sealed air."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from types import MappingProxyType
+from typing import TypeVar
+
+import numpy as np
+from dolfinx.fem import locate_dofs_topological
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.movements import Move, Movements, check_own, checked_movements
+from crms_fenicsx.energy.terms.pressure import rim_of
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import EPSILON
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
+from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane_load import MembraneLoad
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.sealed_air import FanControl, SealedAir
+
+LoadT = TypeVar("LoadT", MembraneLoad, Pond)
+
+
+def between(first: float, last: float, share: float) -> float:
+    """Load at a share of the step, exactly zero if only rounding is left."""
+    value = first + share * (last - first)
+    rounding = 4 * EPSILON * max(abs(first), abs(last))
+    return 0.0 if abs(value) <= rounding else value
+
+
+@dataclass(frozen=True)
+class InnerPressure:
+    """Inner pressure over a call of `Solver.advance`."""
+
+    # first, last: pressure at start and end (force per area); with fans, in addition to theirs
+    first: float
+    last: float
+    fans: FanControl | None = None  # control of the fans, if any
+    air: tuple[SealedAir, SealedAir] | None = None  # at start and end, if any
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is inner pressure at the end."""
+        return self.last != 0.0 or self.fans is not None or self.air is not None
+
+    def apply(self, scene: Scene, share: float) -> None:
+        """Set the pressure at a share of the step, after the other loads. Collective."""
+        if self.air is not None:
+            first, last = self.air
+            sealed = replace(
+                last,
+                temperature=between(first.temperature, last.temperature, share),
+                atmosphere=between(first.atmosphere, last.atmosphere, share),
+            )
+            scene.air.update(sealed=sealed, pressure=sealed.pressure(scene.volume))
+        elif self.fans is not None:
+            factor = scene.factors[self.fans.load]
+            rest = between(self.first, self.last, share)
+            scene.air.update(pressure=self.fans.pressure(factor) + rest)
+        else:
+            scene.air.update(pressure=between(self.first, self.last, share))
+
+
+def checked_pressure(
+    scene: Scene,
+    pressure: float | FanControl | None,
+    temperature: float | None,
+    atmosphere: float | None,
+) -> InnerPressure:
+    """Check the inner pressure given to `Solver.advance`."""
+    air, given = scene.air.sealed, {"temperature": temperature, "atmosphere": atmosphere}
+    for name, value in given.items():
+        if value is not None and air is None:
+            raise InputError(
+                f"advance: {name} = {value!r}, but the air is not sealed; call "
+                "scene.seal(volume=...) first, or give the pressure."
+            )
+    if air is not None:
+        if pressure is not None:
+            raise InputError(
+                f"advance: pressure = {pressure!r}, but the air is sealed, and its pressure "
+                "follows from its volume; call scene.unseal() first."
+            )
+        changed = {
+            name: checks.positive(f"advance: {name}", value)
+            for name, value in given.items()
+            if value is not None
+        }
+        return InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
+    if isinstance(pressure, FanControl):
+        factor = checks.named("load", scene.factors, pressure.load)
+        offset = scene.pressure - pressure.pressure(factor)
+        return InnerPressure(offset, 0.0, fans=pressure)
+    last = scene.pressure if pressure is None else checks.finite("advance: pressure", pressure)
+    return InnerPressure(scene.pressure, last)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Initial and target loads of a call of `Solver.advance`."""
+
+    pressure: InnerPressure  # inner pressure
+    # first and last factor of each changed load, by name
+    factors: dict[str, tuple[float, float]]
+    movements: Movements  # of supports and anchors
+    # cable or bar, its first and last unstressed length (length)
+    lengths: list[tuple[LaidCable | PlacedBar, float, float]]
+
+    def is_first_load(self, scene: Scene) -> bool:
+        """Whether the call applies the first loads or ponds."""
+        new = any(last != 0.0 for _, last in self.factors.values())
+        return new and not any(scene.factors.values())
+
+    def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
+        """Set the loads at `share` of the step from state `first`, from share `before` on."""
+        scene.loads.replace_each(partial(self._at, share))
+        self.pressure.apply(scene, share)
+        self.movements.apply(scene, first, before, share)
+        for one, start, end in self.lengths:
+            length = start + share * (end - start)
+            if isinstance(one, LaidCable) and one.axial is not None and one.parts is not None:
+                rest = one.axial.rest * (length / one.L0)  # the parts between clamps scale alike
+                one.update(axial=replace(one.axial, rest=rest))
+            one.update(L0=length)
+
+    def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
+        """The scene's ponds at a share of the step."""
+        return tuple(self._at(share, pond) for pond in scene.ponds)
+
+    def _at(self, share: float, load: LoadT) -> LoadT:
+        """A load or pond at a share of the step."""
+        if load.name not in self.factors:
+            return load
+        return replace(load, factor=between(*self.factors[load.name], share))
+
+
+def checked_target(
+    scene: Scene,
+    pressure: float | FanControl | None = None,
+    move: Mapping[object, Move] = MappingProxyType({}),
+    L0: Mapping[object, float] = MappingProxyType({}),
+    load: float | Mapping[str, float] | None = None,
+    steps: int = 1,
+    temperature: float | None = None,
+    atmosphere: float | None = None,
+) -> Target:
+    """Check the loads and return their initial and target values. Collective."""
+    scene.membrane.check_finite("advance")
+    braced = scene.frame.vertices and any(joint.held.any() for joint in scene.joints)
+    if not braced and not scene.comm.allreduce(int(scene.held.any())):
+        raise InputError(
+            "advance: nothing of the membrane is held; hold its boundary with "
+            'scene.fix("boundary").'
+        )
+    inner = checked_pressure(scene, pressure, temperature, atmosphere)
+    factors = {} if load is None else _factors(scene, load)
+    _check_wind(scene, factors)
+    for name, given in (("move", move), ("L0", L0)):
+        checks.collection(f"advance: {name}", given, Mapping, f"{name}={{what: value}}")
+    scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
+    movements = checked_movements(scene, move, steps)
+    if inner.acts:
+        _check_rim(scene)
+    return Target(inner, factors, movements, _lengths(scene, L0))
+
+
+def _lengths(
+    scene: Scene, L0: Mapping[object, float]
+) -> list[tuple[LaidCable | PlacedBar, float, float]]:
+    """First and last unstressed lengths of cables and bars."""
+    found = []
+    for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # same on all ranks
+        if not isinstance(key, LaidCable | PlacedBar):
+            raise InputError(f"advance: L0 of {key!r}; give a laid cable or a bar.")
+        if isinstance(key, LaidCable) and key.cable.law == "step":
+            raise InputError(
+                f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
+                'length; use Cable(law="total").'
+            )
+        length = checks.positive(f"advance: L0 of {key.name!r}", length)
+        check_own("cable" if isinstance(key, LaidCable) else "bar", key, scene)
+        found.append((key, key.L0, length))
+    return found
+
+
+def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """First and last factors of loads and ponds, by name."""
+    present = scene.factors
+    if not present:
+        raise InputError(
+            f"advance: load = {load!r}, but there is none on the membrane; put one there with "
+            "scene.put_load, scene.put_wind or scene.put_pond."
+        )
+    if not isinstance(load, Mapping):
+        only = next(iter(present))
+        if len(present) > 1:
+            names = ", ".join(map(repr, present))
+            raise InputError(
+                f"advance: load = {load!r}, but there are the loads {names}; write "
+                f"load={{{only!r}: {load!r}}}."
+            )
+        return {only: (present[only], checks.finite("advance: load", load))}
+    found = {
+        name: (
+            checks.named("load", present, name),
+            checks.finite(f"advance: load of {name!r}", factor),
+        )
+        for name, factor in load.items()
+    }
+    for pond in scene.ponds:
+        if found.get(pond.name, (0.0, 0.0))[1] < 0.0:
+            raise InputError(
+                f"advance: load of {pond.name!r} = {load[pond.name]:g}, of water, which cannot "
+                "pull; give 0 or more."
+            )
+    return found
+
+
+def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse wind with a pressure that is integrated step by step."""
+    for load in scene.loads:
+        if load.suction is not None and scene.pressure_law != "total":
+            _, factor = factors.get(load.name, (0.0, load.factor))
+            if factor != 0.0:
+                raise InputError(
+                    f"advance: load of {load.name!r} = {factor:g}, a wind that follows the "
+                    f'surface, with pressure="{scene.pressure_law}"; use pressure="total", or put '
+                    "the wind in a fixed direction with scene.put_load."
+                )
+
+
+def has_free_rim(scene: Scene) -> bool:
+    """Whether lagged pressure acts on a membrane with free edges. Collective."""
+    if scene.pressure_law != "lagged" or scene.pressure == 0.0:
+        return False
+    return bool(scene.comm.allreduce(len(rim_of(scene.membrane).free)))
+
+
+def _check_rim(scene: Scene) -> None:
+    """Refuse follower pressure without a potential: its rim must be held or slide in planes."""
+    if scene.pressure_law != "total":
+        return
+    rim = rim_of(scene.membrane)
+    boundary = locate_dofs_topological(scene.V, 1, scene.mesh.edges["boundary"])
+    with raised_together(scene.comm):
+        if len(rim.free):
+            place = scene.membrane.stress_free[rim.free[0]]
+            what, remedy = (
+                (
+                    "whose boundary is free at",
+                    'scene.fix("boundary"), or in a plane of symmetry in its normal direction, as '
+                    'by scene.fix(group, "y")',
+                )
+                if rim.free[0] in boundary
+                else (
+                    "whose cells under pressure end, or meet in a seam, at",
+                    'scene.fix, or leave walls without pressure: Scene(..., pressure_on=["roof"])',
+                )
+            )
+            raise InputError(
+                f"advance: pressure on a membrane {what} {as_text(place)}: the follower pressure "
+                f'needs it held ({remedy}); with free edges use Scene(..., pressure="lagged").'
+            )
+        edges = scene.membrane.open_edges
+        sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}
+        for cable in scene.cables:
+            for node in cable.nodes:
+                ids = node.interpolation()[0] if node.kind == "fold" else ()
+                if tuple(sorted(ids)) in sliding:
+                    raise InputError(
+                        f"advance: pressure on a membrane whose edge slides in a plane, but "
+                        f"{cable.name!r} runs over it and folds it; let the cable end there."
+                    )

@@ -1,0 +1,196 @@
+"""Force balance of the cables with the membrane, and vertices with loads only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.verification.report import NO_STRAIN
+from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.contact.contact_force import (
+    contact_forces,
+    forces_at,
+    held_nodes,
+    wrap_angles,
+)
+from crms_fenicsx.cabling.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.cabling.paths.held_vertices import UNEVEN, Pulls, held_runs
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.surface.points import EdgePoint
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE, SMOOTHING
+
+
+def plain_vertices(system: System) -> Integers:
+    """This rank's free vertices away from taut cables and bars; overwrites `g`. Collective."""
+    scene, unknowns, potential = system.scene, system.unknowns, system.potential
+    n = unknowns.n_vertices
+    plain: Booleans = np.logical_not(np.any(unknowns.held[:n], axis=1))
+    if unknowns.bounds is not None:
+        plain &= potential.x[:n, 2] > unknowns.bounds[0][:n, 2]
+    if system.cables is not None and system.cables.taut:
+        assert system.cables.tables is not None
+        near = scene.V.dofmap.list[system.cables.tables.folded.cells].ravel()
+        folded = np.zeros((n + unknowns.n_ghost_vertices, 3))
+        folded[near] = 1.0
+        potential.g[:] = 0.0
+        unknowns.add_to_vertices(folded, potential.g)
+        unknowns.gather_forces(potential.g_vector, potential.g)
+        plain &= potential.g[:n, 0] == 0.0
+    for vertex in scene.frame.vertices:
+        rank, dof = scene.frame.home(vertex)
+        if rank == scene.comm.rank:
+            plain[dof] = False
+    return np.flatnonzero(plain)
+
+
+def section_forces(scene: Scene) -> float:
+    """Magnitude of the membrane's forces in a section through it (force)."""
+    materials = scene.materials.values()
+    modulus = max(m.reference_modulus for m in materials)
+    prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
+    stored = abs(scene.energies.get("membrane", 0.0))
+    return float(prestress * scene.membrane.size + np.sqrt(2 * modulus * stored))
+
+
+SMOOTH = 0.3
+"""Least coefficient of friction for normalising forces beyond the bounds: unequal cells carry some
+0.02 of the contact force sideways, more than slight friction does."""
+
+FLAT = 1e-3
+"""Turn (rad) that normalises the forces of a cable without contact force."""
+
+IN_LINE = 3
+"""Number of consecutive vertices that make a line of the mesh."""
+
+
+def is_tense(cable: LaidCable) -> bool:
+    """Whether the cable has a tension beyond rounding."""
+    return cable.tension > NO_STRAIN * cable.cable.EA
+
+
+def contacts(
+    cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
+) -> dict[str, float]:
+    """Outward pull of the cable on the membrane, and its depth below the membrane."""
+    pull = depth = 0.0
+    on = [k for k in may_lift(cable) if not cable.lifted[k]]
+    supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
+    if on and is_tense(cable):
+        pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
+    touched = np.array(cable.contacts())
+    lifted = [k for k in np.flatnonzero(cable.lifted) if on_mesh[k] and not is_foot(cable, int(k))]
+    for k in lifted:
+        point, s = cable.nodes[k].point, float(cable.fractions[k])
+        assert point is not None
+        if isinstance(point, EdgePoint) and (on_edge[k] or not INSIDE < s < 1 - INSIDE):
+            continue
+        after = int(np.searchsorted(touched, k))
+        span = norm(cable.positions[touched[after - 1 : after + 1]] - cable.positions[k])
+        if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
+            continue
+        place = shape.mean(*cable.interpolation(int(k)))
+        normal, cell = shape.normals_and_sizes([point.support])
+        depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
+    return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
+
+
+def forces(
+    cable: LaidCable, shape: StripShape, free: float, others: Pulls | None = None
+) -> dict[str, float]:
+    """Force errors of a cable relative to its contact force; `others`: pulls of cables clamped to
+    it."""
+    ways = np.diff(cable.positions[cable.contacts()], axis=0)
+    (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # shorter spans have no direction
+    ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
+    turns = norm(np.diff(ways, axis=0))
+    least = FLAT * cable.tension if is_tense(cable) else np.inf
+    own = max(float(np.linalg.norm(turns)), least)
+    values = {"unbalanced forces of cables": free / own}
+    press = max(float(turns.sum()), least)
+    values |= _held(cable, shape, press, others)
+    if cable.slides_freely and not cable.keeps_line:
+        # An edge carries the forces if it is much stiffer than the cable's tension.
+        normal, pull = forces_at(cable, _folds(cable), shape)
+        beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
+        values["sideways force without friction"] = float(beyond.sum()) / press
+    return values | _friction(cable, shape, least)
+
+
+def _held(
+    cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
+) -> dict[str, float]:
+    """Lateral forces that vertices exert on a cable, relative to its contact force."""
+    # Smoothed lengths keep a cable off the vertices by `SMOOTHING` cells, even where a straight one
+    # runs through them: it turns by as much at both ends of a run.
+    own = 2 * SMOOTHING * cable.tension
+    runs = held_runs(cable, shape, others)
+    held = [(len(run.vertices), max(run.excess - own, 0.0) / press) for run in runs]
+    return {
+        "held by a line of the mesh": max((f for n, f in held if n >= IN_LINE), default=0.0),
+        "held by vertices": sum(f for _, f in held),
+    }
+
+
+def _folds(cable: LaidCable) -> list[int]:
+    """Nodes that slide freely on mesh edges and touch no other cable."""
+    return [
+        k
+        for k in held_nodes(cable)
+        if cable.nodes[k].kind == "fold" and not cable.nodes[k].touches_cable
+        if k not in cable.blocked
+    ]
+
+
+def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
+    """Friction forces beyond their bounds, relative to the contact force; negative dissipation."""
+    values: dict[str, float] = {}
+    friction = cable.cable.sideways
+    if friction is None and cable.axial is None:
+        return values
+    from crms_fenicsx.cabling.friction.axial import clamped_nodes, gripped_nodes
+    from crms_fenicsx.cabling.friction.lateral import energies
+
+    if friction is not None and cable.has_coulomb and cable.lateral is not None:
+        forces = contact_forces(cable, shape)
+        bounds = friction.at_rest * forces.bearing
+        if friction.cone:
+            bounds[held_nodes(cable)] *= _left_sideways(cable, shape)
+        # Leave out held edges: there the cable may turn so far that its lateral direction differs
+        # from that on the stress-free membrane, on which slip is measured.
+        free = _folds(cable)
+        beyond = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
+        most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
+        values["friction beyond its bound"] = float(beyond) / max(most, least)
+        heat = energies(cable, shape)[1]
+        values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
+    if cable.axial is not None and len(cable.axial.spans):
+        clamps = clamped_nodes(cable)
+        nodes = [k for k in gripped_nodes(cable) if k not in clamps]
+        tensions = cable.part_tensions
+        at = np.searchsorted(cable.contacts(), nodes)
+        before, after = tensions[at - 1], tensions[at]
+        angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
+        bounds = 2 * np.sqrt(before * after) * np.sinh(angles / 2)
+        beyond = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
+        whole = max(float(bounds.sum()), least)
+        values["friction along beyond its bound"] = float(beyond) / whole
+        heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
+        values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
+    return values
+
+
+def _left_sideways(cable: LaidCable, shape: StripShape) -> Array:
+    """Part of the lateral friction bounds left by the axial friction in the cone."""
+    nodes = held_nodes(cable)
+    left = np.ones(len(nodes))
+    if cable.axial is None or not len(cable.axial.spans):
+        return left
+    at = np.searchsorted(cable.contacts(), nodes)
+    most = cable.cable.along * wrap_angles(cable, shape)[nodes]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.abs(np.log(cable.part_tensions[at] / cable.part_tensions[at - 1])) / most
+    share = np.where(most > 0.0, np.minimum(share, 1.0), 0.0)
+    return np.asarray(np.sqrt(1 - share**2))

@@ -1,0 +1,252 @@
+"""The cables on a membrane, their crossings, and the strip of cells around them on all ranks."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cabling.cables.clamping import TOUCHING, divide, meetings, named, with_clamps
+from crms_fenicsx.cabling.cables.crossings import arrange
+from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
+from crms_fenicsx.cabling.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.checks import counted
+from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, as_text
+from crms_fenicsx.model.cable_state import CableState, Crossing
+from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Membrane
+
+
+@dataclass(frozen=True)
+class CableNetState:
+    """Variable state of a membrane's cables; see the attributes of `CableNet`."""
+
+    cables: Mapping[LaidCable, CableState]
+    strip: Strip | None
+    crossings: tuple[Crossing, ...]
+    arranged: tuple[LaidCable, ...]
+    laid: int
+    removed_dissipation: float
+    clamps: tuple[Clamp, ...]
+
+
+class CableNet:
+    """The laid cables of a membrane, the same on all ranks."""
+
+    def __init__(self, membrane: Membrane) -> None:
+        self.membrane = membrane
+        self.cables: tuple[LaidCable, ...] = ()  # in the order of laying
+        self.strip: Strip | None = None  # cells around their paths; None without cables
+        self.crossings: tuple[Crossing, ...] = ()  # of cables in tension
+        self.arranged: tuple[LaidCable, ...] = ()  # the cables whose crossings were arranged
+        self.laid = 0  # number of cables laid so far, including removed ones
+        self.clamps: tuple[Clamp, ...] = ()  # between pairs of cables
+        self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
+        self._nodes: NodeTable | None = None
+
+    @property
+    def nodes(self) -> NodeTable:
+        """All nodes; unchanged cables are reused from the last table."""
+        self._nodes = NodeTable.of(self.cables, self._nodes)
+        return self._nodes
+
+    @property
+    def state(self) -> CableNetState:
+        """Variable state of the cables."""
+        cables = {cable: cable.state for cable in self.cables}
+        return CableNetState(
+            cables, self.strip, self.crossings, self.arranged, self.laid, self.removed_dissipation,
+            self.clamps,
+        )  # fmt: skip
+
+    @state.setter
+    def state(self, state: CableNetState) -> None:
+        if self.cables != tuple(state.cables):
+            self.cables, self.strip = tuple(state.cables), state.strip
+        # Otherwise the strip has at most grown, and remains valid.
+        for cable, was in state.cables.items():
+            cable.state = was
+        self.crossings, self.arranged = state.crossings, state.arranged
+        self.laid, self.removed_dissipation = state.laid, state.removed_dissipation
+        self.clamps = state.clamps
+
+    @property
+    def dissipated(self) -> float:
+        """Energy dissipated by friction in all load steps (force x length)."""
+        return self.removed_dissipation + sum(cable.dissipated for cable in self.cables)
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether some cable has lateral friction."""
+        return not all(cable.slides_freely for cable in self.cables)
+
+    def cable(self, name: str) -> LaidCable:
+        """Cable of a given name."""
+        return checks.named("cable", {cable.name: cable for cable in self.cables}, name)
+
+    def strip_shape(self) -> StripShape:
+        """Gather the current positions of the strip's vertices. Collective."""
+        assert self.strip is not None
+        return StripShape.of(self.membrane, self.strip)
+
+    def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:
+        """Add the cells around some vertices to the strip. Collective."""
+        self.strip = grown(self.membrane, self.strip or EMPTY, vertices, rings)
+
+    def arrange_crossings(self) -> None:
+        """Find the crossings of taut cables and insert their points into the cables."""
+        self.arranged = self.cables
+        if self.strip is None:
+            self.crossings = ()
+            return
+        known = with_clamps(self.crossings, self.clamps, self.cables)
+        self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
+        if self.clamps or any(cable.parts is not None for cable in self.cables):
+            self.clamps = divide(self.cables, self.crossings, self.clamps)
+
+    def add(self, cable: LaidCable, strip: Strip) -> None:
+        """Add a cable laid over the cells of `strip`."""
+        self.strip = strip if self.strip is None else self.strip.merged(strip)
+        self.cables = (*self.cables, cable)
+        self.laid += 1
+
+    def remove(self, cable: LaidCable | str) -> None:
+        """Remove a cable and its crossings. Collective."""
+        gone = self.cable(cable) if isinstance(cable, str) else cable
+        if not isinstance(gone, LaidCable) or gone not in self.cables:
+            raise InputError(
+                f"remove: {gone!r} is not a cable of this scene; give one of scene.cables, or its "
+                "name."
+            )
+        number = self.cables.index(gone)
+
+        def renumbered(c: int) -> int:
+            return -1 if c == number else c - (c > number)  # -1: of the removed cable
+
+        self.crossings = tuple(  # nodes refer to them by number until the next arrangement
+            replace(k, lower=renumbered(k.lower), upper=renumbered(k.upper)) for k in self.crossings
+        )
+        self.removed_dissipation += gone.dissipated
+        self.cables = tuple(own for own in self.cables if own is not gone)
+        self.clamps = tuple(clamp for clamp in self.clamps if gone.name not in clamp.cables)
+        points = (node.point for own in self.cables for node in own.nodes)
+        vertices = [vertex for point in points if point is not None for vertex in point.support]
+        covers = EMPTY.cells if self.strip is None else self.strip.covers
+        vertices += covers.ravel().tolist() if vertices else []
+        strip = cells_at(self.membrane, vertices).with_covers(covers) if vertices else None
+        self.strip = strip
+        self.arrange_crossings()
+
+    def clamp(
+        self, cables: Sequence[LaidCable | str], near: object, slip: float | None = None
+    ) -> tuple[Clamp, ...]:
+        """Clamp cables where they cross, see `Scene.clamp`. Collective."""
+        own = self._cables("clamp", cables)
+        slip = None if slip is None else checks.positive("clamp: slip", slip)
+        for cable in own:
+            if cable.cable.law == "step":
+                raise InputError(
+                    f'clamp: {cable.name!r} has law="step", with which its tension cannot differ '
+                    "from clamp to clamp; lay it without."
+                )
+        new: list[Clamp] = []
+        apart: list[str] = []
+        known = {number: clamp.cables for number, clamp in enumerate(self.clamps)}
+        for a, b in combinations(own, 2):
+            for one in meetings(a, b):
+                if any(
+                    {a.name, b.name} == set(names)
+                    and norm(self.clamps[n].place - one.place) < one.reach
+                    for n, names in known.items()
+                ):
+                    continue
+                parted = any(
+                    {self.cables[k.lower], self.cables[k.upper]} == {a, b}
+                    and k.separated
+                    and norm(k.place - one.place) < 2 * one.reach
+                    for k in self.crossings
+                )
+                if parted or one.gap > TOUCHING * one.reach:
+                    apart.append(
+                        f"{a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they cross, at "
+                        f"{as_text(one.place)}"
+                    )
+                    continue
+                name = named([*self.clamps, *new], (a.name, b.name))
+                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip))
+        if apart and len(own) == 2:
+            raise InputError(
+                f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."
+            )
+        if near is not None:
+            new = _nearest("clamp", new, near)
+        elif apart and self.membrane.comm.rank == 0:
+            text = f"clamp: {counted(len(apart), 'crossing')} left open: {apart[0]}."
+            warnings.warn(text, NetWarning, stacklevel=5)
+        if not new and not apart and not self._between(own):
+            *first, last = (repr(one.name) for one in own)
+            raise InputError(
+                f"clamp: {', '.join(first)} and {last} do not cross; lay one of them so that it "
+                "crosses another, or clamp those that do."
+            )
+        self.clamps = (*self.clamps, *new)
+        self._divide_again()
+        return tuple(new)
+
+    def unclamp(self, cables: Sequence[LaidCable | str], near: object) -> None:
+        """Open clamps, see `Scene.unclamp`. Collective."""
+        gone = self._between(self._cables("unclamp", cables))
+        if near is not None:
+            gone = _nearest("unclamp", gone, near)
+        if not gone:
+            names = ", ".join(clamp.name for clamp in self.clamps) or "none"
+            raise InputError(f"unclamp: there is no such clamp; the scene has {names}.")
+        self.clamps = tuple(clamp for clamp in self.clamps if clamp not in gone)
+        self._divide_again()
+
+    def _divide_again(self) -> None:
+        """Rearrange the crossings for changed clamps, unless all cables are slack."""
+        if any(cable.taut for cable in self.cables):
+            self.arrange_crossings()
+
+    def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
+        """Check and return two or more different cables."""
+        own = [self.cable(one) if isinstance(one, str) else one for one in cables]
+        for one in own:
+            if one not in self.cables:
+                raise InputError(
+                    f"{call}: {one!r} is not a cable of this scene; give some of scene.cables, or "
+                    "their names."
+                )
+        if len(own) < 2 or len(set(own)) < len(own):
+            names = ", ".join(one.name for one in own)
+            raise InputError(
+                f"{call}: the cables are {names or '(none)'}; give two or more different ones."
+            )
+        return own
+
+    def _between(self, cables: Sequence[LaidCable]) -> list[Clamp]:
+        """Clamps between some of the cables."""
+        names = {cable.name for cable in cables}
+        return [clamp for clamp in self.clamps if names >= set(clamp.cables)]
+
+
+def _nearest(call: str, clamps: Sequence[Clamp], near: object) -> list[Clamp]:
+    """The clamps nearest to given points in space."""
+    try:
+        points = np.asarray(near, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError, OverflowError):
+        points = np.zeros((0, 3))
+    if not len(points) or not np.isfinite(points).all():
+        raise InputError(f"{call}: near = {near!r}; give points in space, (k, 3).")
+    if not clamps:
+        return []
+    away = norm(np.array([clamp.place for clamp in clamps])[:, None] - points)
+    return [clamps[k] for k in sorted(set(away.argmin(axis=0).tolist()))]

@@ -1,0 +1,196 @@
+"""Clamps: where two cables meet, and the nodes at which clamps divide their tension."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crms_fenicsx.cabling.cables.bonding import bonded_nodes
+from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.model.cable_state import Crossing
+from crms_fenicsx.model.clamp import Clamp, ClampedParts
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import SAME_PLACE
+
+TOUCHING = 0.05
+"""Gap between crossing cables, relative to their segments there, up to which a clamp closes it:
+before equilibrium cables lie on cells that the others will fold."""
+
+OBLIQUE = 0.1
+"""Sine of the smallest angle of a crossing; below it cables run side by side."""
+
+
+@dataclass(frozen=True)
+class CablesMeeting:
+    """A place where two cables cross."""
+
+    place: Array  # (3,) midpoint between both (length)
+    gap: float  # distance of the cables (length)
+    reach: float  # mean length of the segments that cross (length)
+    at: tuple[float, float]  # fraction of each unstressed length up to there
+
+
+def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
+    """Crossings of two cables, in the order of the first one."""
+    (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
+    across = cross(u[:, None], v[None])
+    square = dot(across, across)
+    sizes = dot(u, u)[:, None] * dot(v, v)[None]
+    apart = y[None] - x[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = dot(cross(apart, v[None]), across) / square
+        t = dot(cross(apart, u[:, None]), across) / square
+        gap = np.abs(dot(apart, across)) / np.sqrt(square)
+        # Where they bend, cables that lie apart may do so beyond the ends of all parts there.
+        ends = [SAME_PLACE + gap / np.sqrt(dot(way, way)) for way in (u[:, None], v[None])]
+    inside = (-ends[0] <= s) & (s <= 1 + ends[0]) & (-ends[1] <= t) & (t <= 1 + ends[1])
+    found: list[CablesMeeting] = []
+    for i, j in np.argwhere(inside & (square > OBLIQUE**2 * sizes)):
+        along = [float(np.clip(share[i, j], 0.0, 1.0)) for share in (s, t)]
+        first, second = x[i] + along[0] * u[i], y[j] + along[1] * v[j]
+        place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2
+        at = _share(a, int(i), along[0]), _share(b, int(j), along[1])
+        found.append(CablesMeeting(place, float(norm(second - first)), reach, at))
+    kept: list[CablesMeeting] = []
+    for one in sorted(found, key=lambda one: one.gap):
+        near = max(1e-6 * one.reach, 2 * one.gap)
+        if one.gap < one.reach and all(norm(k.place - one.place) >= near for k in kept):
+            kept.append(one)
+    return sorted(kept, key=lambda one: one.at)
+
+
+def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
+    """Start points of a cable's segments between contacts, and segment vectors, (n, 3)."""
+    x = cable.positions[cable.contacts()]
+    return x[:-1], np.diff(x, axis=0)
+
+
+def _share(cable: LaidCable, i: int, t: float) -> float:
+    """Fraction of the unstressed length up to a place on segment i."""
+    sizes = norm(_straight_parts(cable)[1]) / (1 + cable.part_tensions / cable.cable.EA)
+    of = cable.parts_of(cable.contacts()[:-1])
+    own = of == of[i]
+    passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
+    clamps = floats(cable.parts.at) if cable.parts is not None and cable.parts.nodes else []
+    start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
+    return start + passed * (end - start)
+
+
+def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
+    """Unused name for a new clamp of two cables."""
+    taken, name = {clamp.name for clamp in clamps}, " x ".join(cables)
+    numbers = (f" ({k})" if k else "" for k in [0, *range(2, len(taken) + 3)])
+    return next(name + number for number in numbers if name + number not in taken)
+
+
+def with_clamps(
+    crossings: Sequence[Crossing], clamps: Sequence[Clamp], cables: Sequence[LaidCable]
+) -> list[Crossing]:
+    """Known crossings, with each clamp at the nearest one of its cables, or at a new one."""
+    number = {cable.name: c for c, cable in enumerate(cables)}
+    held = {clamp.name for clamp in clamps}
+    found = [
+        one if one.clamp is None or one.clamp in held else replace(one, clamp=None)
+        for one in crossings
+    ]
+    marked = {one.clamp for one in found}
+    for clamp in clamps:
+        if clamp.name in marked:
+            continue
+        c, d = (number[name] for name in clamp.cables)
+        lower, upper = sorted((c, d), key=lambda k: (cables[k].layer, k))
+        free = [
+            (float(norm(one.place - clamp.place)), k)
+            for k, one in enumerate(found)
+            if one.clamp is None and (one.lower, one.upper) == (lower, upper)
+        ]
+        if free:
+            k = min(free)[1]
+            found[k] = replace(found[k], clamp=clamp.name, separated=False)
+        else:
+            new = Crossing(lower, upper, (), (0, 0), clamp.place, (), clamp=clamp.name)
+            found.append(new)
+    return found
+
+
+def divide(
+    cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
+) -> tuple[Clamp, ...]:
+    """Divide taut cables at the nodes of their clamps and return the clamps at their current
+    places; clamps of slack cables have no effect."""
+    nodes: dict[str, dict[str, int]] = defaultdict(dict)
+    for cable in cables:
+        for k, node in enumerate(cable.nodes):
+            name = None if node.crossing is None else crossings[node.crossing].clamp
+            if name is not None:
+                nodes[name][cable.name] = k
+    by_name = {cable.name: cable for cable in cables}
+    for clamp in clamps:
+        if len(nodes[clamp.name]) < 2:
+            nodes[clamp.name] = _at_vertex(clamp, by_name)
+    for cable in cables:
+        shares = {
+            nodes[clamp.name][cable.name]: (
+                clamp.at[clamp.cables.index(cable.name)],
+                clamp.slip or 0.0,
+            )
+            for clamp in clamps
+            if cable.name in nodes[clamp.name]
+        }
+        if cable.bonds is not None:
+            bonds = zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True)
+            shares |= {k: (at, 0.0) for k, at in bonds}
+        own = sorted(shares.items())
+        cable.update(parts=_parts(cable, own))
+    return placed(cables, clamps)
+
+
+def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
+    """Clamps with the current places of those on taut cables."""
+    by_name = {cable.name: cable for cable in cables}
+    found = []
+    for clamp in clamps:
+        cable = by_name[clamp.cables[0]]
+        if cable.taut and cable.parts is not None and cable.parts.nodes:
+            k = cable.parts.nodes[int(np.argmin(np.abs(cable.parts.at - clamp.at[0])))]
+            clamp = replace(clamp, place=cable.positions[k].copy())
+        found.append(clamp)
+    return tuple(found)
+
+
+def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
+    """Nodes of two taut cables at the common vertex nearest to a clamp."""
+    a, b = (cables[name] for name in clamp.cables)
+    if not (a.taut and b.taut):
+        return {}
+    of_a, of_b = (
+        {c.nodes[k].point: k for k in c.contacts() if c.nodes[k].kind == "vertex"} for c in (a, b)
+    )
+    away = [
+        (float(norm(a.positions[k] - clamp.place)), k, of_b[point])
+        for point, k in of_a.items()
+        if point in of_b
+    ]
+    return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
+
+
+def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
+    """Parts of a cable between clamps (nodes, unstressed fractions, grips); None without any."""
+    old = cable.parts
+    if not own:
+        return None
+    nodes = tuple(k for k, _ in own)
+    at, grips = np.array([given for _, given in own]).T
+    shares, count = np.maximum.accumulate(at), len(own) + 1
+    if old is not None and np.array_equal(old.at, shares) and np.array_equal(old.grips, grips):
+        return replace(old, nodes=nodes)
+    force = np.full(count, cable.tension)
+    smoothing = cable.smoothing_length * np.diff([0.0, *shares, 1.0])
+    spent = 0.0 if old is None else old.dissipated
+    return ClampedParts(
+        shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent
+    )

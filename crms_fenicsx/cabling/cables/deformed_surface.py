@@ -1,0 +1,128 @@
+"""Current shape of the membrane as triangles, and the volume between two shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.energy.terms.pressure import gain, rim_of
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
+from crms_fenicsx.foundation.surface.polygons import Polygons, best_fan, fan_facets
+
+
+@dataclass(frozen=True)
+class FoldedShape:
+    """This rank's folded cells, cut along their cables."""
+
+    # (n, 3) current and stress-free positions (length): vertices by local degree of freedom, then
+    # cable points on edges of folded cells
+    points: Array
+    stress_free: Array
+    pieces: Polygons  # oriented as the membrane, with local cell numbers
+
+    @property
+    def cells(self) -> Integers:
+        """Local numbers of the folded cells, sorted, (n,)."""
+        return np.unique(self.pieces.cell)
+
+
+@dataclass(frozen=True)
+class CurrentSurface:
+    """This rank's part of the current surface."""
+
+    points: Array  # (n, 3) current positions of vertices and cable points (length)
+    stress_free: Array  # (n, 3) their stress-free positions
+    triangles: Integers  # (m, 3) corners as rows of `points`, oriented as the membrane
+    parents: Integers  # (m,) local number of the cell of each triangle
+    # (h, 2) triangle sides that are neither mesh edges nor folds, as rows of `points`
+    inner: Integers
+
+
+def folded_shape(net: CableNet) -> FoldedShape:
+    """Cut this rank's folded cells along taut cables. Not collective."""
+    membrane = net.membrane
+    places, stress_free = membrane.positions(), membrane.stress_free
+    if net.strip is None or not any(cable.taut for cable in net.cables):
+        none = np.zeros(0, dtype=np.int64)
+        return FoldedShape(places, stress_free, Polygons(np.zeros(1, dtype=np.int64), none, none))
+    from crms_fenicsx.cabling.cables.element_tables import CutCells
+    from crms_fenicsx.cabling.cables.numbering import CableNumbering
+    from crms_fenicsx.cabling.cables.points_on_edges import VERTEX
+
+    numbering = CableNumbering(net.cables, net.strip, membrane.u, net.nodes)
+    nodes, corners_of = numbering.nodes, net.strip.simplices.corners
+    numbers = len(places) + numbering.number
+    at_vertex = nodes.kind == VERTEX
+    numbers[at_vertex] = numbering.dofs[corners_of[numbering.on[at_vertex], 0]]
+    cells = CutCells(numbering)
+    cut = cells.pieces(np.arange(len(cells.rows)), numbering.dofs, numbers)
+    added, place = np.unique(cut.corners[cut.corners >= len(places)], return_inverse=True)
+    cut.corners[cut.corners >= len(places)] = len(places) + place
+    new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
+    for i, row in enumerate(numbering.first[added - len(places)]):
+        cable, k = net.cables[nodes.cable[row]], int(nodes.place[row])
+        share = float(np.clip(cable.fractions[k], 0.0, 1.0))  # not beyond the edge's ends
+        vertices, weights = cable.nodes[k].interpolation(None if np.isnan(share) else share)
+        new[i] = cable.positions[k]
+        new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
+    pieces = Polygons(cut.starts, cut.corners, net.strip.local[cells.rows[cut.cell]])
+    return FoldedShape(
+        np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
+    )
+
+
+def current_surface(net: CableNet) -> CurrentSurface:
+    """Triangulate this rank's part of the current membrane. Not collective."""
+    shape = folded_shape(net)
+    n = net.membrane.mesh.mesh.topology.index_map(2).size_local
+    plain = np.setdiff1d(np.arange(n), shape.cells)
+    triangles = [np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)]
+    parents = [plain]
+    inner: list[Integers] = [np.empty((0, 2), dtype=np.int64)]
+    starts, corners, cells = shape.pieces
+    for cell, polygon in zip(cells, np.split(corners, starts[1:-1]), strict=False):
+        fan = best_fan(shape.points, [int(k) for k in polygon])
+        triangles.append(fan)
+        parents.append(np.full(len(fan), cell))
+        inner.append(fan[1:, :2])
+    joined = map(np.concatenate, (triangles, parents, inner))
+    return CurrentSurface(shape.points, shape.stress_free, *joined)
+
+
+def gained_volume(net: CableNet) -> float:
+    """Volume between the stress-free and the current cells under pressure (length cubed), on which
+    a pressure p does the work p V. Collective."""
+    # With a rim that is held or slides in planes, this is the volume between the surfaces and the
+    # planes; otherwise it includes the volume swept by the rim as seen from the centre.
+    membrane = net.membrane
+    V, mesh = membrane.V, membrane.mesh.mesh
+    shape = folded_shape(net)
+    owned = mesh.topology.index_map(2).size_local
+    plain = membrane.pressed[:owned].copy()
+    plain[shape.cells] = False
+    cells = V.dofmap.list[:owned]
+    X, u = shape.stress_free - membrane.centre, shape.points - shape.stress_free
+    local = _volume_change(X, u, cells[plain]).sum()
+    starts, corners, cell = shape.pieces
+    pressed = np.flatnonzero(membrane.pressed[cell])
+    sizes = np.diff(starts)[pressed]
+    facets, weights = fan_facets(pointers(sizes), corners[runs(starts[pressed], sizes)])
+    # The pieces of a folded cell make up the cell when stress-free: their changes add up.
+    local += np.sum(weights * _volume_change(X, u, facets))
+    rim = rim_of(membrane)
+    local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
+    return float(membrane.comm.allreduce(float(local)))
+
+
+def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
+    """Change (n,) of the volumes between triangles and the origin, without cancellation."""
+    a, h = X[triangles], u[triangles]
+    d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
+    n0 = np.cross(d[:, 0], d[:, 1])
+    change = np.cross(d[:, 0], s[:, 1]) + np.cross(s[:, 0], d[:, 1]) + np.cross(s[:, 0], s[:, 1])
+    at, moved = a.mean(axis=1), h.mean(axis=1)
+    volume: Array = np.sum(moved * (n0 + change) + at * change, axis=1) / 6
+    return volume

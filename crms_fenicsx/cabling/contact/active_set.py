@@ -1,0 +1,254 @@
+"""Active set of a solve: cables in tension, contacts, crossings.
+
+It is updated from a solved state, and the solve repeated until nothing changes. Each member may
+change back and forth only a few times in a solve, so that it terminates.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.points_on_edges import NodeTable, fractions_of, positions_of
+from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.contact import lift_off as contact
+from crms_fenicsx.cabling.contact.free_spans import FreeSpans
+from crms_fenicsx.cabling.contact.lift_off import DEPTH, PULL, Polylines
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Booleans, flags, floats, ints
+from crms_fenicsx.foundation.surface.lines import gaps
+from crms_fenicsx.foundation.surface.points import Support
+from crms_fenicsx.model.cable_state import Crossing
+from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
+
+
+def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
+    """Numbers of the crossings where the upper cable pulls the lower one up."""
+    nodes = lines.nodes
+    at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
+    upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
+    free = [not one.separated and one.clamp is None for one in crossings]
+    together = np.array(free, dtype=bool)
+    number = nodes.crossing[at]
+    at = at[together[number] & (nodes.cable[at] == upper[number])]
+    pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
+    return set(ints(nodes.crossing[at[pulls > PULL]]))
+
+
+def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
+    """Numbers of the separated crossings whose cables would penetrate each other."""
+    apart = [number for number, crossing in enumerate(crossings) if crossing.separated]
+    pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]
+    cables = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
+    lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
+    normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
+    deep = gaps(lower, upper, normals) < -DEPTH * norm(lower[:, 1] - lower[:, 0])
+    return {apart[n] for n in np.flatnonzero(deep)}
+
+
+ContactKey = tuple[str, Support] | tuple[str, str]
+"""A cable and its place on the mesh, or the upper and lower of two crossing cables."""
+
+MAX_SWITCHES = 6
+"""Switches between slack and taut allowed for each cable in one solve."""
+
+
+class ContactMemory(Protocol):
+    """Contact history of the last load step."""
+
+    # released, settled: released contacts; those that then stay closed however the cable pulls
+    released: set[ContactKey]
+    settled: set[ContactKey]
+
+    def has_rested(self, cable: LaidCable) -> bool:
+        """Return whether a cable has not moved since the last load step."""
+
+
+class ActiveSet:
+    """Updates the active set of one solve.
+
+    Attributes: `only_lifted`: whether all changes of the last update are cables that lift off.
+    """
+
+    def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
+        self.net, self._memory = net, memory
+        self._switches: Counter[str] = Counter()
+        self._tried: set[str] = set()
+        """Cables already tried in tension."""
+        self._first_look, self.only_lifted = True, False
+        self._released, self._settled = (
+            (set(), set()) if memory is None else (memory.released, memory.settled)
+        )
+
+    def tighten(self) -> list[str]:
+        """Switch cables between slack and taut for their current lengths; return the changes in
+        words. Collective."""
+        return self._switch(self.net.strip_shape(), self._lines(), solved=False)
+
+    def update(self, shape: StripShape) -> list[str]:
+        """Update the active set from a solved state and return the changes in words."""
+        self.only_lifted = True
+        if self._first_look:
+            self._forget()
+        lines = self._lines()
+        changes = self._switch(shape, lines, solved=True) or self._contacts(shape, lines)
+        if not changes and self.net.crossings:
+            changes = self._crossings(shape, lines)
+        self.only_lifted &= len(changes) > 0
+        return changes
+
+    def _lines(self) -> Polylines:
+        return Polylines(self.net.nodes, positions_of(self.net.cables))
+
+    def _forget(self) -> None:
+        """Forget the contact history of cables that have moved; other contacts would recur."""
+        self._first_look = False
+        moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
+        for keys in (self._released, self._settled):
+            keys -= {key for key in keys if not moved.isdisjoint(key)}
+
+    def _rested(self, cable: LaidCable) -> bool:
+        """Whether a cable has not moved since the last load step."""
+        return self._memory is not None and self._memory.has_rested(cable)
+
+    def cycling_cable(self) -> str:
+        """Name of a cable that keeps switching between slack and taut; "" if none does."""
+        return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
+
+    def _switch(self, shape: StripShape, lines: Polylines, solved: bool) -> list[str]:
+        """Tighten slack cables that have become too short for their paths, slacken others.
+
+        Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
+        that it has folded and that bulge. It counts as taut if it is nearly tight on flat cells and
+        remains tight on folded ones, which is tried once per solve. A taut cable that would be
+        slack on flat cells is released first, so that the result does not depend on the load path;
+        not with axial friction, which is path-dependent.
+        """
+        changes: list[str] = []
+        lengths, flat = floats(lines.lengths), None
+        for c, cable in enumerate(self.net.cables):
+            if cable.cable.law == "step":
+                continue
+            if not cable.taut and cable.lifts_off:
+                contact.drape(cable, shape)
+            untried = cable.name not in self._tried and not self._rested(cable)
+            judged = solved and cable.taut
+            if judged and cable.parts is None:
+                taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
+            else:
+                taut = tight = cable.is_tight(nearly=untried and not judged)
+            if judged and tight and untried and cable.slides_freely and not cable.is_divided:
+                if flat is None:
+                    flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
+                taut = flat[c] > cable.L0
+            if taut == cable.taut:
+                continue
+            if taut or not tight:
+                self._tried.add(cable.name)
+            # A cable that slackens recovers its folds from the straight path.
+            cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
+            self._switches[cable.name] += 1
+            self.only_lifted = False
+            changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
+        return changes
+
+    def _contacts(self, shape: StripShape, lines: Polylines) -> list[str]:
+        """Release taut cables where they pull the membrane; close contacts that penetrate."""
+        net, nodes = self.net, lines.nodes
+        held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
+        may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
+        pulling = lines.released(shape, may)
+        released: dict[int, list[int]] = defaultdict(list)
+        for c, k in nodes.ids(pulling):
+            released[c].append(k)
+        # Cables in sleeves span holes of the membrane.
+        spanning = np.array([cable.taut and cable.lifted.any() for cable in net.cables], dtype=bool)
+        held |= spanning
+        off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
+        changes: list[str] = []
+        free = FreeSpans(net.cables, nodes, shape, held, folded=True)
+        for c in sorted({*released, *ints(off)}):
+            new = self._change(c, released[c], free)
+            if new:  # the cable folds other edges now, perhaps below other spans
+                free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
+            changes += new
+        return changes
+
+    def _change(self, c: int, released: Sequence[int], free: FreeSpans) -> list[str]:
+        """Release a cable at some nodes, and let it touch down under its spans."""
+        cable = self.net.cables[c]
+
+        def key(k: int) -> ContactKey:
+            return cable.name, cable.nodes[k].support
+
+        loose = [k for k in released if key(k) not in self._settled]
+        places = {}
+        if cable.lifted.any():
+            free.move(c)
+            places = free.captured(c, -DEPTH)
+            unclear = cable.slides_freely and not self._rested(cable)
+            if unclear and not loose and not places:
+                nearly = free.captured(c, contact.NEARLY)
+                # The folds around a vertex do not bulge up to the span where one was released.
+                keys = [key for key in self._released if key[0] == cable.name]
+                parted = {v for _, at in keys if not isinstance(at, str) for v in at}
+                places = {k: nearly[k] for k in nearly if parted.isdisjoint(cable.nodes[k].support)}
+        if loose:
+            contact.lift(cable, loose)
+        if places:
+            contact.touch(cable, places)
+            self.only_lifted = False
+        self._settled |= {key(k) for k in places} & self._released
+        self._released |= {key(k) for k in loose}
+        texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in loose]
+        return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _clamped(self, nodes: NodeTable) -> Booleans:
+        """Whether a clamp joins each node to another, (n,): these only lift off together."""
+        clamped = np.zeros(len(nodes.kind), dtype=bool)
+        for start, cable in zip(nodes.starts, self.net.cables, strict=False):
+            if cable.parts is not None:
+                clamped[start + np.array(cable.parts.nodes, dtype=np.int64)] = True
+        return clamped
+
+    def _covered(self, nodes: NodeTable) -> Booleans:
+        """Whether each node lies on a vertex that a higher cable touches too, (n,)."""
+        covered = np.zeros(len(nodes.kind), dtype=bool)
+        rows = np.flatnonzero((nodes.size == 1) & nodes.taut)
+        layers = [(self.net.cables[c].layer, c) for c in ints(nodes.cable[rows])]
+        vertices, touches = ints(nodes.support[rows, 0]), flags(~nodes.lifted[rows])
+        tops: dict[int, tuple[int, int]] = {}
+        for vertex, layer, touch in zip(vertices, layers, touches, strict=True):
+            if touch:
+                tops[vertex] = max(layer, tops.get(vertex, layer))
+        above = [tops.get(v, layer) > layer for v, layer in zip(vertices, layers, strict=True)]
+        covered[rows] = above
+        return covered
+
+    def _crossings(self, shape: StripShape, lines: Polylines) -> list[str]:
+        changes = []
+        net = self.net
+        pulled = parting(net.crossings, lines, shape)
+        joined = joining(net.crossings, lines, shape)
+        crossings = list(net.crossings)
+        for number, crossing in enumerate(net.crossings):
+            names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
+            # Key without place: a crossing may return in another cell than where it was separated.
+            if number in pulled and names not in self._settled:
+                crossings[number] = replace(crossing, separated=True)
+                self._released.add(names)
+                changes.append("{} lifts off {}".format(*names))
+            elif number in joined:
+                self.only_lifted = False
+                crossings[number] = replace(crossing, separated=False)
+                if names in self._released:
+                    self._settled.add(names)
+                changes.append("{} touches {}".format(*names))
+        net.crossings = tuple(crossings)
+        return changes

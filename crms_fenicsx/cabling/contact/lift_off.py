@@ -1,0 +1,208 @@
+"""Lift-off and recontact: where a cable touches the membrane, and its gap elsewhere.
+
+A cable lies on the outside of the membrane and can push, but not pull it. Where its tensions at a
+contact have an outward resultant, the contact is released and the cable passes straight above;
+where it would penetrate the membrane, it touches down again. No upper cable pulls a lower one up.
+
+Contacts released and restored in one solve stay closed, which prevents chattering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from crms_fenicsx.cabling.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
+from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap, under
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
+from crms_fenicsx.foundation.surface import lines
+from crms_fenicsx.foundation.surface.points import CellPoint
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
+
+COLLAPSED = 0.5
+"""Length of a chord, relative to that on unfolded cells, below which its cable is caught."""
+
+
+def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
+    """Cell size around a vertex or an edge (length)."""
+    return float(shape.normals_and_sizes([support])[1][0])
+
+
+PULL = 1e-6
+"""Outward force, relative to the tension, above which a contact is released."""
+DEPTH = 1e-6
+"""Depth below the membrane, relative to the cell size, at which a cable touches down."""
+NEARLY = 0.05
+"""Height above the membrane, relative to the cell size, up to which a cable may touch it once it
+has folded it, as folds bulge."""
+SUNK = 0.02
+"""Depth below the membrane, relative to the cell size, that exceeds any discretisation error."""
+
+
+def may_lift(cable: LaidCable) -> Iterator[int]:
+    """Nodes at which a cable may lift off: all but ends and crossings."""
+    for k, node in enumerate(cable.nodes[1:-1], start=1):
+        if not node.touches_cable:
+            yield k
+
+
+def is_foot(cable: LaidCable, k: int) -> bool:
+    """Whether a node is only the foot of an anchor, where no cable can touch."""
+    nodes = cable.nodes
+    in_cell = isinstance(nodes[k].point, CellPoint)
+    return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
+
+
+class Polylines:
+    """Cables as polylines through their contacts with the membrane, each other and anchors."""
+
+    def __init__(self, nodes: NodeTable, positions: Array) -> None:
+        self.nodes, self.positions = nodes, positions
+        self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of the contacts
+        self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
+        self._x = positions[self.contacts]
+        self._arc = lines.arc_lengths(self._x, self._starts)
+
+    @classmethod
+    def of(cls, cables: Sequence[LaidCable]) -> Polylines:
+        """The polylines of some cables."""
+        return cls(NodeTable.of(cables), positions_of(cables))
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the cables, (n,)."""
+        return self._arc[self._starts[1:] - 1]
+
+    def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
+        """`outward_pulls` of contacts given by their rows."""
+        nodes = self.nodes
+        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0))[self.contacts]
+        ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
+        at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
+        return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))
+
+    def released(self, shape: StripShape, chosen: Booleans) -> Integers:
+        """Rows of the chosen nodes (n,) at which cables pull the membrane outward."""
+        nodes = self.nodes
+        may = chosen & ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
+        may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
+        on = np.flatnonzero(may)
+        around = shape.around(nodes.on(shape.strip.simplices)[on])
+        beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
+        feet = (nodes.size[on] == 3) & beside
+        return on[(self.pulls(on, *around) > PULL) | feet]
+
+    def straight_parts(self, cables: Integers, links: Integers) -> Array:
+        """Ends (m, 2, 3) of segments of `cables` (m,) after `links` (m,), crossings not counted."""
+        nodes, contacts = self.nodes, self.contacts
+        own = np.flatnonzero(nodes.kind != CROSSING)
+        at = np.searchsorted(own, nodes.starts[cables]) + links
+        first = contacts[np.searchsorted(contacts, own[at], side="right") - 1]
+        last = contacts[np.searchsorted(contacts, own[at + 1])]
+        return np.stack([self.positions[first], self.positions[last]], axis=1)
+
+    def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
+        """Lengths (n,) of the cables on unfolded cells (length)."""
+        own, places = self._flat_places(shape, fractions)
+        starts = np.searchsorted(own, self.nodes.starts)
+        return np.asarray(lines.arc_lengths(places, starts)[starts[1:] - 1])
+
+    def collapsed(self, shape: StripShape, fractions: Array) -> set[int]:
+        """Numbers of the cables with a chord between two edges that is much shorter than on
+        unfolded cells: the edges are bent towards each other."""
+        nodes = self.nodes
+        own, places = self._flat_places(shape, fractions)
+        on_edge = nodes.size[own] == 2
+        chords = on_edge[1:] & on_edge[:-1] & (nodes.cable[own[1:]] == nodes.cable[own[:-1]])
+        now, flat = (norm(np.diff(x, axis=0)) for x in (self.positions[own], places))
+        return set(ints(nodes.cable[own[1:]][chords & (now < COLLAPSED * flat)]))
+
+    def _flat_places(self, shape: StripShape, fractions: Array) -> tuple[Integers, Array]:
+        """Rows of the contacts (m,) and their places on unfolded cells (m, 3)."""
+        nodes, simplices = self.nodes, shape.strip.simplices
+        own = self.contacts[nodes.kind[self.contacts] != CROSSING]
+        on, weights, s = nodes.on(simplices)[own], nodes.weights[own].copy(), fractions[own]
+        slides = (nodes.size[own] == 2) & ~np.isnan(s)
+        weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
+        places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
+        return own, np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
+
+
+def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
+    """Outward force (n,) of the cable at `nodes` (n,) along `normals` (n, 3), relative to the
+    tension; -1 where the cable lies on its anchor or on another cable. Points close together, as
+    around a vertex, share one contact: the turn is taken between the distances `reaches` (n,)
+    before and after the node, excluding that at a crossing, where another cable presses."""
+    return Polylines.of([cable]).pulls(np.asarray(nodes, dtype=np.int64), normals, reaches)
+
+
+def released(cable: LaidCable, shape: StripShape) -> list[int]:
+    """Nodes at which the cable pulls the membrane outward."""
+    if not cable.lifts_off:
+        return []
+    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
+
+
+def captured(cable: LaidCable, shape: StripShape, height: float = -DEPTH) -> dict[int, Gap]:
+    """Nodes where a free span penetrates the membrane, or is lower than a `height` relative to the
+    cell size, with the contact points; for a cable alone. Moves the lifted nodes onto their span.
+    """
+    every = np.ones(1, dtype=bool)
+    free = FreeSpans([cable], NodeTable.of([cable]), shape, every)
+    free.move(0)
+    return free.captured(0, height)
+
+
+def sunk(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> set[int]:
+    """Numbers of cables with a span deep below the membrane beside a vertex, beyond the ends of the
+    path's edges, so that none can stop it; perhaps far beyond, if the span ends at another cable
+    and their crossing has slid out of its cell."""
+    may = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
+    free = FreeSpans(cables, nodes, shape, may, reach=np.inf)
+    found = set()
+    for n in np.flatnonzero((free.past >= 0) & (free.heights < -SUNK * free.sizes)):
+        # The span passes the line of a nearly parallel edge far away: check at the vertex.
+        first, last = free.ends[n]
+        place = under((int(free.past[n]),), (first, last), shape)
+        if place.gap < -SUNK * free.sizes[n]:
+            found.add(int(nodes.cable[free.rows[n]]))
+    return found
+
+
+def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
+    """Release a cable's contacts at some nodes."""
+    lifted = cable.lifted.copy()
+    lifted[nodes] = True
+    cable.update(lifted=lifted)
+
+
+def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
+    """Restore a cable's contacts at some nodes."""
+    lifted, positions, fractions = (
+        array.copy() for array in (cable.lifted, cable.positions, cable.fractions)
+    )
+    for k, place in places.items():
+        lifted[k] = False
+        positions[k] = place.place
+        if cable.nodes[k].slides:
+            fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+    cable.update(lifted=lifted, positions=positions, fractions=fractions)
+
+
+def drape(cable: LaidCable, shape: StripShape) -> None:
+    """Find the contacts of a cable pulled over the membrane as a rigid surface."""
+    for _ in range(len(cable.nodes) + 1):
+        free = released(cable, shape)
+        lift(cable, free)
+        places = {} if free else captured(cable, shape)
+        touch(cable, places)
+        positions = cable.positions.copy()
+        for k in places:  # a slack cable is not solved: put the point where its fraction says
+            positions[k] = shape.mean(*cable.interpolation(k))
+        cable.update(positions=positions)
+        if not free and not places:
+            return

@@ -1,0 +1,251 @@
+"""Trial configurations at crossings, accepted if they lower the energy.
+
+Two cables that press each other into the membrane have several nearby minima of energy, in which no
+vertex holds a cable: a cable passes a vertex on one side or the other; two cables cross an edge
+beside their crossing at one point or at two; and a contact beside a span is closed, as the cable
+has folded the membrane there, or open. The load path picks one; the energies tell the equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from crms_fenicsx.cabling.contact.active_set import ContactKey
+from crms_fenicsx.cabling.contact.contact_force import forces_at
+from crms_fenicsx.cabling.contact.free_spans import Gap
+from crms_fenicsx.cabling.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
+from crms_fenicsx.cabling.paths.clamp_release import beside_vertices, put_onto
+from crms_fenicsx.cabling.paths.held_vertices import VertexRun
+from crms_fenicsx.cabling.paths.path_change import PathChange
+from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
+from crms_fenicsx.cabling.paths.vertex_passing import pass_run
+from crms_fenicsx.foundation.surface.points import Edge
+from crms_fenicsx.model.cable_state import Crossing
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
+
+FEW = 4
+"""Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
+of energy far below the mesh error; taking some of them makes tensions jump between loads."""
+
+MOST = 12
+"""Limit of trials in one load step."""
+
+NEAR = 0.05
+"""Fraction of an edge from a vertex within which a sliding cable may pass it on the other side."""
+
+LOW = 0.125
+"""Height above the membrane, relative to the cell size, up to which a cable may touch it."""
+
+LIGHT = 0.04
+"""Turn of the cable (rad) at a contact up to which this may be open instead."""
+
+BENT = 0.1
+"""Turn of a cable within the membrane (rad) above which a kink of an edge holds it."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """An alternative configuration of some cables."""
+
+    cable: int  # one of them, by number
+    key: WayKey  # identifies it while the cable does not move
+    take: Callable[[], bool]  # moves the cables; returns whether that is possible
+
+
+class CrossingTrials:
+    """Trials of one load step."""
+
+    def __init__(self, change: PathChange, tried: TriedPaths) -> None:
+        self.change, self.tried, self.net = change, tried, change.net
+        self._left = MOST
+        self._last: tuple[str, WayKey]  # trial to accept or to reject
+        self._excess: dict[tuple[str, WayKey], float] = {}  # of rejected trials (force x length)
+        self._contacts = set(tried.released), set(tried.settled)
+
+    def next(self) -> bool:
+        """Move cables to an untried configuration; return whether there is one. Collective."""
+        ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
+        if 0 < len(self.net.crossings) <= FEW:
+            ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
+        self._contacts = set(self.tried.released), set(self.tried.settled)
+        for way in ways:
+            known = self.tried.ways.setdefault(self.net.cables[way.cable].name, set())
+            if way.key not in known:
+                known.add(way.key)  # also beyond the limit: repeating the load starts no others
+                if self._left > 0 and way.take():
+                    self._left -= 1
+                    self._last = self.net.cables[way.cable].name, way.key
+                    return True
+        return False
+
+    def accept(self, gain: float) -> None:
+        """Accept a trial, perhaps another's, that lowers the energy by `gain` (force x length). Of
+        those before, only the ones whose energy was too high by less may be worth another try."""
+        self._excess = {way: excess - gain for way, excess in self._excess.items() if excess > gain}
+        for name in self.tried.ways:
+            self.tried.ways[name] = {key for one, key in self._excess if one == name}
+
+    def reject(self, excess: float) -> None:
+        """Reject the trial, whose energy is too high by `excess` (force x length), and restore the
+        contact history before it."""
+        self._excess[self._last] = excess
+        tried = self.tried
+        for now, before in zip((tried.released, tried.settled), self._contacts, strict=True):
+            now.clear()
+            now |= before
+
+    def _crossed(self) -> list[int]:
+        """Numbers of freely sliding cables that cross others."""
+        members = {c for one in self.net.crossings for c in (one.lower, one.upper)}
+        return [c for c in sorted(members) if self._is_free(self.net.cables[c])]
+
+    @staticmethod
+    def _is_free(cable: LaidCable) -> bool:
+        return cable.taut and cable.slides_freely and not cable.keeps_line
+
+    def _clamps(self) -> Iterator[Way]:
+        """Clamps beside vertices, moved onto these."""
+        for vertex, cables in beside_vertices(self.change):
+
+            def take(vertex: int = vertex, cables: list[LaidCable] = cables) -> bool:
+                return put_onto(self.change, cables, vertex)
+
+            key = ("clamp", cables[1].name, (vertex,), False)
+            yield Way(self.net.cables.index(cables[0]), key, take)
+
+    def _sides(self) -> Iterator[Way]:
+        """Vertices passed on the other side, the nearest first."""
+        found = []
+        for c in self._crossed():
+            cable = self.net.cables[c]
+            fractions = np.where(cable.lifted, np.nan, cable.fractions)
+            away = np.minimum(fractions, 1 - fractions)
+            nearest: dict[int, float] = {}
+            for k in np.flatnonzero(away < NEAR):
+                if cable.nodes[k].slides:
+                    vertex = cable.nodes[k].support[int(fractions[k] > 0.5)]
+                    nearest[vertex] = min(nearest.get(vertex, NEAR), float(away[k]))
+            found += [(near, c, vertex) for vertex, near in nearest.items()]
+        for _, c, vertex in sorted(found):
+
+            def take(c: int = c, vertex: int = vertex) -> bool:
+                # No change on the side where the cable already is.
+                runs = (VertexRun((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
+                return any(pass_run(self.change, c, run) for run in runs)
+
+            yield Way(c, ("side", "", (vertex,), False), take)
+
+    def _exchanges(self) -> Iterator[Way]:
+        """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
+        for crossing, edge, nodes in self._shared_edges():
+            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            apart = BEYOND / 2 if first > second else -BEYOND / 2
+            middle = (first + second) / 2
+            take = partial(self._put, nodes, edge, (middle - apart, middle + apart))
+            yield Way(crossing.lower, ("exchange", nodes[1][0].name, edge, first > second), take)
+
+    def _apart(self) -> Iterator[Way]:
+        """Edges that both cables of a clamp cross nearly at one point, which the penalty lets kink,
+        made straight again, with both points where straight cables would cross them."""
+        shape = self.net.strip_shape()
+        for crossing, edge, nodes in self._shared_edges():
+            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            if crossing.clamp is None or abs(first - second) > NEAR:
+                continue
+            pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
+            if all(abs(lateral) > BENT * tension for lateral, tension in pulls):
+                take = partial(self._put, nodes, edge, [self._straight(edge, *n) for n in nodes])
+                yield Way(crossing.lower, ("apart", nodes[1][0].name, edge, first > second), take)
+
+    def _shared_edges(self) -> Iterator[tuple[Crossing, Edge, list[tuple[LaidCable, int]]]]:
+        """Edges next to crossings that both cables cross, with both nodes."""
+        for crossing in self.net.crossings:
+            pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
+            if crossing.separated or not all(map(self._is_free, pair)):
+                continue
+            lower, upper = crossing.between[:2], crossing.between[2:]
+            for edge in ((e[0], e[1]) for e in lower if len(e) == 2 and e in upper):
+                at = [_node_on(cable, edge) for cable in pair]
+                nodes = [(cable, k) for cable, k in zip(pair, at, strict=True) if k is not None]
+                if len(nodes) == 2:
+                    yield crossing, edge, nodes
+
+    def _straight(self, edge: Edge, cable: LaidCable, k: int) -> float:
+        """Fraction of an unkinked edge at which the cable would be straight."""
+        first, last = (self.change.surface(edge).shape.at(vertex) for vertex in edge)
+        along = last - first
+        sides = cable.positions[[k - 1, k + 1]] - first
+        s = sides @ along / (along @ along)
+        away = np.linalg.norm(sides - s[:, None] * along, axis=1)
+        return float(np.clip(s @ away[::-1] / away.sum(), NEAR, 1 - NEAR))
+
+    def _put(
+        self, nodes: Sequence[tuple[LaidCable, int]], edge: Edge, places: Sequence[float]
+    ) -> bool:
+        """Move nodes along their edge, to fractions."""
+        surface = self.change.surface(edge)
+        for (cable, k), fraction in zip(nodes, places, strict=True):
+            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            positions[k], fractions[k] = surface.place(edge, fraction), fraction
+            cable.update(positions=positions, fractions=fractions)
+        return True
+
+    def _open(self) -> Iterator[Way]:
+        """Contacts beside spans, opened, those of least pressure first."""
+        shape = self.net.strip_shape()
+        found = []
+        for c in self._crossed():
+            cable = self.net.cables[c]
+            off = cable.lifted
+            on = [k for k in may_lift(cable) if not off[k] and (off[k - 1] or off[k + 1])]
+            if on and cable.lifts_off:
+                around = shape.normals_and_sizes([cable.nodes[k].support for k in on])
+                presses = -outward_pulls(cable, on, *around)
+                found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
+        for press, c, k in sorted(found):
+            cable = self.net.cables[c]
+            key = cable.name, cable.nodes[k].support
+
+            def take(cable: LaidCable = cable, k: int = k, key: ContactKey = key) -> bool:
+                lift(cable, [k])
+                self.tried.released.add(key)
+                return True
+
+            if press < LIGHT:
+                yield Way(c, ("open", *key, False), take)
+
+    def _closed(self) -> Iterator[Way]:
+        """Contacts at ends of spans, closed, the lowest above the membrane first."""
+        shape = self.net.strip_shape()
+        found = []
+        for c in self._crossed():
+            cable = self.net.cables[c]
+            off = cable.lifted
+            if not off.any():
+                continue
+            for k, gap in captured(cable, shape, LOW).items():
+                if not (off[k - 1] and off[k + 1]):
+                    found.append((gap.gap, c, k, gap))
+        for _, c, k, gap in sorted(found, key=lambda one: one[:3]):
+            cable = self.net.cables[c]
+            key = cable.name, cable.nodes[k].support
+
+            def take(
+                cable: LaidCable = cable, k: int = k, gap: Gap = gap, key: ContactKey = key
+            ) -> bool:
+                touch(cable, {k: gap})
+                self.tried.released.discard(key)
+                return True
+
+            yield Way(c, ("closed", *key, False), take)
+
+
+def _node_on(cable: LaidCable, edge: Edge) -> int | None:
+    """The only sliding contact of a cable on an edge; None if there is not exactly one."""
+    at = [k for k, node in enumerate(cable.nodes) if node.slides and node.support == edge]
+    return at[0] if len(at) == 1 and not cable.lifted[at[0]] else None

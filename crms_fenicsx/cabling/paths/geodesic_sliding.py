@@ -1,0 +1,375 @@
+"""Geodesic sliding of cables without friction.
+
+A taut cable without friction lies along a geodesic of the current, folded surface. Instead of
+moving it over one vertex per equilibrium, its path is pulled taut on the current shape and tried:
+it is kept if the energy falls, else half of the flips are tried. No path is tried twice.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence, Set
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.contact.lift_off import drape
+from crms_fenicsx.cabling.contact.span_projection import (
+    Projected,
+    loose_crossings,
+    with_span_projections,
+)
+from crms_fenicsx.cabling.paths.creased_surface import CreasedSurface, FoldPoints
+from crms_fenicsx.cabling.paths.path_change import (
+    PathChange,
+    is_crossed,
+    lifted_runs,
+    shortened,
+    slid_off,
+    vertices_near,
+)
+from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.foundation.meshes.triangles import closest
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.work_sharing import share_out
+from crms_fenicsx.foundation.surface.corridor import Corridor, corridor, why_invalid
+from crms_fenicsx.foundation.surface.flip_geodesic import FlippedPath, shorten
+from crms_fenicsx.foundation.surface.intrinsic import MissingCells
+from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint, VertexPoint
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
+
+Result = TypeVar("Result")
+
+CLAMP_INSIDE = 1e-6
+"""Least weight of a corner of a clamp's cell."""
+
+GRIP = 0.05
+"""Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
+has pressed a crease into the membrane."""
+
+
+@dataclass(frozen=True)
+class _Pulled:
+    """Result of pulling a path taut."""
+
+    points: list[SurfacePoint]  # of the new path; empty if unchanged
+    lifted: list[bool]  # whether each is lifted
+    flips: int  # number of vertices passed
+    followed: list[tuple[Corridor, bool]]  # see `GeodesicSliding._note`
+
+
+class GeodesicSliding:
+    """Pulls the paths of the cables taut."""
+
+    def __init__(self, change: PathChange, tried: TriedPaths) -> None:
+        self.change, self.tried, self.net = change, tried, change.net
+        self._followed: set[Corridor] = set()
+        """Corridors without anchors known to be valid, on any shape."""
+
+    def straighten(self) -> bool:
+        """Pull the paths of new taut cables taut, and return whether there are any. Collective.
+        On bad paths these would cut into the membrane and prevent convergence."""
+        fresh = [
+            cable
+            for cable in self.net.cables
+            if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
+            if cable.parts is None  # clamps may hold it in bends
+        ]
+        if not fresh:
+            return False
+        others = [cable for cable in self.net.cables if cable not in fresh]
+        for cable in fresh:
+            cable.update(lifted=cable.lifted & False)
+        self._slide(fresh, folded_by=others, fresh=True)
+        shape = self.net.strip_shape()
+        for cable in fresh:
+            if cable.lifts_off:
+                drape(cable, shape)
+            # Pulled taut, the cable may turn out too long for its path: slack.
+            taut = cable.is_tight(nearly=True)
+            cable.update(taut=taut, path_is_geodesic=taut)
+        return True
+
+    def lay_again(self, numbers: Set[int]) -> None:
+        """Make `straighten` reset the fold points of cables, by number, to straight edges."""
+        for c in numbers:
+            self.net.cables[c].update(path_is_geodesic=False)
+
+    def renew_projections(self, shape: StripShape) -> list[str]:
+        """Move paths of lifted parts below their spans; return the changes in words. Collective."""
+        loose = loose_crossings(self.net.cables)
+        while True:
+            renewed = self._projections(shape, loose)
+            changed = {
+                cable
+                for cable, (points, lifted, _) in renewed.items()
+                if corridor(points) != corridor(cable.path.points)
+                or lifted != cable.lifted[cable.path_nodes()].tolist()
+            }
+            pairs = {n: self._crossed((n,)) for n in loose}
+            # Only with both of its cables does a crossing move to another cell.
+            moved = {n for n, pair in pairs.items() if pair <= renewed.keys() and pair & changed}
+            stuck = {n for n in loose - moved if pairs[n] & renewed.keys()}
+            if not stuck:
+                break
+            loose -= stuck
+        for cable, (points, lifted, surface) in renewed.items():
+            self.change.replace(cable, points, lifted, surface)
+        return [f"{cable.name} hangs over other cells" for cable in renewed]
+
+    def _crossed(self, crossings: Iterable[int]) -> set[LaidCable]:
+        """Cables of crossings, given by number."""
+        some = (self.net.crossings[n] for n in crossings)
+        return {self.net.cables[c] for one in some for c in (one.lower, one.upper)}
+
+    def _projections(
+        self, shape: StripShape, loose: Set[int]
+    ) -> dict[LaidCable, tuple[list[SurfacePoint], list[bool], CreasedSurface]]:
+        """Updated paths with their surfaces, of cables whose projections change. Collective."""
+        crossed = self._crossed(loose)
+        off = [
+            cable
+            for cable in self.net.cables
+            if cable in crossed or (cable.taut and cable.lifted.any())
+        ]
+
+        def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:
+            return lambda cable: with_span_projections(cable, on, loose)
+
+        renewed = {}
+        for cable, found in zip(off, self._for_each(off, projected, shape), strict=True):
+            if found is None:
+                continue
+            points, lifted = found
+            surface = self.change.surface([v for point in points for v in point.support])
+            # A span that folds back over its own touchdown keeps its old projection.
+            invalid = why_invalid(corridor(points), surface.opposite_vertices)
+            if invalid and cable in crossed:
+                # Beside a crossing that has slid into another cell this touchdown is off the path.
+                high = {p.support: p for p, is_off in zip(points, lifted, strict=True) if is_off}
+                points, lifted = shortened(points, high.keys(), surface.strip.outer_cells)
+                points = [high.get(point.support, point) for point in points]
+                invalid = why_invalid(corridor(points), surface.opposite_vertices)
+            if not invalid:
+                renewed[cable] = points, lifted, surface
+        return renewed
+
+    def check_on_membrane(self) -> None:
+        """Raise an error if a cable has slid off the membrane. Collective."""
+        for cable in self.net.cables:
+            nodes = [cable.nodes[k] for k in cable.contacts()]
+            places = [set(node.point.support) for node in nodes if node.point is not None]
+            if not cable.taut or not places or len(cable.blocked) < len(places):
+                continue
+            common = set.intersection(*places)
+            surface = self.change.surface(sorted(common))
+            for vertex in common:
+                if surface.is_boundary((vertex,)):
+                    raise slid_off(cable, surface.shape.at(vertex))
+
+    def slide(self, max_flips: int | None = None) -> int:
+        """Pull the paths of all taut cables taut on the current surface. Collective. Returns the
+        largest number of vertices passed by one cable; 0 if no path has changed."""
+        self.tried.forget_moved(self.net.cables)
+        free = [
+            cable
+            for cable in self.net.cables
+            if cable.taut and _leaves_cells(cable) and self.tried.uses_geodesic(cable)
+        ]
+        return self._slide(free, max_flips) if free else 0
+
+    def _slide(
+        self,
+        cables: Sequence[LaidCable],
+        max_flips: int | None = None,
+        folded_by: Sequence[LaidCable] | None = None,
+        fresh: bool = False,
+    ) -> int:
+        folds = self.change.folds()
+        if folded_by is not None:
+            folds = FoldPoints.of(folded_by)
+        pulled = self._pull_all(cables, folds, max_flips, fresh)
+        surface = CreasedSurface(self.net.strip_shape(), folds)
+        most = 0
+        for cable, new in zip(cables, pulled, strict=True):
+            self._note(cable, new.followed)
+            if new.flips or fresh:
+                self.change.replace(cable, new.points, new.lifted, surface)
+                most = max(most, new.flips)
+        if most or fresh:
+            nodes = [node.point for cable in cables for node in cable.nodes]
+            self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
+        return most
+
+    def _pull_all(
+        self,
+        cables: Sequence[LaidCable],
+        folds: FoldPoints,
+        max_flips: int | None,
+        fresh: bool,
+    ) -> list[_Pulled]:
+        """Pull paths taut. Collective."""
+
+        def pulled(on: StripShape) -> Callable[[LaidCable], _Pulled]:
+            surface = CreasedSurface(on, folds)
+            return lambda cable: self._pulled(cable, surface, max_flips, fresh)
+
+        return self._for_each(cables, pulled, self.net.strip_shape())
+
+    def _for_each(
+        self,
+        cables: Sequence[LaidCable],
+        work_on: Callable[[StripShape], Callable[[LaidCable], Result]],
+        shape: StripShape,
+    ) -> list[Result]:
+        """Results for cables, each worked out on one rank, growing the strip as needed. `work_on`
+        returns what is to be done on a shape. Collective."""
+        found: dict[int, Result] = {}
+        for rings in itertools.count(1):
+            work = work_on(shape)
+
+            def done(c: int, work: Callable[[LaidCable], Result] = work) -> Result | MissingCells:
+                try:
+                    return work(cables[c])
+                except MissingCells as missing:
+                    return missing
+
+            pending = [c for c in range(len(cables)) if c not in found]
+            lacking: set[int] = set()
+            new = share_out(self.net.membrane.comm, pending, done)
+            for c, result in zip(pending, new, strict=True):
+                if isinstance(result, MissingCells):
+                    lacking.update(result.vertices)
+                else:
+                    found[c] = result
+            if not lacking:
+                break
+            self.net.grow_strip(sorted(lacking), rings)
+            shape = self.net.strip_shape()
+        return [found[c] for c in range(len(cables))]
+
+    def _note(self, cable: LaidCable, followed: Sequence[tuple[Corridor, bool]]) -> None:
+        """Record the corridors in which a cable was pulled taut, and those valid on any shape."""
+        self.tried.refused.setdefault(cable.name, set()).update(way for way, _ in followed)
+        self._followed.update(way for way, always in followed if always)
+
+    def _pulled(
+        self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
+    ) -> _Pulled:
+        """Pull one path taut."""
+        on_path, parts = cable.path_nodes(), _between_clamps(cable, surface.shape)
+        path = _old_points(cable, on_path, [run for _, run, _ in parts])
+        refused = set(self.tried.refused.get(cable.name, ()))
+        held_at, n = None, self.change.n_vertices
+        if is_crossed(cable) and not fresh:
+            visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
+            left = {v for _, *vertices in self.tried.left.get(cable.name, ()) for v in vertices}
+            held_at = visited | vertices_near(cable, BEYOND) - left
+        pulled: dict[range, Callable[[], Sequence[SurfacePoint]]] = {}
+        passed = 0
+        followed: list[tuple[Corridor, bool]] = []
+        for is_off, run, clamps in parts:
+            if not is_off:
+                new = path[run.start : run.stop]
+                # Pulled taut between clamps, adjacent lifted points, or anchors.
+                before, after = self.change.beyond(cable, surface, path, run)
+                before = before if clamps[0] is None else clamps[0]
+                after = after if clamps[1] is None else clamps[1]
+                joined = self.change.with_anchors(cable, surface)
+                string = [*before, *new, *after]
+                given = corridor(string)
+                fits = self._may_lie(given, joined)
+                if not fits and len(string) > len(new):  # a span folds back over its own touchdown
+                    before, after, string, given = [], [], new, corridor(new)
+                    fits = self._may_lie(given, joined)
+                if fits and len(string) > 2:
+                    refused.add(given)
+                    pulls = held_at is None or bool(held_at)
+                    at_anchor = any(max(support) >= n for support in (given[0], given[-1]))
+                    followed.append((given, pulls and not at_anchor))
+                    if pulls:  # otherwise it flips over no vertex
+                        result = shorten(
+                            string, joined, refused=refused, max_flips=max_flips,
+                            grip=GRIP if fresh else 0.0, held_at=held_at,
+                            checked=given in self._followed,
+                        )  # fmt: skip
+                        passed += len(result.flips)
+                        pulled[run] = partial(_without_ends, result, len(before), len(after))
+        points: list[SurfacePoint] = []
+        lifted: list[bool] = []
+        if passed or fresh:
+            for is_off, run, _ in parts:
+                own = partial(cable.points, on_path[run.start : run.stop])
+                points += pulled.get(run, own)()
+                lifted += [is_off] * (len(points) - len(lifted))
+            if len(points) < 2 or any(max(point.support) >= n for point in points):
+                raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
+        return _Pulled(points, lifted, passed, followed)
+
+    def _may_lie(self, given: Corridor, surface: CreasedSurface) -> bool:
+        """Whether a cable can follow a corridor."""
+        return given in self._followed or why_invalid(given, surface.opposite_vertices) is None
+
+
+def _old_points(
+    cable: LaidCable, on_path: Sequence[int], parts: Sequence[range]
+) -> list[SurfacePoint]:
+    """Points of a path, in their current places at the ends of its parts: elsewhere only their
+    edges count."""
+    path = [point for k in on_path if (point := cable.nodes[k].point) is not None]
+    ends = [i for part in parts for i in (part.start, part.stop - 1)]
+    for i, point in zip(ends, cable.points([on_path[i] for i in ends]), strict=True):
+        path[i] = point
+    return path
+
+
+def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
+    """The points of a path without its first and last ones."""
+    return path.points[first : len(path.points) - last]
+
+
+def _leaves_cells(cable: LaidCable) -> bool:
+    """Whether a cable slides into other cells by the membrane's shape alone."""
+    return cable.slides_freely and not cable.keeps_line
+
+
+Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
+"""Clamps beyond both ends of a path's part; empty if an end is itself a clamp, None without."""
+
+
+def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
+    """Lifted and other parts of a path between clamps."""
+    if cable.parts is None:
+        return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
+    on_path = cable.path_nodes()
+    # clamps by the index of the path's first point after them, except where the cable follows an
+    # edge between two of its vertices: these cannot be ends
+    at: dict[int, SurfacePoint] = {}
+    for k in cable.parts.nodes:
+        point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
+        if cable.nodes[k].kind != "crossing":
+            at[after + 1] = cable.point(k)
+        elif isinstance(point, CellPoint):
+            at[after] = _place_in_cell(point, cable.positions[k], shape)
+    found: list[tuple[bool, range, Ends]] = []
+    for is_off, run in lifted_runs(cable):
+        cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
+        for a, b in itertools.pairwise(cuts):
+            before: list[SurfacePoint] | None = [at[a]] if a in at else None
+            ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
+            if ahead is not None and not isinstance(ahead[0], CellPoint):
+                ahead = []  # the part includes it as its last point
+            found.append((is_off, range(a, b), (before, ahead)))
+    return found
+
+
+def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
+    """The point of a cell nearest to a position (3,)."""
+    corners = np.array([shape.at(vertex) for vertex in point.cell])
+    weights = np.maximum(closest(corners[None], position)[0][0], CLAMP_INSIDE)
+    a, b, c = (weights / weights.sum()).tolist()
+    return CellPoint(point.cell, (a, b, c))

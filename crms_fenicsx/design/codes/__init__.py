@@ -1,0 +1,53 @@
+"""Loads by codes: snow and wind for `Scene.put_load` and `Scene.put_wind`, load combinations.
+
+Recommended values of EN 1990, EN 1991-1-3 and EN 1991-1-4, and ASCE 7, each with its clause;
+national annexes may differ.
+"""
+
+from crms_fenicsx.design.codes.combinations import (
+    CombinationRules,
+    asce7,
+    asce7_16,
+    asce7_22,
+    combinations,
+    en1990,
+)
+from crms_fenicsx.design.codes.snow import (
+    CylindricalSnow,
+    DriftedSnow,
+    DuopitchSnow,
+    PitchedSnow,
+    snow_load,
+    snow_on_pitch,
+)
+from crms_fenicsx.design.codes.wind import (
+    ArchWind,
+    CanopyWind,
+    asce7_arch_zones,
+    canopy,
+    dome,
+    en1991_vault_zones,
+    vault,
+)
+
+__all__ = [
+    "ArchWind",
+    "CanopyWind",
+    "CombinationRules",
+    "CylindricalSnow",
+    "DriftedSnow",
+    "DuopitchSnow",
+    "PitchedSnow",
+    "asce7",
+    "asce7_16",
+    "asce7_22",
+    "asce7_arch_zones",
+    "canopy",
+    "combinations",
+    "dome",
+    "en1990",
+    "en1991_vault_zones",
+    "snow_load",
+    "snow_on_pitch",
+    "vault",
+]

@@ -1,0 +1,243 @@
+"""Load combinations by EN 1990 and ASCE 7, as tables for `Solver.combine`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError
+
+Psi = tuple[float, float, float]
+"""Combination factors psi_0, psi_1 and psi_2 of a variable action."""
+
+PSI: dict[str, Psi] = {
+    "imposed A": (0.7, 0.5, 0.3),
+    "imposed B": (0.7, 0.5, 0.3),
+    "imposed C": (0.7, 0.7, 0.6),
+    "imposed D": (0.7, 0.7, 0.6),
+    "imposed E": (1.0, 0.9, 0.8),
+    "imposed H": (0.0, 0.0, 0.0),
+    "snow": (0.5, 0.2, 0.0),
+    "snow above 1000 m": (0.7, 0.5, 0.2),
+    "wind": (0.6, 0.2, 0.0),
+    "temperature": (0.6, 0.5, 0.0),
+}
+"""EN 1990, table A1.1; "imposed H": roofs, "snow": up to 1000 m above sea level."""
+
+
+@dataclass(frozen=True)
+class CombinationRules:
+    """Combinations of a standard.
+
+    Attributes
+    ----------
+    name
+        Name of the standard.
+    kinds
+        Kinds of variable loads; for EN 1990 with their factors psi.
+    states
+        Limit states, such as "ULS" or "strength"; the first one is the default.
+    """
+
+    name: str
+    kinds: Mapping[str, Psi | None]
+    states: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+en1990 = CombinationRules(
+    "EN 1990",
+    PSI,
+    ("ULS", "ULS 6.10a/b", "characteristic", "frequent", "quasi-permanent"),
+)
+"""EN 1990: "ULS" is expression (6.10) with table A1.2(B), "characteristic" (6.14b), "frequent"
+(6.15b), "quasi-permanent" (6.16b)."""
+
+_ASCE_KINDS: dict[str, None] = dict.fromkeys(("live", "roof live", "snow", "rain", "wind"))
+asce7_16 = CombinationRules("ASCE 7-16", _ASCE_KINDS, ("strength", "allowable stress"))
+"""ASCE 7-16: sections 2.3.1 and 2.4.1, without seismic loads."""
+asce7_22 = CombinationRules("ASCE 7-22", _ASCE_KINDS, ("strength", "allowable stress"))
+"""ASCE 7-22: sections 2.3.1 and 2.4.1, without seismic loads."""
+asce7 = asce7_22
+"""The latest edition of ASCE 7 included."""
+
+STRENGTH = {
+    "ASCE 7-16": {"snow": 1.6, "rain": 1.6, "with snow": 0.5},
+    "ASCE 7-22": {"snow": 1.0, "rain": 1.6, "with snow": 0.3},
+}
+"""Load factors of snow and rain in 2.3.1, leading; and of snow as an accompanying load."""
+
+ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7, "rain": 1.0}}
+"""Load factors of snow and rain in 2.4.1; of rain as quoted from 7-22 in one place."""
+
+
+def combinations(
+    rules: CombinationRules,
+    permanent: Sequence[str],
+    variable: Sequence[str] | Mapping[str, str],
+    *,
+    state: str | None = None,
+    also: Mapping[str, object] | None = None,
+) -> dict[str, dict[str, object]]:
+    """Return a standard's table of load combinations, for `Solver.combine`.
+
+    All permanent loads share one factor, the unfavourable or the favourable one. One variable load
+    of each kind acts at a time, as wind comes from one direction; each kind leads in turn. Every
+    combination names all loads, with the factor 0 if they do not act.
+
+    Parameters
+    ----------
+    rules
+        `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the newest one.
+    permanent
+        Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
+        to the initial state of the combinations.
+    variable
+        Names of variable loads that begin with their kind ("snow", "snow drifted", "wind x"), or a
+        mapping of names to kinds, out of ``rules.kinds``.
+    state
+        One of ``rules.states``; by default the first, the ultimate limit state.
+    also
+        Further entries of all combinations, such as ``{"pressure": 0.6}``.
+
+    Returns
+    -------
+    dict
+        Factors of the loads, by names of combinations such as "ULS: 1.35 weight + 1.5 snow +
+        0.9 wind x".
+
+    Raises
+    ------
+    InputError
+        No rules, an unknown state or kind, no loads at all, or a repeated name.
+
+    Examples
+    --------
+    >>> table = combinations(en1990, permanent=["weight"], variable=["snow", "wind x", "wind y"])
+    >>> found = solver.combine(table)
+    """
+    checks.of_type("combinations: rules", rules, CombinationRules)
+    state = rules.states[0] if state is None else state
+    checks.one_of(f"combinations: state of {rules.name}", state, rules.states)
+    kinds = _kinds(rules, permanent, variable)
+    also = {} if also is None else also
+    checks.collection("combinations: also", also, Mapping, 'also={"pressure": 0.6}')
+    european = rules is en1990
+    makers = _european(state, kinds) if european else _american(rules.name, state, kinds)
+    table: dict[str, dict[str, object]] = {}
+    for steady, factors in makers:
+        named = {name: steady for name in permanent} | factors
+        acting = [f"{factor:g} {name}" for name, factor in named.items() if factor]
+        title = f"{state}: {' + '.join(acting) or 'no load'}"
+        table[title] = {**named, **{name: 0.0 for name in kinds if name not in factors}, **also}
+    return table
+
+
+def _kinds(
+    rules: CombinationRules, permanent: Sequence[str], variable: Sequence[str] | Mapping[str, str]
+) -> dict[str, str]:
+    """The kind of each variable load; names must be unique."""
+    checks.collection("combinations: permanent", permanent, Sequence, 'permanent=["weight"]')
+    if not isinstance(variable, Mapping):
+        checks.collection("combinations: variable", variable, Sequence, 'variable=["snow"]')
+    names = [checks.text("combinations: a load", name) for name in (*permanent, *variable)]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"combinations: the load {twice!r} comes twice; name it once.")
+    if not names:
+        raise InputError("combinations: there are no loads; name permanent or variable ones.")
+    found = {}
+    for name in variable:
+        given = variable[name] if isinstance(variable, Mapping) else name
+        fitting = [
+            kind for kind in rules.kinds
+            if given == kind or (given is name and name.startswith(f"{kind} "))
+        ]  # fmt: skip
+        if not fitting:
+            raise InputError(
+                f"combinations: the variable load {name!r} has the kind {given!r}, which "
+                f"{rules.name} does not have; say which of {', '.join(map(repr, rules.kinds))} it "
+                f"is, as variable={{{name!r}: {next(iter(rules.kinds))!r}}}."
+            )
+        found[name] = max(fitting, key=len)
+    return found
+
+
+def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
+    """All sets of loads that act together: at most one of each kind."""
+    groups: dict[str, list[str | None]] = {}
+    for name, kind in kinds.items():
+        groups.setdefault(kind, [None]).append(name)
+    chosen = product(*groups.values())
+    return [tuple(name for name in one if name is not None) for one in chosen]
+
+
+def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
+    """Factors of permanent and variable loads, EN 1990, 6.4.3, 6.5.3 and table A1.2(B)."""
+    found: list[tuple[float, dict[str, float]]] = []
+    steady: tuple[float, ...]
+    psi = {name: PSI[kind] for name, kind in kinds.items()}
+    for acting in _sets(kinds):
+        for lead in acting or (None,):
+            others = {name: psi[name] for name in acting if name != lead}
+            if state == "characteristic":
+                steady, first, rest = (1.0,), 1.0, {k: p[0] for k, p in others.items()}
+            elif state in ("frequent", "quasi-permanent"):
+                index = 1 if state == "frequent" else 2
+                steady, first = (1.0,), psi[lead][index] if lead is not None else 0.0
+                rest = {k: p[2] for k, p in others.items()}
+            else:  # reduced: 6.10b, with the recommended xi = 0.85, table A1.2(B)
+                steady = (1.35 if state == "ULS" else 0.85 * 1.35, 1.0)
+                first, rest = 1.5, {k: 1.5 * p[0] for k, p in others.items()}
+            for factor in steady:
+                _add(found, factor, ({} if lead is None else {lead: first}) | rest)
+            if state == "ULS 6.10a/b":
+                for factor in (1.35, 1.0):
+                    _add(found, factor, {name: 1.5 * psi[name][0] for name in acting})
+    return found
+
+
+def _american(
+    edition: str, state: str, kinds: Mapping[str, str]
+) -> list[tuple[float, dict[str, float]]]:
+    """Factors of permanent and variable loads, ASCE 7, 2.3.1 and 2.4.1."""
+    roof = ("roof live", "snow", "rain")
+    found: list[tuple[float, dict[str, float]]] = []
+    if state == "strength":
+        own = STRENGTH[edition]
+        lead = {"roof live": 1.6, "snow": own["snow"], "rain": own["rain"]}
+        by = {"roof live": 0.5, "snow": own["with snow"], "rain": 0.5}
+        rows: list[tuple[float, dict[str, float]]] = [(1.4, {})]
+        rows += [(1.2, {"live": 1.6, one: by[one]}) for one in roof]
+        rows += [(1.2, {one: lead[one], "live": 1.0}) for one in roof]
+        rows += [(1.2, {one: lead[one], "wind": 0.5}) for one in roof]
+        rows += [(1.2, {"wind": 1.0, "live": 1.0, one: by[one]}) for one in roof]
+        rows += [(0.9, {"wind": 1.0})]
+    else:
+        part = {"roof live": 1.0, **ALLOWABLE[edition]}
+        rows = [(1.0, {}), (1.0, {"live": 1.0})]
+        rows += [(1.0, {one: part[one]}) for one in roof]
+        rows += [(1.0, {"live": 0.75, one: 0.75 * part[one]}) for one in roof]
+        rows += [(1.0, {"wind": 0.6})]
+        rows += [(1.0, {"live": 0.75, "wind": 0.45, one: 0.75 * part[one]}) for one in roof]
+        rows += [(0.6, {"wind": 0.6})]
+    present = set(kinds.values())
+    for steady, factors in rows:
+        acting = {kind: factor for kind, factor in factors.items() if kind in present}
+        choices = [[name for name, kind in kinds.items() if kind == one] for one in acting]
+        for names in product(*choices):
+            _add(found, steady, dict(zip(names, acting.values(), strict=True)))
+    return found
+
+
+def _add(
+    found: list[tuple[float, dict[str, float]]], steady: float, factors: dict[str, float]
+) -> None:
+    """Add a combination without duplicates; loads with the factor 0 do not act."""
+    acting = {name: round(factor, 12) for name, factor in factors.items() if factor}
+    if (one := (round(steady, 12), acting)) not in found:
+        found.append(one)

@@ -1,0 +1,340 @@
+"""Snow on roofs by EN 1991-1-3:2003, section 5.3, as functions for `Scene.put_load`.
+
+A shape gives the coefficient mu on the roof, from the local slope or from one pitch of the whole
+roof. `snow_load` turns it into a load on plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from crms_fenicsx.design.codes.footprint import Along, checked_within
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import InputError
+
+FLAT, STEEP = 30.0, 60.0
+"""Pitches (degrees) up to which all snow stays and from which none does, Table 5.2."""
+
+MU_1 = 0.8
+"""Coefficient mu_1 of flat roofs, Table 5.2."""
+
+MOST_MU_3 = 2.0
+"""Recommended upper value of mu_3, 5.3.5(1), note 1."""
+
+LEAST_DRIFT, MOST_DRIFT = 0.8, 4.0
+"""Recommended range of mu_w, 5.3.6(1), note 1."""
+
+SHORTEST, LONGEST = 5.0, 15.0
+"""Recommended range of the drift's length l_s (m), 5.3.6(1), note 2."""
+
+SLIDES = 15.0
+"""Pitch (degrees) of the upper roof above which its snow slides off, 5.3.6(1)."""
+
+Shape = Callable[[Array, Array], Array]
+"""Function of points and unit normals, both (3, n), that returns coefficients mu, (n,)."""
+
+
+def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
+    """Coefficient mu_1 of a pitch, EN 1991-1-3, Table 5.2.
+
+    Parameters
+    ----------
+    pitch
+        Pitches, 0 to 90 degrees.
+    retained
+        Whether snow guards or parapets keep the snow from sliding off: mu is then at least 0.8,
+        5.3.2(2).
+
+    Returns
+    -------
+    numpy.ndarray
+        mu_1 in the shape of `pitch`: 0.8 up to 30 degrees, then linear to 0 at 60 degrees.
+
+    Raises
+    ------
+    InputError
+        A pitch that is not between 0 and 90 degrees.
+
+    Examples
+    --------
+    >>> float(snow_on_pitch(45.0))
+    0.4
+    """
+    pitches = np.asarray(pitch, dtype=np.float64)
+    if not np.all((pitches >= 0.0) & (pitches <= 90.0)):
+        raise InputError(f"snow_on_pitch: pitch = {pitch!r} is not within 0 and 90 degrees.")
+    mu = MU_1 * np.clip((STEEP - pitches) / (STEEP - FLAT), 0.0, 1.0)
+    return np.full_like(mu, MU_1) if retained else mu
+
+
+def _slopes(pitch: float | None, normals: Array) -> Array:
+    """Pitches (degrees): the roof's, or the local slopes."""
+    if pitch is not None:
+        return np.full(normals.shape[1], pitch)
+    return np.degrees(np.arccos(np.clip(np.abs(normals[2]), 0.0, 1.0)))
+
+
+def _checked_pitch(call: str, pitch: float | None) -> None:
+    if pitch is not None:
+        checked_within(f"{call}: pitch", pitch, 0.0, 90.0, "degrees")
+
+
+@dataclass(frozen=True)
+class PitchedSnow:
+    """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, and on any surface by its own slope.
+
+    Parameters
+    ----------
+    pitch
+        Pitch of the whole roof (degrees); by default the local slope counts.
+    retained
+        As for `snow_on_pitch`.
+
+    Raises
+    ------
+    InputError
+        A pitch that is not between 0 and 90 degrees.
+    """
+
+    pitch: float | None = None
+    retained: bool = False
+
+    def __post_init__(self) -> None:
+        _checked_pitch("PitchedSnow", self.pitch)
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients mu at points (3, n) with unit normals (3, n)."""
+        return snow_on_pitch(_slopes(self.pitch, n), retained=self.retained)
+
+
+@dataclass(frozen=True)
+class DuopitchSnow:
+    """Snow on a duopitch roof, EN 1991-1-3, 5.3.3 and figure 5.3.
+
+    Parameters
+    ----------
+    ridge
+        A point (x, y) below the ridge (length).
+    across
+        Direction (x, y) in plan across the ridge, from the first to the second slope.
+    case
+        "i": undrifted; "ii": half on the first slope; "iii": half on the second slope.
+    pitch, retained
+        As for `PitchedSnow`.
+
+    Raises
+    ------
+    InputError
+        An unknown case, a direction without length, or a pitch out of range.
+    """
+
+    ridge: Sequence[float]
+    across: Sequence[float]
+    case: Literal["i", "ii", "iii"] = "i"
+    pitch: float | None = None
+    retained: bool = False
+
+    def __post_init__(self) -> None:
+        checks.one_of("DuopitchSnow: case", self.case, ("i", "ii", "iii"))
+        _checked_pitch("DuopitchSnow", self.pitch)
+        Along("DuopitchSnow", self.across, self.ridge)
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients mu at points (3, n) with unit normals (3, n)."""
+        mu = snow_on_pitch(_slopes(self.pitch, n), retained=self.retained)
+        second = Along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
+        halved = {"i": np.zeros_like(second), "ii": ~second, "iii": second}[self.case]
+        return np.where(halved, 0.5 * mu, mu)
+
+
+@dataclass(frozen=True)
+class CylindricalSnow:
+    """Snow on a cylindrical roof, EN 1991-1-3, 5.3.5 and figure 5.6.
+
+    Parameters
+    ----------
+    crown
+        A point (x, y) below the crown (length).
+    across
+        Direction (x, y) in plan across the roof, towards the side with the heavier drift.
+    span, rise
+        Width b and height h of the roof's arc (length).
+    case
+        "i": undrifted, 0.8; "ii": drifted, up to mu_3 = 0.2 + 10 h/b, 2 at most.
+
+    Attributes
+    ----------
+    width : float
+        Width l_s with snow, in plan (length), where the tangent of a circular arc has up to
+        60 degrees.
+
+    Raises
+    ------
+    InputError
+        An unknown case, a direction without length, a span or rise that is not positive, or a rise
+        of more than half the span, beyond the figure.
+    """
+
+    crown: Sequence[float]
+    across: Sequence[float]
+    span: float
+    rise: float
+    case: Literal["i", "ii"] = "i"
+
+    def __post_init__(self) -> None:
+        checks.one_of("CylindricalSnow: case", self.case, ("i", "ii"))
+        checks.positive("CylindricalSnow: span", self.span)
+        checks.positive("CylindricalSnow: rise", self.rise)
+        checked_within("CylindricalSnow: rise / span", self.rise / self.span, 0.0, 0.5)
+        Along("CylindricalSnow", self.across, self.crown)
+
+    @property
+    def width(self) -> float:
+        """Width l_s with snow (length)."""
+        radius = (self.span**2 / 4 + self.rise**2) / (2 * self.rise)
+        return float(min(self.span, 2 * radius * np.sin(np.radians(STEEP))))
+
+    @property
+    def mu_3(self) -> float:
+        """Coefficient mu_3, expression (5.4)."""
+        return min(0.2 + 10 * self.rise / self.span, MOST_MU_3)
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients mu at points (3, n) with unit normals (3, n)."""
+        part = Along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
+        if self.case == "i":
+            return np.where(np.abs(part) <= 1.0, MU_1, 0.0)
+        hat = np.clip(1.0 - np.abs(2 * np.abs(part) - 1.0), 0.0, None)  # 1 at a quarter of l_s
+        return self.mu_3 * np.where(part > 0.0, 1.0, 0.5) * hat
+
+
+@dataclass(frozen=True)
+class DriftedSnow:
+    """Snow on a roof that abuts taller construction works, EN 1991-1-3, 5.3.6 and figure 5.7.
+
+    Parameters
+    ----------
+    wall
+        Point (x, y) of the wall of the taller works (length).
+    away
+        Direction (x, y) in plan from the wall over the roof.
+    height
+        Height h of the taller works above the roof (m).
+    upper, lower
+        Widths b_1 of the taller works and b_2 of this roof (m).
+    s_k
+        Characteristic snow load on the ground (kN/m^2).
+    upper_pitch, upper_slope
+        Pitch (degrees) of the upper roof and width in plan (m) of its slope towards this roof.
+        Above 15 degrees half of its largest snow load slides down.
+    weight
+        Weight of snow by volume, gamma (kN/m^3).
+
+    Attributes
+    ----------
+    length, mu_w, mu_s : float
+        Length l_s of the drift (m), and its coefficients by wind and by sliding.
+
+    Raises
+    ------
+    InputError
+        A size that is not positive, a pitch out of range, or a steep upper roof without
+        `upper_slope`.
+
+    Notes
+    -----
+    Use m and kN/m^2, the units of the recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m.
+    """
+
+    wall: Sequence[float]
+    away: Sequence[float]
+    height: float
+    upper: float
+    lower: float
+    s_k: float
+    upper_pitch: float = 0.0
+    upper_slope: float = 0.0
+    weight: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("height", "upper", "lower", "s_k", "weight"):
+            checks.positive(f"DriftedSnow: {name}", getattr(self, name))
+        _checked_pitch("DriftedSnow", self.upper_pitch)
+        if self.upper_pitch > SLIDES:
+            checks.positive("DriftedSnow: upper_slope", self.upper_slope)
+        Along("DriftedSnow", self.away, self.wall)
+
+    @property
+    def length(self) -> float:
+        """Length l_s of the drift (m), expression (5.9)."""
+        return min(max(2 * self.height, SHORTEST), LONGEST)
+
+    @property
+    def mu_w(self) -> float:
+        """Coefficient mu_w due to wind, expression (5.8)."""
+        drift = min((self.upper + self.lower) / (2 * self.height),
+                    self.weight * self.height / self.s_k)  # fmt: skip
+        return min(max(drift, LEAST_DRIFT), MOST_DRIFT)
+
+    @property
+    def mu_s(self) -> float:
+        """Coefficient mu_s due to sliding: half of the upper slope's snow, as a triangle."""
+        if self.upper_pitch <= SLIDES:
+            return 0.0
+        return float(snow_on_pitch(self.upper_pitch)) * self.upper_slope / self.length
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients mu at points (3, n) with unit normals (3, n)."""
+        part = np.clip(Along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
+        highest = max(self.mu_s + self.mu_w, MU_1)
+        return np.asarray(highest + (MU_1 - highest) * part)
+
+
+def snow_load(
+    s_k: float, shape: Shape | None = None, *, exposure: float = 1.0, thermal: float = 1.0
+) -> Callable[[Array, Array], Array]:
+    """Snow load s = mu C_e C_t s_k on the plan, EN 1991-1-3, expression (5.1).
+
+    Parameters
+    ----------
+    s_k
+        Characteristic snow load on the ground (force per area).
+    shape
+        A `PitchedSnow` (the default), `DuopitchSnow`, `CylindricalSnow` or `DriftedSnow`.
+    exposure
+        C_e: 0.8 windswept, 1.0 normal, 1.2 sheltered, Table 5.1.
+    thermal
+        C_t, 1.0 unless a heated roof melts the snow, 5.2(8).
+
+    Returns
+    -------
+    callable
+        For `Scene.put_load`, with ``per="plan"``.
+
+    Raises
+    ------
+    InputError
+        A load or coefficient that is not positive, or an invalid shape.
+
+    Examples
+    --------
+    >>> vault = CylindricalSnow(crown=(0, 0), across=(1, 0), span=36.0, rise=9.0, case="ii")
+    >>> scene.put_load(snow_load(0.75, vault), name="snow drifted", per="plan")
+    """
+    load = checks.positive("snow_load: s_k", s_k)
+    load *= checks.positive("snow_load: exposure", exposure)
+    load *= checks.positive("snow_load: thermal", thermal)
+    shape = PitchedSnow() if shape is None else shape
+    if not callable(shape):
+        raise InputError(f"snow_load: shape = {shape!r} is no shape; give PitchedSnow() or alike.")
+
+    def force(x: Array, n: Array) -> Array:
+        mu = shape(x, n)
+        return np.stack([0 * mu, 0 * mu, -load * mu])
+
+    return force

@@ -1,0 +1,214 @@
+"""Find the form of a membrane from section forces, cables, supports and inner pressure."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.design.form_finding.film import Film, Inflation
+from crms_fenicsx.design.form_finding.form_cables import FormCable, edge_lines, places_of
+from crms_fenicsx.design.form_finding.form_search import NO_FORM, FormSearch
+from crms_fenicsx.design.form_finding.found_form import FormCableFound, FoundForm
+from crms_fenicsx.design.form_finding.stresses import Direction, PrescribedStress, Stress
+from crms_fenicsx.design.form_finding.supports import (
+    Lift,
+    check_free_edges,
+    group_sums,
+    hold,
+    lifts,
+    rim_centre,
+)
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes.membrane_mesh import moved
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.model.materials import IsotropicMembrane
+from crms_fenicsx.model.membrane import Membrane
+
+logger = logging.getLogger("crms_fenicsx")
+
+REPORTED_DEVIATION, COARSE = 0.05, 0.1
+"""Deviation of section forces from the prescribed ones, relative to the largest: reported above
+the first, refused above the second, plus the relative difference of warp and weft forces."""
+REPORTED_DISTURBANCE = 0.01
+"""Relative change of area and forces by the residual section forces above which it is reported."""
+
+
+@collective
+def find_form(
+    mesh: MembraneMesh,
+    stress: Stress,
+    *,
+    fixed: Sequence[str] | Mapping[str, str],
+    lifted: Mapping[str, Lift] | None = None,
+    cables: Sequence[FormCable] = (),
+    warp: Direction | Mapping[str, Direction] | None = None,
+    pressure: float | None = None,
+    volume: float | None = None,
+    rise: float | None = None,
+    prefix: str = "crms_form_",
+) -> FoundForm:
+    """Find the equilibrium of prescribed section forces, cables and inner pressure. Collective.
+
+    The membrane has no stiffness: its section forces are prescribed and independent of strain. Free
+    edges need a cable.
+
+    Parameters
+    ----------
+    mesh
+        Start mesh, such as a flat one; it is not changed.
+    stress
+        Section force (force per length), equal in all directions or (along warp, along weft), for
+        the membrane or for each part by name.
+    fixed
+        Held groups of edges or points, or by group the held directions out of "xyz".
+    lifted
+        Displacement of held groups from the start mesh to their final places (length).
+    cables
+        Cables along mesh edges.
+    warp
+        Warp direction in space, or of each part, projected on the surface; by default along x. A
+        scene of the form takes it over, whether or not the section forces differ.
+    pressure
+        Inner pressure (force per area), acting outward. The rim must be held.
+    volume
+        Volume (length cubed) enclosed by the membrane and the cone from its rim to the rim's
+        centre, for a plane rim its plane; the pressure is found.
+    rise
+        Height (length) of the highest vertex above the rim's centre; the pressure is found.
+    prefix
+        Prefix of the linear solver's PETSc options.
+
+    Returns
+    -------
+    FoundForm
+        The form as a mesh, with the data to analyse it.
+
+    Raises
+    ------
+    InputError
+        On all ranks: invalid arguments, a free edge without a cable, or pressure within a rim that
+        is not held.
+    ConvergenceError
+        On all ranks: no such form exists, or none was found.
+
+    Notes
+    -----
+    Updates of the reference strategy lead from a distant start into the convergence range of
+    Newton's method. Newton's method balances the forces across the surface and across cables, and
+    only places the vertices within the surface and along cables, where an elasticity then
+    holds them.
+
+    Examples
+    --------
+    >>> found = find_form(
+    ...     mesh, 2.0, fixed=["masts", "corners"], lifted={"masts": (0.0, 0.0, 5.0)},
+    ...     cables=[FormCable("north", tension=30.0), FormCable("south", length=21.5)],
+    ... )
+    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
+    """
+    given = {"pressure": pressure, "volume": volume, "rise": rise}
+    inflated = _checked(
+        mesh, given, stress=stress, fixed=fixed, lifted=lifted, cables=cables, warp=warp,
+        prefix=prefix,
+    )  # fmt: skip
+    prescribed = PrescribedStress.of(mesh, stress, warp)
+    membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
+    supports = hold(membrane, fixed)
+    lift = lifts(membrane, lifted or {})
+    lines = edge_lines(membrane, cables)
+    check_free_edges(membrane, lines)
+    centre = rim_centre(membrane, lift, inflated)
+    film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
+    n = membrane.V.dofmap.index_map.size_local
+    inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
+    search = FormSearch(membrane, film, lines, inflation, prefix)
+    try:
+        search.run(lift)
+    finally:
+        search.system.destroy()
+    shape = moved(mesh, membrane.V, membrane.positions())
+    residual = film.section_forces(search.holding) - prescribed.tensors(shape)
+    largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
+    deviation = largest / film.largest
+    found = tuple(
+        FormCableFound(
+            line.cable.group,
+            line.tension,
+            line.length,
+            places_of(membrane, line.ids),
+            line.cable.bonded,
+        )
+        for line in lines
+    )
+    reactions = group_sums(membrane, supports, search.support_forces)
+    disturbance = _disturbance(membrane, supports, search)
+    _check_deviation(deviation, disturbance, prescribed, mesh)
+    return FoundForm(
+        shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
+        film.area(),
+        film.volume() if inflated else None, inflation.pressure, search.iterations,
+    )  # fmt: skip
+
+
+def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
+    """Check single arguments; return whether there is pressure. Collective."""
+    checks.of_type("find_form: mesh", mesh, MembraneMesh)
+    checks.same(mesh.comm, "find_form", **inflations, **given)
+    named = {name: value for name, value in inflations.items() if value is not None}
+    if len(named) > 1:
+        raise InputError(
+            f"find_form: {' and '.join(named)} are given; give one of {', '.join(inflations)}."
+        )
+    for name, value in named.items():
+        (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
+    if given["lifted"] is not None:
+        example = '{"mast": (0.0, 0.0, 5.0)}'
+        checks.collection("find_form: lifted", given["lifted"], Mapping, example)
+    checks.collection("find_form: cables", given["cables"], Sequence, "[FormCable(...)]")
+    checks.options_prefix("find_form: prefix", given["prefix"])
+    return bool(named)
+
+
+def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
+    """Largest relative change of the form's figures by the elasticity. Collective."""
+    if not search.holding or search.freely is None:
+        return 0.0
+    (before, free), (numbers, held) = search.freely, search.figures()
+    changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
+    changes = group_sums(membrane, supports, held - free)
+    sizes = np.linalg.norm(held, axis=1)[:, None]
+    largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
+    moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
+    return max(float(changed.max()), moved_by / largest if largest else 0.0)
+
+
+def _check_deviation(
+    deviation: float, disturbance: float, stress: PrescribedStress, mesh: MembraneMesh
+) -> None:
+    """Refuse forms whose section forces differ from those prescribed."""
+    forces = np.array(list(stress.forces.values()))
+    incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
+    if deviation > incompatible + COARSE:
+        raise ConvergenceError(
+            f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
+            f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
+        )
+    if mesh.comm.rank > 0:
+        return
+    if disturbance > REPORTED_DISTURBANCE:
+        logger.warning(
+            "find_form: residual section forces change the area, cables, pressure or supports' "
+            "forces of the form by up to %.1f %%: take a finer mesh, or a start mesh nearer to it",
+            100 * disturbance,
+        )
+    if deviation > REPORTED_DEVIATION:
+        logger.warning(
+            "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
+            "the mesh is coarse, or different ones along warp and weft do not balance each other",
+            100 * deviation,
+        )

@@ -1,0 +1,133 @@
+"""Linear system of a form-finding iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.design.form_finding.film import SOFTEST, Film
+from crms_fenicsx.design.form_finding.form_cables import EdgeLine
+from crms_fenicsx.design.form_finding.supports import Directions
+from crms_fenicsx.foundation.runtime.arrays import Array
+
+WORKSPACE = 100
+"""Memory for MUMPS beyond its estimate, in per cent."""
+STRAIGHT = 1e-12
+"""Relative size of singular values taken as zero in the cables' equations."""
+
+
+class LinearSystem:
+    """Factorised stiffness of a film and its cables."""
+
+    def __init__(
+        self, film: Film, lines: Sequence[EdgeLine], directions: Directions, prefix: str
+    ) -> None:
+        self.film, self.lines, self.directions = film, lines, directions
+        self.free = directions.free
+        first, last = film.V.dofmap.index_map.local_range
+        self._rows = (np.flatnonzero(~self.free) + 3 * first).astype(PETSc.IntType)
+        self._on_cable = (np.flatnonzero(np.repeat(directions.on_cable, 3)) + 3 * first).astype(
+            PETSc.IntType
+        )
+        self._pointers = np.arange(0, 9 * (last - first) + 1, 3, dtype=PETSc.IntType)
+        columns = 3 * np.arange(first, last)[:, None, None] + np.arange(3)
+        self._columns = np.repeat(columns, 3, axis=1).ravel().astype(PETSc.IntType)
+        self._vector = film.matrix.createVecLeft()
+        self._way = self._vector.duplicate()
+        for matrix in (film.matrix, film.elastic):
+            matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._pc = PETSc.PC().create(film.comm)
+        self._pc.setOptionsPrefix(prefix)
+        self._pc.setOperators(film.matrix)
+        self._pc.setType(PETSc.PC.Type.LU)
+        self._pc.setFactorSolverType("mumps")
+        self._pc.setFromOptions()
+        if self._pc.getFactorSolverType() == "mumps":  # its estimate may be too small
+            self._pc.setFactorSetUpSolverType()
+            self._pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for own in (self._pc, self._vector, self._way, self.film.matrix, self.film.elastic):
+            own.destroy()
+
+    def update(self) -> None:
+        """Assemble the updated reference strategy, with cables as force densities."""
+        self.film.assemble(self.film.matrix, exact=False, modulus=0.0)
+        for line in self.lines:
+            line.add_even_stiffness(self.film.matrix)
+        self.film.matrix.assemble()
+
+    def balance(self, pressure: float, modulus: float) -> None:
+        """Assemble the exact stiffness, elasticity included."""
+        self.film.assemble(self.film.matrix, exact=True, modulus=modulus, pressure=pressure)
+        for line in self.lines:
+            line.add_stiffness(self.film.matrix)
+        self.film.matrix.assemble()
+
+    def balance_across(self, pressure: float, damping: float) -> None:
+        """Assemble the exact stiffness across the form, and an elasticity within it."""
+        film, directions = self.film, self.directions
+        self.balance(pressure, damping)
+        film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
+        film.elastic.assemble()
+        film.elastic.zeroRows(self._on_cable, diag=0.0)
+        for line in self.lines:
+            line.add_even_stiffness(film.elastic)
+        film.elastic.assemble()
+        sum_of = self._times(directions.counted, film.matrix)
+        within = self._times(directions.within, film.elastic)
+        sum_of.axpy(1.0, within, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        sum_of.copy(film.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        for own in (sum_of, within):
+            own.destroy()
+
+    def _times(self, blocks: Array, matrix: PETSc.Mat) -> PETSc.Mat:
+        """A matrix whose rows are multiplied by a block per vertex, (n, 3, 3)."""
+        left = PETSc.Mat().createAIJ(
+            matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
+            comm=self.film.comm,
+        )  # fmt: skip
+        product = left.matMult(matrix)
+        left.destroy()
+        return product
+
+    def times(self, way: Array) -> Array:
+        """Forces (n, 3) due to displacements (n, 3), before `factorise`. Collective."""
+        self._way.array[:] = way.ravel()
+        self.film.matrix.mult(self._way, self._vector)
+        return self._vector.array.reshape(-1, 3).copy()
+
+    def factorise(self) -> None:
+        """Apply the supports and factorise. Collective."""
+        self.film.matrix.zeroRowsColumns(self._rows, diag=1.0)
+        self._pc.setOperators(self.film.matrix)
+        self._pc.setUp()
+
+    def solved(self, forces: Array) -> Array:
+        """Displacements (n, 3) due to forces (n, 3). Collective."""
+        self._vector.array[:] = np.where(self.free, forces, 0.0).ravel()
+        self._pc.apply(self._vector, self._way)
+        return self._way.array.reshape(-1, 3).copy()
+
+    def bordered(
+        self, forces: Array, start: Array, columns: list[Array], rows: list[Array],
+        diagonal: list[float], gaps: Array,
+    ) -> tuple[Array, list[Array], Array]:  # fmt: skip
+        """Displacements, alone and per extra unknown, and the changes of those unknowns.
+        Collective."""
+        way = start + self.solved(forces)
+        ways = [self.solved(column) for column in columns]
+        change = np.zeros(len(gaps))
+        if columns:
+            matrix = [[np.vdot(row, way) for way in ways] for row in rows]
+            local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
+            total = self.film.comm.allreduce(local, op=MPI.SUM)
+            system = np.diag(diagonal) - total[:, :-1]
+            if np.isfinite(total).all():  # else cells have collapsed, which is detected later
+                # singular if cables are straight
+                change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
+        return way, ways, change

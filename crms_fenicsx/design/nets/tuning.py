@@ -1,0 +1,132 @@
+"""Unstressed lengths of cables for prescribed tensions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from mpi4py import MPI
+from scipy.optimize import least_squares
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.foundation.runtime.handle import ReadOnly
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.versions import last_doubt
+from crms_fenicsx.results.sensitivities import Sensitivities
+
+
+class _Ended(Exception):  # noqa: N818 - no error: the end of a search
+    """The wanted tensions are reached, or a load step failed, which is then the cause."""
+
+
+class Tuned(Protocol):
+    """Protocol of `Solver`, which is in a higher layer."""
+
+    scene: ReadOnly[Scene]
+    comm: MPI.Intracomm
+
+    def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
+        """Solve at other unstressed lengths."""
+
+    def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
+        """Derivatives of tensions."""
+
+    def snapshot(self) -> SceneState:
+        """The current state."""
+
+    def restore(self, snapshot: SceneState) -> None:
+        """Restore a state of the scene."""
+
+
+@collective
+def tune(
+    solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
+) -> dict[LaidCable, float]:
+    """Find the unstressed lengths of cables for prescribed tensions under the present loads.
+
+    Collective. By `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`.
+    Each evaluation is a load step; the last one has the tensions.
+
+    Parameters
+    ----------
+    solver
+        A `Solver` at an equilibrium in which the cables are in tension.
+    tensions
+        Tensions by cables (force), mean ones for cables with clamps.
+    rtol
+        Largest relative difference.
+    most
+        Largest number of load steps.
+
+    Returns
+    -------
+    dict
+        The new unstressed lengths by cables (length).
+
+    Raises
+    ------
+    InputError
+        On all ranks: no cable of the scene, a tension that is not positive, a slack cable, or
+        tensions that no lengths give; the scene is then restored.
+
+    Examples
+    --------
+    >>> nets.tune(solver, {cable: 40.0 for cable in scene.cables})
+    """
+    scene = solver.scene
+    checks.same(scene.comm, "tune", tensions=tensions, rtol=rtol, most=most)
+    if not isinstance(tensions, Mapping) or not tensions:
+        raise InputError(f"tune: tensions = {tensions!r}; write {{cable: force, ...}}.")
+    for cable, force in tensions.items():
+        if not isinstance(cable, LaidCable) or cable not in scene.cables:
+            raise InputError(f"tune: {cable!r} is not a cable of this scene.")
+        checks.positive(f"tune: tension of {cable.name!r}", force)
+        if not cable.taut:
+            raise InputError(f"tune: {cable.name!r} is slack; shorten it before.")
+    cables = sorted(tensions, key=scene.cables.index)
+    wanted = np.array([float(tensions[cable]) for cable in cables])
+    first = np.array([cable.L0 for cable in cables])
+    before = solver.snapshot()
+    count = 0
+
+    def errors(shares: Array) -> Array:
+        nonlocal count
+        if not np.allclose([cable.L0 for cable in cables], shares * first, rtol=1e-14, atol=0.0):
+            count += 1
+            try:
+                solver.advance(L0=dict(zip(cables, shares * first, strict=True)))
+            except (ConvergenceError, InputError) as error:  # such as for negative lengths
+                raise _Ended from error
+        found = np.array([cable.tension for cable in cables]) / wanted - 1
+        if np.abs(found).max() <= rtol:
+            raise _Ended
+        return found
+
+    def slopes(shares: Array) -> Array:
+        errors(shares)  # in case the last step was not at these lengths
+        return solver.sensitivities(cables, cables).values * first / wanted[:, None]
+
+    with last_doubt(scene):
+        cause = None
+        try:
+            least_squares(errors, np.ones(len(cables)), slopes, method="lm", max_nfev=most)
+        except _Ended as end:
+            cause = end.__cause__
+            if cause is None:
+                return {cable: cable.L0 for cable in cables}
+        except InputError:  # there are no derivatives
+            solver.restore(before)
+            raise
+        reached = np.array([cable.tension for cable in cables])
+        k = int(np.abs(reached / wanted - 1).argmax())
+        solver.restore(before)
+        raise InputError(
+            f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; the search "
+            f"ended at {reached[k]:.6g} (load steps: {count}). Give tensions that balance the "
+            "loads, or fewer."
+        ) from cause

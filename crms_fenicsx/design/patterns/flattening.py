@@ -1,0 +1,233 @@
+"""Flattening: the flat shapes from which pieces take the form with the least strain energy.
+
+The energy of a piece is sum A/2 (E - Ew):D:(E - Ew), with the strain E from the flat shape to the
+form, the wanted strain Ew and the areas A of the form's cells. As it is a sum of squares,
+Gauss-Newton steps need first derivatives only. Lagrange multipliers keep both sides of a seam
+equally long; their system is the Schur complement of the pieces, which are factorised
+independently, on any number of processes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from crms_fenicsx.design.patterns.conformal import cell_sides_in_plane, double_areas_in_plane
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, raised_together
+
+CLOSE = 1e-12
+"""Largest component of the last step of the flat coordinates, relative to the piece's size."""
+MOST_STEPS = 100
+"""Maximum number of Gauss-Newton steps; pieces 16 columns wide need 5 to 10."""
+ROUNDING = 1e-13
+"""Strain of the order of rounding errors."""
+LEAST_STEP = 1e-6
+"""Smallest step fraction of the line search."""
+
+
+@dataclass(frozen=True)
+class FlatProblem:
+    """Strain energy of a piece as a function of its flat shape."""
+
+    name: str  # of the piece
+    points: Array  # (n, 3) coordinates in the form (length)
+    triangles: Integers  # (m, 3)
+    stiffness: Array  # (m, 3, 3) in the flat axes, Voigt notation (force per length)
+    wanted: Array  # (m, 3) wanted strains (E11, E22, 2 E12) from the flat shape to the form
+    fixed: Integers = field(repr=False)  # fixed components, numbered 2 vertex + axis
+
+    @cached_property
+    def metric(self) -> Array:
+        """Metric of each cell in the form: scalar products of two sides, (m, 2, 2)."""
+        x = self.points[self.triangles]
+        sides = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)
+        return np.swapaxes(sides, 1, 2) @ sides
+
+    @cached_property
+    def areas(self) -> Array:
+        """Cell areas (m,) in the form."""
+        return np.asarray(np.sqrt(np.linalg.det(self.metric)) / 2)
+
+    @cached_property
+    def roots(self) -> Array:
+        """Roots (m, 3, 3) of the cells' stiffness times area, which weight the strains."""
+        root = np.swapaxes(np.linalg.cholesky(self.stiffness), 1, 2)
+        return np.asarray(np.sqrt(self.areas)[:, None, None] * root)
+
+    @cached_property
+    def rounding(self) -> float:
+        """Energy of rounding errors."""
+        return ROUNDING**2 * float((self.roots**2).sum())
+
+    @cached_property
+    def free(self) -> Integers:
+        """The free components."""
+        return np.setdiff1d(np.arange(2 * len(self.points)), self.fixed)
+
+    @cached_property
+    def size(self) -> float:
+        """Size of the piece (length)."""
+        return float(np.ptp(self.points, axis=0).max())
+
+    def strains(self, flat: Array) -> Array:
+        """Green-Lagrange strains (m, 3), (E11, E22, 2 E12), from flat coordinates (n, 2)."""
+        return self._strains(flat)[0]
+
+    def _strains(self, flat: Array) -> tuple[Array, Array, Array]:
+        T = np.asarray(np.linalg.inv(cell_sides_in_plane(flat, self.triangles)))
+        C = np.asarray(np.swapaxes(T, 1, 2) @ self.metric @ T, dtype=np.float64)
+        E = np.stack([(C[:, 0, 0] - 1) / 2, (C[:, 1, 1] - 1) / 2, C[:, 0, 1]], axis=1)
+        return E, C, T
+
+    def energy(self, flat: Array) -> float:
+        """Energy (force x length); infinite if a cell is inverted."""
+        if double_areas_in_plane(flat, self.triangles).min() <= 0.0:
+            return np.inf
+        r = np.einsum("nij,nj->ni", self.roots, self.strains(flat) - self.wanted)
+        return float((r**2).sum()) / 2
+
+    def linearised(self, flat: Array) -> tuple[csr_matrix, Array]:
+        """Gauss-Newton matrix and gradient of the free components."""
+        E, C, T = self._strains(flat)
+        m, n = len(self.triangles), len(self.points)
+        D = -np.einsum("nic,nkj->nkcij", C, T)  # d(C/2) by side k, component c; unsymmetric
+        sides = np.stack([D[..., 0, 0], D[..., 1, 1], D[..., 0, 1] + D[..., 1, 0]], axis=1)
+        corners = np.concatenate([-sides.sum(axis=2, keepdims=True), sides], axis=2)
+        J = np.einsum("nij,njk->nik", self.roots, corners.reshape(m, 3, 6))
+        rows = np.repeat(np.arange(3 * m), 6)
+        columns = (2 * self.triangles[:, :, None] + np.arange(2)).reshape(m, 1, 6)
+        places = rows, np.repeat(columns, 3, axis=1).ravel()
+        whole = csr_matrix((J.ravel(), places), shape=(3 * m, 2 * n))[:, self.free]
+        r = np.ravel(np.einsum("nij,nj->ni", self.roots, E - self.wanted))
+        return (whole.T @ whole).tocsc(), np.asarray(whole.T @ r)
+
+    def moved(self, flat: Array, step: Array) -> Array:
+        """Flat coordinates after a step of the free components."""
+        out = flat.ravel().copy()
+        out[self.free] += step
+        return out.reshape(-1, 2)
+
+    def solve(self, flat: Array) -> Array:
+        """Flat shape of least energy with free seams, from an initial shape."""
+        energy = self.energy(flat)
+        for _ in range(MOST_STEPS):
+            H, g = self.linearised(flat)
+            step, part = splu(H).solve(-g), 1.0
+            most = (1 + 1e-9) * energy + self.rounding
+            while (new := self.energy(self.moved(flat, part * step))) > most:
+                part /= 2
+                if part < LEAST_STEP:
+                    raise ConvergenceError(
+                        f"flatten: {self.name} does not lie flat: no step makes its energy less; "
+                        "cut it into narrower strips."
+                    )
+            flat, energy = self.moved(flat, part * step), new
+            if np.abs(step).max() <= CLOSE * self.size:
+                return flat
+        raise ConvergenceError(
+            f"flatten: {self.name} is not flat after {MOST_STEPS} steps; cut it into narrower "
+            "strips."
+        )
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Seam segments along a piece."""
+
+    rows: Integers  # (k,) joint numbers
+    ends: Integers  # (k, 2) end vertices
+    signs: Array  # (k,) 1 on the joint's first side, -1 on its second
+
+    def lengths(self, flat: Array) -> tuple[Array, Array]:
+        """Lengths (k,) and unit vectors (k, 2)."""
+        along = flat[self.ends[:, 1]] - flat[self.ends[:, 0]]
+        lengths = np.hypot(along[:, 0], along[:, 1])
+        return lengths, along / lengths[:, None]
+
+
+def flat_shapes(
+    problems: dict[int, FlatProblem],
+    starts: dict[int, Array],
+    sides: dict[int, Sides],
+    joints: int,
+    comm: MPI.Intracomm,
+) -> list[Array]:
+    """Flat shapes (n, 2) of all pieces, with equal seam lengths if `joints` > 0. Each rank gives
+    the problems of its own pieces, by piece number. Collective."""
+    flat: dict[int, Array] = {}
+    with raised_together(comm):
+        for k, problem in problems.items():
+            flat[k] = problem.solve(starts[k])
+    if joints:
+        flat = _with_equal_seams(problems, flat, sides, joints, comm)
+    every = {k: shape for part in comm.allgather(flat) for k, shape in part.items()}
+    return [every[k] for k in sorted(every)]
+
+
+def _with_equal_seams(
+    problems: dict[int, FlatProblem], flat: dict[int, Array], sides: dict[int, Sides],
+    joints: int, comm: MPI.Intracomm,
+) -> dict[int, Array]:  # fmt: skip
+    """Flat shapes of least energy with equally long seam sides. Collective."""
+    for _ in range(MOST_STEPS):
+        solved, shares = {}, {}
+        with raised_together(comm):
+            for k, problem in problems.items():
+                H, g = problem.linearised(flat[k])
+                own = sides[k]
+                lengths, units = own.lengths(flat[k])
+                B = _gradient(own, units, len(problem.points))[:, problem.free].toarray()
+                factor = splu(H)
+                Y, z = factor.solve(B.T), factor.solve(-g)
+                solved[k] = Y, z
+                shares[k] = own.rows, B @ Y, own.signs * lengths + B @ z
+        multipliers = _multipliers(comm.allgather(shares), joints)
+        steps = {k: z - Y @ multipliers[sides[k].rows] for k, (Y, z) in solved.items()}
+        part = 1.0
+        while not comm.allreduce(
+            all(
+                np.isfinite(problems[k].energy(problems[k].moved(flat[k], part * step)))
+                for k, step in steps.items()
+            ),
+            op=MPI.LAND,
+        ):
+            part /= 2
+            if part < LEAST_STEP:
+                raise ConvergenceError(
+                    "flatten: the sides of seams cannot be made equally long; cut narrower strips."
+                )
+        flat = {k: problems[k].moved(flat[k], part * step) for k, step in steps.items()}
+        change = max((np.abs(s).max() / problems[k].size for k, s in steps.items()), default=0.0)
+        if comm.allreduce(float(change), op=MPI.MAX) <= CLOSE:
+            return flat
+    raise ConvergenceError(
+        f"flatten: the sides of seams are not equal after {MOST_STEPS} steps; cut narrower strips."
+    )
+
+
+def _gradient(own: Sides, units: Array, n: int) -> csr_matrix:
+    """Derivatives (k, 2 n) of the signed segment lengths by the flat coordinates (n, 2)."""
+    k = np.arange(len(own.rows))
+    values = own.signs[:, None] * np.concatenate([-units, units], axis=1)
+    columns = (2 * own.ends[:, :, None] + np.arange(2)).reshape(-1, 4)
+    return csr_matrix((values.ravel(), (np.repeat(k, 4), columns.ravel())), shape=(len(k), 2 * n))
+
+
+def _multipliers(shares: list[dict[int, tuple[Integers, Array, Array]]], joints: int) -> Array:
+    """Multipliers (joints,) of the seam constraints, from all pieces' contributions."""
+    every = {k: share for part in shares for k, share in part.items()}
+    ordered = [every[k] for k in sorted(every)]  # equal rounding for any number of ranks
+    right = np.zeros(joints)
+    for rows, _, gap in ordered:
+        np.add.at(right, rows, gap)
+    i = np.concatenate([np.repeat(rows, len(rows)) for rows, _, _ in ordered])
+    j = np.concatenate([np.tile(rows, len(rows)) for rows, _, _ in ordered])
+    values = np.concatenate([block.ravel() for _, block, _ in ordered])
+    S = coo_matrix((values, (i, j)), shape=(joints, joints)).tocsc()
+    return np.asarray(splu(S).solve(right))

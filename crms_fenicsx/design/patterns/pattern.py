@@ -1,0 +1,451 @@
+"""The cutting pattern: the flat pieces of a roof."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.design.patterns.alignment import aligned
+from crms_fenicsx.design.patterns.compensation import (
+    EdgeShrink,
+    Shrink,
+    shrinks_of,
+    warp_moduli,
+    width_in_tension,
+)
+from crms_fenicsx.design.patterns.conformal import conformal, double_areas_in_plane
+from crms_fenicsx.design.patterns.fine_energy import ProblemOf, columns_of, fine_energies, limit_of
+from crms_fenicsx.design.patterns.flattening import FlatProblem, Sides, flat_shapes
+from crms_fenicsx.design.patterns.pieces import COLUMNS, Piece, PieceEdge, Pieces
+from crms_fenicsx.foundation.meshes.membrane_mesh import outer_first
+from crms_fenicsx.foundation.meshes.triangles import closest
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.errors import (
+    InputError,
+    PatternWarning,
+    collective,
+    raised_together,
+)
+from crms_fenicsx.model.materials import MembraneMaterial, check_warp
+
+Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
+Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
+
+REALIGNMENTS = 2
+"""Realignments of a flat piece with its warp."""
+WARNED_STRAIN = 1e-3
+"""Estimated strain of a piece above which too few columns of cells are warned of."""
+
+
+@dataclass(frozen=True)
+class FlatPiece:
+    """A flat piece, as it is cut.
+
+    Attributes
+    ----------
+    piece
+        The piece in space.
+    shape
+        Flat places (n, 2) of its vertices (length): x along the warp, seen from outside.
+    shrink
+        Mean compensation (2,) along warp and weft.
+    strains
+        Distortion: strains (E11, E22, 2 E12) of the cells (m, 3) in the form, less the wanted ones.
+    """
+
+    piece: Piece
+    shape: Array = field(repr=False)
+    shrink: Array
+    strains: Array = field(repr=False)
+    problem_of: ProblemOf = field(repr=False, compare=False)
+
+    @cached_property
+    def energy(self) -> float:
+        """Energy of the distortion per area of the form (force per length), extrapolated to
+        infinitely fine cells on first use."""
+        own = self.problem_of(self.piece, self.shape).energy(self.shape)
+        found = fine_energies(self.piece, self.shape, self.problem_of)
+        return max(own - found[0] + limit_of(found), 0.0) / self.piece.area
+
+    @property
+    def name(self) -> str:
+        """Name of the piece."""
+        return self.piece.name
+
+    @property
+    def area(self) -> float:
+        """Area of the flat piece (length squared)."""
+        return float(double_areas_in_plane(self.shape, self.piece.triangles).sum()) / 2
+
+    @property
+    def length(self) -> float:
+        """Extent along the warp (length)."""
+        return float(np.ptp(self.shape[:, 0]))
+
+    @property
+    def width(self) -> float:
+        """Extent across the warp (length), along the roll's width."""
+        return float(np.ptp(self.shape[:, 1]))
+
+    @property
+    def distortion(self) -> float:
+        """Largest strain of the distortion."""
+        return float(np.abs(self.strains).max())
+
+    def largest_width(self, force: float) -> float:
+        """`patterns.largest_width` (length) for its mean curvature and a section force (force per
+        length)."""
+        moduli = warp_moduli(self.problem_of(self.piece, self.shape).stiffness)
+        modulus = float(self.piece.areas @ moduli) / self.piece.area
+        return width_in_tension(modulus, force, self.piece.curvature)
+
+    def edge_length(self, edge: PieceEdge) -> float:
+        """Length of one of its edges when flat (length)."""
+        return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
+
+
+@dataclass(frozen=True)
+class CutOptions:
+    """Options of a pattern; see `flatten`."""
+
+    warp: Warp | None = None
+    shrink: Shrink | Mapping[str, Shrink] | None = None
+    edges: Mapping[str, EdgeShrink] = field(default_factory=dict)
+    equal: bool = True
+    limit: float | None = None
+    factors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Additional stretches along warp and weft by pieces, as found by `adjust`."""
+
+
+@dataclass(frozen=True, repr=False)
+class Pattern:
+    """The flat pieces of a roof, the same on all ranks.
+
+    Attributes
+    ----------
+    pieces
+        Pieces in space and the joints between them.
+    material
+        The fabric.
+    flat
+        Flat pieces.
+    made
+        Options they were made with.
+    """
+
+    pieces: Pieces
+    material: Materials
+    flat: tuple[FlatPiece, ...]
+    made: CutOptions
+
+    def __repr__(self) -> str:
+        """One line; not collective."""
+        worst = max(self.flat, key=lambda one: one.distortion)
+        return (
+            f"Pattern({len(self.flat)} pieces, area {self.area:.6g}, strained up to "
+            f"{worst.distortion:.2g} in {worst.name})"
+        )
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the mesh."""
+        return self.pieces.comm
+
+    @property
+    def area(self) -> float:
+        """Area of all flat pieces (length squared)."""
+        return sum(one.area for one in self.flat)
+
+    def flat_piece(self, name: str) -> FlatPiece:
+        """Return the flat piece with a name."""
+        return checks.named("piece", {one.name: one for one in self.flat}, name)
+
+    def seam_lengths(self) -> dict[str, Array]:
+        """Lengths (k, 2) of each seam's segments, on both sides (length)."""
+        joints = self.pieces.joints
+        lengths = np.zeros(joints.pieces.shape)
+        for k, one in enumerate(self.flat):
+            own = joints.pieces == k
+            sides = one.shape[joints.ends[own]]
+            lengths[own] = norm_rows(sides[:, 1] - sides[:, 0])
+        names = np.array(joints.seams)
+        return {seam: lengths[names == seam] for seam in dict.fromkeys(joints.seams)}
+
+    @collective
+    def adjusted(self, factors: Mapping[str, tuple[float, float]]) -> Pattern:
+        """Return the pattern cut for further stretches of its pieces. Collective.
+
+        Parameters
+        ----------
+        factors
+            Further stretches along warp and weft, by pieces, 1.01 for 1 %.
+
+        Returns
+        -------
+        Pattern
+            New pattern of the same pieces.
+        """
+        both = {
+            one.name: tuple(np.multiply(self.made.factors.get(one.name, (1.0, 1.0)),
+                                        factors.get(one.name, (1.0, 1.0))).tolist())
+            for one in self.flat
+        }  # fmt: skip
+        return made_pattern(self.pieces, self.material, replace(self.made, factors=both))
+
+
+@collective
+def flatten(
+    pieces: Pieces,
+    material: Materials,
+    *,
+    warp: Warp | None = None,
+    shrink: Shrink | Mapping[str, Shrink] | None = None,
+    edges: Mapping[str, EdgeShrink] | None = None,
+    equal: bool = True,
+    limit: float | None = None,
+) -> Pattern:
+    """Lay pieces flat with the least strain energy, and compensate them. Collective.
+
+    A flat piece takes its form in space with the strain of the compensation and, where the form is
+    doubly curved, the least possible energy of further strains (J. Linhard, R. Wuechner,
+    K.-U. Bletzinger, Introducing cutting patterns in form finding and structural analysis, 2008).
+    The search starts from a conformal map. All flat pieces have the warp along x.
+
+    Parameters
+    ----------
+    pieces
+        Pieces from `cut`.
+    material
+        The fabric, or one for each part of the mesh.
+    warp
+        "seams", along the seams of each piece; a direction in space (3,); or a function that
+        returns directions (3, n) for points (3, n), averaged over each piece. By default the warp
+        of an orthotropic material, for others "seams".
+    shrink
+        Compensation of all pieces, or by names of pieces or parts; none by default.
+    edges
+        De-compensation, by names of edge groups.
+    equal
+        Whether both sides of a seam are cut to equal length; it costs .02 % of the energy.
+    limit
+        Largest accepted strain of the distortion.
+
+    Returns
+    -------
+    Pattern
+        The flat pieces.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an invalid argument, or a piece strained beyond `limit`; the message tells
+        how many strips would do.
+    ConvergenceError
+        On all ranks: a piece that does not lie flat.
+
+    Warns
+    -----
+    PatternWarning
+        Fewer than 8 columns of cells across a doubly curved piece, for which strains, and the
+        scatter of section forces in the sewn roof, are overestimated.
+
+    Notes
+    -----
+    A strip of width W on a surface of Gaussian curvature K has the strain ``|K| W**2 / 12`` and the
+    energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. Energies are extrapolated
+    from the piece's cells and finer ones: to 1 % with 8 columns of cells, to 6 % with 4.
+
+    Examples
+    --------
+    >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
+    """
+    if not isinstance(pieces, Pieces):
+        raise InputError(f"flatten: pieces = {pieces!r}; give what patterns.cut returned.")
+    checks.same(
+        pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
+        equal=equal, limit=limit,
+    )  # fmt: skip
+    if warp is not None and not (isinstance(warp, str) and warp == "seams"):
+        check_warp("flatten", warp)
+    limit = None if limit is None else checks.positive("flatten: limit", limit)
+    for name, one in (edges or {}).items():
+        checks.named("group of edges", pieces.surface.edges, name)
+        if not isinstance(one, EdgeShrink):
+            raise InputError(f"flatten: edges has {one!r}; give an EdgeShrink(part, band).")
+    shrinks_of("flatten", shrink, pieces.surface.parts)
+    return made_pattern(pieces, material, CutOptions(warp, shrink, edges or {}, bool(equal), limit))
+
+
+def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
+    """The pattern of checked options. Collective."""
+    comm = pieces.comm
+    stiffness, warps = of_cells(pieces, material, made)
+    problem_of = partial(_problem, pieces, stiffness, made)
+    mine = range(comm.rank, len(pieces.pieces), comm.size)
+    problems, starts, sides = {}, {}, {}
+    with raised_together(comm):
+        for k in mine:
+            piece = pieces.pieces[k]
+            own = None if warps is None else warps[piece.cells]
+            start = aligned(piece, conformal(piece.points, piece.triangles), own)
+            problems[k] = problem = problem_of(piece, start)
+            start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
+            for _ in range(REALIGNMENTS):  # the conformal map rotates its ends
+                start = aligned(piece, problem.solve(start), own)
+            starts[k], sides[k] = start, _sides(pieces, k)
+    joints = len(pieces.joints.seams) if made.equal else 0
+    shapes = flat_shapes(problems, starts, sides, joints, comm)
+    found = {}
+    for k, problem in problems.items():
+        stretches = np.sqrt(1.0 + 2.0 * _mean(pieces.pieces[k], problem.wanted)[:2])
+        found[k] = 1.0 - 1.0 / stretches, problem.strains(shapes[k]) - problem.wanted
+    every = {k: one for part in comm.allgather(found) for k, one in part.items()}
+    flat = tuple(
+        FlatPiece(piece, shapes[k] - shapes[k].min(axis=0), shrink, strains, problem_of)
+        for k, piece in enumerate(pieces.pieces)
+        for shrink, strains in [every[k]]
+    )
+    _check(flat, made.limit)
+    _warn(comm, flat)
+    return Pattern(pieces, material, flat, made)
+
+
+def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Array, Array | None]:
+    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; None as the warp if along seams."""
+    surface = pieces.surface
+    m, centres = len(surface.cells), surface.points[surface.cells].mean(axis=1)
+    given: list[tuple[Integers, object]] = [(np.arange(m), material)]
+    if isinstance(material, Mapping):
+        named = outer_first(pieces.mesh, "flatten", "material", material)
+        given = [(surface.parts[part], material[part]) for part in named]
+    stiffness, warps = np.zeros((m, 3, 3)), np.zeros((m, 3))
+    along_seams = isinstance(made.warp, str)
+    for cells, own in given:
+        if not isinstance(own, MembraneMaterial):
+            raise InputError(f"flatten: material = {own!r} is none; give one of the fabric.")
+        stiffness[cells] = own.stiffness
+        direction = own.warp if made.warp is None else made.warp
+        if made.warp is None and direction is None:
+            along_seams = True
+        elif not along_seams:
+            found = direction(centres[cells].T) if callable(direction) else direction
+            given_warps = np.asarray(found, dtype=float).T
+            if given_warps.shape not in ((3,), (len(cells), 3)):
+                raise InputError(
+                    f"flatten: the function of the warp returned an array of shape "
+                    f"{given_warps.T.shape}; it must return directions of shape (3, {len(cells)})."
+                )
+            warps[cells] = given_warps
+    if not stiffness.any(axis=(1, 2)).all():
+        raise InputError("flatten: there are cells without a material; give one for every part.")
+    return stiffness, None if along_seams else warps
+
+
+def norm_rows(vectors: Array) -> Array:
+    """Lengths (n,) of plane vectors."""
+    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+
+
+def _problem(
+    pieces: Pieces, stiffness: Array, made: CutOptions, piece: Piece, flat: Array
+) -> FlatProblem:
+    """The flattening problem of a piece near flat coordinates (n, 2)."""
+    first, last = int(flat[:, 0].argmin()), int(flat[:, 0].argmax())
+    return FlatProblem(
+        piece.name, piece.points, piece.triangles, stiffness[piece.cells],
+        _wanted(pieces, piece, flat, made), np.array([2 * first, 2 * first + 1, 2 * last + 1]),
+    )  # fmt: skip
+
+
+def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Array:
+    """Wanted strains (m, 3) of a piece's cells, from its flat shape to the form."""
+    centres = start[piece.triangles].mean(axis=1)
+    along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])
+    parts = np.zeros((len(along), 2))
+    given = shrinks_of("flatten", made.shrink, pieces.surface.parts)
+    for name in sorted(given, key=lambda name: (name != "", name == piece.name)):
+        own = pieces.surface.parts[name] if name else piece.cells
+        inside = np.isin(piece.cells, own)
+        parts[inside] = given[name].at(along)[inside]
+    stretches = np.array(made.factors.get(piece.name, (1.0, 1.0))) / (1.0 - parts)
+    wanted = np.column_stack([(stretches**2 - 1.0) / 2.0, np.zeros(len(along))])
+    for name, edge in made.edges.items():
+        for run in piece.edges:
+            if run.name == name:
+                wanted += _edge_strains(piece, run.vertices, start, wanted, edge)
+    return wanted
+
+
+def _edge_strains(
+    piece: Piece, run: Integers, start: Array, wanted: Array, edge: EdgeShrink
+) -> Array:
+    """Change of the wanted strains (m, 3) by the de-compensation of an edge."""
+    a, b, places = piece.points[run[:-1]], piece.points[run[1:]], piece.points
+    segments = np.stack([a, b, b], axis=1)
+    gaps = np.stack([closest(np.broadcast_to(s, (len(places), 3, 3)), places)[2]
+                     for s in segments], axis=1)  # fmt: skip
+    away = gaps.min(axis=1)[piece.triangles]
+    corner = np.take_along_axis(piece.triangles, away.argmin(axis=1)[:, None], axis=1)[:, 0]
+    nearest, near = gaps.argmin(axis=1)[corner], np.maximum(1.0 - away.min(axis=1) / edge.band, 0.0)
+    t = np.diff(start[run], axis=0)[nearest]
+    t /= norm_rows(t)[:, None]
+    tt = np.stack([t[:, 0] ** 2, t[:, 1] ** 2, t[:, 0] * t[:, 1]], axis=1)
+    own = (1.0 / (1.0 - edge.part) ** 2 - 1.0) / 2.0
+    excess = near * (own - np.einsum("ni,ni->n", wanted, tt))
+    return np.asarray(excess[:, None] * tt * (1.0, 1.0, 2.0))
+
+
+def _mean(piece: Piece, values: Array) -> Array:
+    """Area-weighted mean of a piece's cell values (m, k)."""
+    return np.asarray(piece.areas @ values / piece.area)
+
+
+def _sides(pieces: Pieces, k: int) -> Sides:
+    """The seam segments of a piece."""
+    row, side = np.nonzero(pieces.joints.pieces == k)
+    return Sides(row, pieces.joints.ends[row, side], np.where(side == 0, 1.0, -1.0))
+
+
+def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
+    """Raise an error for pieces distorted beyond the limit."""
+    bad = [one for one in flat if limit is not None and one.distortion > limit]
+    if bad and limit is not None:
+        told = "; ".join(
+            f"{one.name} ({one.width:.4g} wide) by {one.distortion:.2g}: cut it into "
+            f"{math.ceil(math.sqrt(one.distortion / limit))} strips"
+            for one in bad
+        )
+        raise InputError(
+            f"flatten: pieces are strained by more than {limit:g} to lie flat: {told}."
+        )
+
+
+def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
+    """Warn on rank 0 of too few columns of cells across curved pieces."""
+    if comm.rank > 0:
+        return
+    few = {}
+    for one in flat:
+        columns = columns_of(one.piece, one.shape)
+        if (
+            round(columns) < COLUMNS / 2
+            and abs(one.piece.curvature) * one.width**2 / 12 > WARNED_STRAIN
+        ):
+            few[one.name] = columns
+    if few:
+        name = min(few, key=lambda name: few[name])
+        warnings.warn(
+            f"flatten: there are {few[name]:.0f} columns of cells across {name}, which is curved "
+            f"in two directions: its strains, and the scatter of section forces in the sewn roof, "
+            f"are found too large; refine the mesh to {COLUMNS} columns.",
+            PatternWarning,
+            stacklevel=4,
+        )

@@ -1,0 +1,248 @@
+"""The surface to be cut, whole on every rank, so that all ranks lay the same seams."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from heapq import heappop, heappush
+from typing import cast
+
+import numba
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, line_of
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, gathered
+from crms_fenicsx.foundation.meshes.surface import CheckedSurface
+from crms_fenicsx.foundation.meshes.triangles import closest, lists
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError
+from crms_fenicsx.foundation.surface.closest_point import TargetSurface
+from crms_fenicsx.foundation.surface.intrinsic import Ring, ring_of
+from crms_fenicsx.foundation.surface.points import (
+    Edge,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
+
+ON_VERTEX = 1e-3
+"""Fraction of an edge within which a line passes through its vertex."""
+
+
+def integers(values: Integers) -> list[int]:
+    """Elements of a vector (n,) as a list, for loops."""
+    return cast(list[int], values.tolist())
+
+
+def edges_of(keys: Integers) -> list[Edge]:
+    """Edges from their `edge_keys` (k,)."""
+    return [(key >> 32, key & 0xFFFFFFFF) for key in integers(keys)]
+
+
+@dataclass(frozen=True)
+class PatternSurface:
+    """A surface with its groups, for geodesics, sections and distances."""
+
+    checked: CheckedSurface
+
+    @classmethod
+    def of(cls, call: str, mesh: MembraneMesh, **arguments: object) -> PatternSurface:
+        """The whole surface of a mesh; the arguments must agree on all ranks. Collective."""
+        if not isinstance(mesh, MembraneMesh):
+            raise InputError(
+                f"{call}: mesh is of type {type(mesh).__name__}; give a MembraneMesh, such as "
+                "found.mesh."
+            )
+        checks.same(mesh.comm, call, **arguments)
+        surface: CheckedSurface = mesh.comm.bcast(gathered(mesh)[0])
+        return cls(surface)
+
+    @property
+    def points(self) -> Array:
+        """Coordinates (n, 3) of the vertices (length)."""
+        return self.checked.points
+
+    @property
+    def cells(self) -> Integers:
+        """Vertices of the cells (m, 3)."""
+        return self.checked.cells
+
+    @cached_property
+    def table(self) -> EdgeTable:
+        """Its edges."""
+        return EdgeTable.of(self.cells)
+
+    @cached_property
+    def target(self) -> TargetSurface:
+        """The surface for tracing routes."""
+        return TargetSurface.checked(np.arange(len(self.points)), self.points, self.cells)
+
+    @cached_property
+    def _opposite(self) -> dict[Edge, tuple[int, ...]]:
+        found: dict[Edge, tuple[int, ...]] = {}
+        for a, b, c in lists(self.cells):
+            for i, j, k in ((a, b, c), (b, c, a), (c, a, b)):
+                found[edge_of(i, j)] = (*found.get(edge_of(i, j), ()), k)
+        return found
+
+    @cached_property
+    def rim_vertices(self) -> frozenset[int]:
+        """Vertices of edges with one cell."""
+        return frozenset(self.table.vertices[self.table.counts == 1].ravel().tolist())
+
+    def length(self, edge: Edge) -> float:
+        """Length of an edge, as `IntrinsicSurface`."""
+        return float(np.linalg.norm(self.points[edge[1]] - self.points[edge[0]]))
+
+    def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
+        """Vertices opposite to an edge, as `IntrinsicSurface`."""
+        return self._opposite.get(edge, ())
+
+    def ring(self, vertex: int) -> Ring:
+        """The neighbours around a vertex in order, as `IntrinsicSurface`."""
+        rows = sorted(self.target.around[vertex])
+        cells = lists(self.cells[rows])
+        return ring_of(vertex, [tuple(v for v in cell if v != vertex) for cell in cells])  # type: ignore[misc]
+
+    def places(self, points: tuple[SurfacePoint, ...]) -> Array:
+        """Coordinates (k, 3) of surface points."""
+        rows = [np.array(p.weights) @ self.points[list(p.support)] for p in points]
+        return np.array(rows).reshape(-1, 3)
+
+    def on_rim(self, point: SurfacePoint) -> bool:
+        """Whether a point lies on the boundary or on a branching edge (three or more cells)."""
+        if isinstance(point, VertexPoint):
+            return point.vertex in self.rim_vertices
+        return isinstance(point, EdgePoint) and len(self.opposite_vertices(point.edge)) != 2
+
+    def line_of_group(self, call: str, group: str) -> tuple[SurfacePoint, ...]:
+        """The vertices of an edge group from end to end, or around to the first again."""
+        known = self.checked.edges
+        if not isinstance(group, str) or group not in known:
+            names = ", ".join(map(repr, sorted(known)))
+            raise InputError(f"{call}: there is no group of edges {group!r}; there are {names}.")
+        edges = edges_of(known[group])
+        walk, _ = line_of(edges)
+        if len(walk) - 1 != len(edges):
+            raise PathError(
+                f"{call}: the edges of the group {group!r} are no single line: it branches, or has "
+                "gaps; give a group that goes from end to end."
+            )
+        return tuple(map(VertexPoint, walk))
+
+    def distances(self, line: tuple[SurfacePoint, ...]) -> Array:
+        """Geodesic distances (n,) of the vertices from a line (length).
+
+        Exact in the cells along the line, continued by fast marching (R. Kimmel and J. A. Sethian,
+        Computing geodesic paths on manifolds, 1998), which is exact for straight fronts.
+        """
+        places, n = self.places(line), len(self.points)
+        known = np.full(n, np.inf)
+        for p, q, x, y in zip(line[:-1], line[1:], places[:-1], places[1:], strict=True):
+            both = {*p.support, *q.support}
+            rows = [r for r in self.target.around[min(both)] if both <= {*self.cells[r].tolist()}]
+            corners = self.cells[rows].ravel()
+            flat = np.broadcast_to(np.stack([x, y, y]), (len(corners), 3, 3))
+            np.minimum.at(known, corners, closest(flat, self.points[corners])[2])
+        order = np.argsort(self.cells.ravel(), kind="stable")
+        starts = pointers(np.bincount(self.cells.ravel(), minlength=n))
+        march(self.points, self.cells, starts, order // 3, known)
+        return known
+
+    def crossings(self, values: Array) -> list[tuple[SurfacePoint, ...]]:
+        """The zero lines of vertex values (n,), linear in between.
+
+        From end to end; a closed line ends at its first point.
+        """
+        arcs: dict[SurfacePoint, list[SurfacePoint]] = {}
+        pairs = self.table.vertices
+        change = np.abs(values[pairs[:, 0]] - values[pairs[:, 1]])
+        reach = np.zeros(len(values))
+        np.maximum.at(reach, pairs, np.repeat(change[:, None], 2, axis=1))
+        near = np.abs(values) <= ON_VERTEX * reach
+        sign = np.where(near, 0, np.sign(values)).astype(int)
+        met = np.abs(sign[self.cells].sum(axis=1)) < 3
+        for cell in lists(self.cells[met & (np.count_nonzero(sign[self.cells], axis=1) > 0)]):
+            nodes: list[SurfacePoint] = [VertexPoint(v) for v in cell if sign[v] == 0]
+            for a, b in ((cell[0], cell[1]), (cell[1], cell[2]), (cell[2], cell[0])):
+                if sign[a] * sign[b] < 0:
+                    i, j = edge_of(a, b)
+                    nodes.append(EdgePoint((i, j), values[i] / (values[i] - values[j])))
+            if len(nodes) == 2:
+                for p, q in (nodes, nodes[::-1]):
+                    if q not in arcs.setdefault(p, []):
+                        arcs[p].append(q)
+        return chains(arcs)
+
+
+def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
+    """The lines of a graph of points, in the order of their first points."""
+    found: list[tuple[SurfacePoint, ...]] = []
+    ends = [p for p, others in arcs.items() if len(others) != 2]
+    seen: set[frozenset[SurfacePoint]] = set()
+    for start in (*ends, *arcs):
+        for first in arcs[start]:
+            if frozenset((start, first)) in seen:
+                continue
+            line = [start, first]
+            seen.add(frozenset(line))
+            while len(arcs[line[-1]]) == 2 and line[-1] != start:
+                (onward,) = (p for p in arcs[line[-1]] if p != line[-2])
+                seen.add(frozenset((line[-1], onward)))
+                line.append(onward)
+            found.append(tuple(line))
+    return found
+
+
+@numba.njit(cache=True)
+def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
+    """March distances d (n,), finite where known; `cells_at[starts[v] : starts[v + 1]]` are v's
+    cells."""
+    n = len(d)
+    done = np.zeros(n, dtype=np.bool_)
+    heap = [(0.0, 0)]
+    heap.pop()
+    for v in range(n):
+        if d[v] < np.inf:
+            heap.append((d[v], v))
+    heap.sort()
+    while len(heap) > 0:
+        least, v = heappop(heap)
+        if done[v] or least > d[v]:
+            continue
+        done[v] = True
+        for q in range(starts[v], starts[v + 1]):
+            c = cells_at[q]
+            for k in range(3):
+                w = cells[c, k]
+                if done[w]:
+                    continue
+                a, b = cells[c, (k + 1) % 3], cells[c, (k + 2) % 3]
+                best = min(
+                    d[a] + np.linalg.norm(x[a] - x[w]), d[b] + np.linalg.norm(x[b] - x[w])
+                )  # fmt: skip
+                if d[a] < np.inf and d[b] < np.inf:
+                    best = min(best, front(x[a] - x[w], x[b] - x[w], d[a], d[b]))
+                if best < d[w] * (1.0 - 1e-15):
+                    d[w] = best
+                    heappush(heap, (best, w))
+
+
+@numba.njit(cache=True)
+def front(p, q, da, db):  # type: ignore[no-untyped-def]
+    """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p
+    and q are the sides to the corners at distances da and db."""
+    pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
+    det = pp * qq - pq * pq
+    s = (pp - 2 * pq + qq) / det
+    r = (da * (qq - pq) + db * (pp - pq)) / det
+    t = (da * da * qq - 2 * da * db * pq + db * db * pp) / det - 1.0
+    root = r * r - s * t
+    if root < 0.0:
+        return np.inf
+    d = (r + np.sqrt(root)) / s
+    u, v = da - d, db - d
+    inside = qq * u - pq * v <= 0.0 and pp * v - pq * u <= 0.0
+    return d if inside else np.inf

@@ -1,0 +1,290 @@
+"""Seams: lines along which the surface is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
+from crms_fenicsx.design.patterns.straight_walk import straight_walk
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text, collective
+from crms_fenicsx.foundation.surface.closest_point import places_in_space
+from crms_fenicsx.foundation.surface.flip_geodesic import shorten
+from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint
+from crms_fenicsx.foundation.surface.trace import checked_route, trace
+
+SNAP = 1e-3
+"""Distance, relative to the mesh size, within which a seam's points snap to vertices and edges."""
+
+
+@dataclass(frozen=True)
+class Seam:
+    """A line on the surface, from rim to rim or closed.
+
+    Attributes
+    ----------
+    name
+        Name of the seam, and of the edges of pieces on both sides.
+    points
+        Vertices it passes and crossings with edges of the mesh.
+    path
+        Positions of these points (k, 3) (length).
+    """
+
+    name: str
+    points: tuple[SurfacePoint, ...] = field(repr=False)
+    path: Array = field(repr=False)
+
+    @property
+    def length(self) -> float:
+        """Length of the seam (length)."""
+        return float(arc_lengths(self.path)[-1])
+
+    @property
+    def closed(self) -> bool:
+        """Whether the seam is closed."""
+        return self.points[0] == self.points[-1]
+
+
+Line = Seam | str
+"""A seam, or the name of an edge group."""
+
+
+def seam_of(surface: PatternSurface, name: str, points: Sequence[SurfacePoint]) -> Seam:
+    """A seam through surface points."""
+    if not isinstance(name, str) or not name.strip():
+        raise PathError(f"a seam with the name {name!r}; give one that is not empty.")
+    return Seam(name, tuple(points), surface.places(tuple(points)))
+
+
+def points_of(surface: PatternSurface, call: str, line: Line) -> tuple[SurfacePoint, ...]:
+    """The points of a seam or an edge group."""
+    return line.points if isinstance(line, Seam) else surface.line_of_group(call, line)
+
+
+@collective
+def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
+    """Make a seam of shortest lines between points. Collective.
+
+    As for cables with ``shortest=True``, the plane section through two points is pulled taut over
+    the vertices of the mesh until it is straight in the surface, and so on the flat piece.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    points
+        Two or more places in plan (k, 2) or in space (k, 3) (length).
+    name
+        Name of the seam.
+
+    Returns
+    -------
+    Seam
+        The seam.
+
+    Raises
+    ------
+    PathError
+        On all ranks: points off the surface, or that no plane section joins.
+
+    Examples
+    --------
+    >>> patterns.geodesic(found.mesh, [(-18.0, -6.0), (18.0, -6.0)], name="seam 1")
+    """
+    surface = PatternSurface.of("geodesic", mesh, points=points, name=name)
+    route = checked_route(points, SNAP)
+    found: list[SurfacePoint] = []
+    for k in range(len(route) - 1):
+        leg = _on_surface(surface, route[k : k + 2])
+        leg = shorten(leg, surface).points
+        found += leg[1:] if found and found[-1] == leg[0] else leg
+    return seam_of(surface, name, found)
+
+
+def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ...]:
+    """The plane section between two points, which must lie on the surface."""
+    ids = surface.target.ids
+    path = trace(ids, surface.points, surface.cells, route, snap=SNAP)
+    for anchor in (path.start_anchor, path.end_anchor):
+        if anchor is not None:
+            raise PathError(
+                f"geodesic: the point {as_text(anchor)} does not lie on the surface; give one that "
+                "does, or a place in plan."
+            )
+    return path.points
+
+
+@collective
+def geodesic_along(
+    mesh: MembraneMesh, start: ArrayLike, direction: ArrayLike, *, name: str
+) -> Seam:
+    """Make a seam that runs straight through a point, from rim to rim. Collective.
+
+    In the surface it turns neither left nor right: along the warp it follows the fabric.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    start
+        Point on the surface (3,) (length).
+    direction
+        Direction (3,), which is projected on the surface.
+    name
+        Name of the seam.
+
+    Returns
+    -------
+    Seam
+        The seam.
+
+    Raises
+    ------
+    PathError
+        On all ranks: a point off the surface, a direction normal to it, or a line that does not
+        reach the rim.
+    """
+    surface = PatternSurface.of("geodesic_along", mesh, start=start, direction=direction, name=name)
+    place = checks.vector("geodesic_along: start", start)
+    along = checks.vector("geodesic_along: direction", direction)
+    found = places_in_space(surface.target, place[None], SNAP, {})[0].point
+    if found is None:
+        raise PathError(
+            f"geodesic_along: start = {as_text(place)} does not lie on the surface; give a place "
+            "that does."
+        )
+    back, ahead = (straight_walk(surface, found, sign * along) for sign in (-1.0, 1.0))
+    middle = () if isinstance(found, CellPoint) else (found,)
+    return seam_of(surface, name, (*back[::-1], *middle, *ahead))
+
+
+@collective
+def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, name: str) -> Seam:
+    """Make a seam along the surface's section with a plane. Collective.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    origin
+        Point of the plane (3,) (length); of several lines, the nearest to it becomes the seam.
+    normal
+        Normal of the plane (3,).
+    name
+        Name of the seam.
+
+    Returns
+    -------
+    Seam
+        The seam.
+
+    Raises
+    ------
+    PathError
+        On all ranks: a plane that does not cut the surface.
+    """
+    surface = PatternSurface.of("plane_section", mesh, origin=origin, normal=normal, name=name)
+    point = checks.vector("plane_section: origin", origin)
+    across = checks.vector("plane_section: normal", normal)
+    if not across.any():
+        raise PathError("plane_section: normal = (0, 0, 0) is no direction; one is not zero.")
+    lines = surface.crossings((surface.points - point) @ (across / np.linalg.norm(across)))
+    if not lines:
+        raise PathError(
+            f"plane_section: the plane through {as_text(point)} with the normal {as_text(across)} "
+            "does not cut the surface; move it."
+        )
+    return seam_of(surface, name, nearest(surface, lines, point))
+
+
+def nearest(
+    surface: PatternSurface, lines: Sequence[tuple[SurfacePoint, ...]], point: Array
+) -> tuple[SurfacePoint, ...]:
+    """The line nearest to a point."""
+    gaps = [np.linalg.norm(surface.places(line) - point, axis=1).min() for line in lines]
+    return lines[int(np.argmin(gaps))]
+
+
+@collective
+def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Seam:
+    """Make a seam of mesh edges. Collective.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    group
+        Name of a group of edges that form one line, open or closed.
+    name
+        Name of the seam; by default the group's.
+
+    Returns
+    -------
+    Seam
+        The seam.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an unknown group.
+    PathError
+        On all ranks: a group that is not one line.
+    """
+    surface = PatternSurface.of("edge_line", mesh, group=group, name=name)
+    points = surface.line_of_group("edge_line", group)
+    return seam_of(surface, group if name is None else name, points)
+
+
+@collective
+def parallel(
+    mesh: MembraneMesh, line: Line, distance: float, *, toward: ArrayLike, name: str
+) -> Seam:
+    """Make a seam at a distance from a line, such as the width of the fabric. Collective.
+
+    Distances are measured over the surface, and are linear between vertices.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    line
+        A seam, or the name of a group of edges, such as a side of the roof.
+    distance
+        Distance (length).
+    toward
+        Point (3,) (length) on the seam's side of `line`; of several lines at the distance, the
+        nearest to it becomes the seam.
+    name
+        Name of the seam.
+
+    Returns
+    -------
+    Seam
+        The seam.
+
+    Raises
+    ------
+    PathError
+        On all ranks: no part of the surface is that far from the line.
+    """
+    surface = PatternSurface.of(
+        "parallel", mesh, line=line, distance=distance, toward=toward, name=name
+    )
+    apart = checks.positive("parallel: distance", distance)
+    point = checks.vector("parallel: toward", toward)
+    away = surface.distances(points_of(surface, "parallel", line))
+    lines = surface.crossings(away - apart)
+    if not lines:
+        raise PathError(
+            f"parallel: the surface ends {away.max():.6g} from the line, less than distance = "
+            f"{apart:.6g}; give a smaller one."
+        )
+    return seam_of(surface, name, nearest(surface, lines, point))

@@ -1,0 +1,209 @@
+"""Pictures of cutting patterns: the nested pieces, and one page per piece."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crms_fenicsx.design.patterns.nesting import Nesting, nest
+from crms_fenicsx.design.patterns.pattern import FlatPiece, Pattern
+from crms_fenicsx.design.patterns.sewn import Comparison
+from crms_fenicsx.design.patterns.sheet import Drawing, Sheet
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import floats
+from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.files import absolute, replaced
+from crms_fenicsx.results.output.figures.picture import checked_picture, finished, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
+WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
+"""Width and largest height of a figure, and height of a row of the roll (inches)."""
+
+
+@collective
+def draw_sheets(
+    pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
+) -> Figure | None:
+    """Draw the layout on the roll. Collective.
+
+    Cutting lines with allowances are red, seam lines blue, ends of the other piece's allowance
+    grey, match marks green. A PDF has a further page for each piece, with its sizes.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    filename
+        Picture in a format of matplotlib, such as .svg, .pdf or .png; None returns the figure of
+        the roll on the first rank.
+    sheet
+        Roll, allowances and marks.
+    unit
+        Name of the unit of length.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        The figure, without `filename`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
+    """
+    if not isinstance(pattern, Pattern):
+        raise InputError(f"draw_sheets: pattern = {pattern!r}; give one of patterns.flatten.")
+    comm = pattern.comm
+    checks.same(comm, "draw_sheets", filename=filename, sheet=sheet, unit=unit)
+    if filename is not None:
+        filename = absolute(checks.file("draw_sheets: filename", filename), comm)
+    nesting = nest(pattern, sheet)
+    with raised_together(comm):
+        if comm.rank > 0:
+            return None
+        path = checked_picture(filename)
+        whole = roll_figure(nesting, unit)
+        if path is None or path.suffix.lower() != ".pdf":
+            return finished(whole, path, 150)
+        pages = [whole, *(_page(*pair, unit) for pair in zip(nesting.drawings, pattern.flat,
+                                                            strict=True))]  # fmt: skip
+        _write_pages(path, pages)
+    return None
+
+
+def _write_pages(path: Path, pages: Sequence[Figure]) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with replaced(path) as partial, PdfPages(partial) as file:
+        for page in pages:
+            file.savefig(page, bbox_inches="tight")
+
+
+def _axes(figure: Figure, length: float, width: float) -> Any:
+    """Axes of equal scale for a drawing of a size."""
+    axes = figure.add_subplot()
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.02 * length, 1.02 * length)
+    axes.set_ylim(-0.05 * width, 1.05 * width)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return axes
+
+
+def _name_axis(axis: Any, name: str, unit: str) -> None:
+    axis.set_label_text(f"{name} [{unit}]" if unit else name, fontsize=8)
+
+
+def roll_figure(nesting: Nesting, unit: str) -> Figure:
+    """Figure of the nested pieces, row by row from the top."""
+    starts = np.array([*nesting.rows, nesting.length])
+    x, y = float(np.diff(starts).max()), nesting.roll
+    step, last = 1.1 * y, len(nesting.rows) - 1
+    high = last * step + y
+    highest = max(HIGHEST, ROW * len(nesting.rows) + 1.2)
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, highest)))
+    axes = _axes(figure, x, high)
+    for k, (start, end) in enumerate(pairwise(floats(starts))):
+        base = (last - k) * step
+        axes.plot([0, end - start, end - start, 0, 0], [base, base, base + y, base + y, base],
+                  color="#5b6876", linewidth=0.6, linestyle="--")  # fmt: skip
+    for one in nesting.drawings:
+        row = int(np.searchsorted(starts, one.cut_line[:, 0].min() + 1e-9 * x, side="right")) - 1
+        _draw(axes, one.moved(np.array([-starts[row], (last - row) * step])), names=False)
+    axes.set_yticks([])
+    _name_axis(axes.xaxis, "along the roll", unit)
+    bracket = f" {unit}" if unit else ""
+    axes.set_title(
+        f"{len(nesting.drawings)} pieces on {nesting.length:.4g}{bracket} of a roll {y:.4g}"
+        f"{bracket} wide, {nesting.waste:.0%} waste",
+        loc="left",
+        fontsize=10,
+    )
+    return figure
+
+
+def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str) -> Figure:
+    """Figure of the sewn roof's results on the flat pieces."""
+    from matplotlib.collections import PolyCollection
+
+    names = [f"{side}: section force{stress}" for side in ("Warp", "Weft")]
+    names += [f"Off the form [{unit}]" if unit else "Off the form", "Wrinkled or slack"]
+    panels = [(name, comparison.cells[:, k]) for k, name in enumerate(names)]
+    panels = panels[: 4 if panels[3][1].any() else 3]
+    gap = 0.15 * max(one.width for one in pattern.flat)
+    bases = np.cumsum([0.0, *(one.width + gap for one in pattern.flat)])
+    length, width = max(one.length for one in pattern.flat), float(bases[-1])
+    corners = [(one.shape + np.array([0.0, base]))[one.piece.triangles]
+               for one, base in zip(pattern.flat, bases, strict=False)]  # fmt: skip
+    cells = np.concatenate([one.piece.cells for one in pattern.flat])
+    share = WIDTH / len(panels)
+    figure = new_figure(WIDTH, float(np.clip(share * width / length + 1.0, 2.5, HIGHEST)))
+    for k, (name, values) in enumerate(panels, 1):
+        axes = figure.add_subplot(1, len(panels), k, aspect="equal")
+        shapes = PolyCollection(np.concatenate(corners), array=values[cells], cmap="viridis",
+                                edgecolor="face", linewidth=0.1, rasterized=True)  # fmt: skip
+        axes.add_collection(shapes)
+        axes.set(xlim=(-0.02 * length, 1.02 * length), ylim=(-gap, width), xticks=[], yticks=[])
+        axes.set_frame_on(False)
+        axes.set_title(name, fontsize=8)
+        for one, base in zip(pattern.flat, bases, strict=False):
+            axes.text(-0.01 * length, base + one.width / 2, one.name, fontsize=5, ha="right",
+                      va="center")  # fmt: skip
+        figure.colorbar(shapes, ax=axes, orientation="horizontal", pad=0.02).ax.tick_params(
+            labelsize=7
+        )
+    return figure
+
+
+def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
+    """Page of a piece with its sizes."""
+    one = one.moved(-one.cut_line.min(axis=0))
+    length, width = one.extent
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * width / length + 1.6, 2.5, HIGHEST)))
+    axes = _axes(figure, length, width)
+    _draw(axes, one, names=True)
+    _name_axis(axes.xaxis, "along the warp", unit)
+    _name_axis(axes.yaxis, "along the weft", unit)
+    bracket = f" {unit}" if unit else ""
+    square = f" {unit}²" if unit else ""
+    warp, weft = (f"{100 * part:.2f} %" for part in flat.shrink)
+    axes.set_title(
+        f"{one.name}: {flat.length:.4g} x {flat.width:.4g}{bracket} (fabric {length:.4g} x "
+        f"{width:.4g}), area {flat.area:.4g}{square}; compensated {warp} along "
+        f"warp, {weft} along weft",
+        loc="left",
+        fontsize=9,
+    )
+    return figure
+
+
+def _draw(axes: Any, one: Drawing, names: bool) -> None:
+    """Draw a piece into axes."""
+    for line, kind in ((one.cut_line, "cut"), (one.seam_line, "seam")):
+        axes.fill(*line.T, facecolor="#f3f6f9" if kind == "cut" else "none",
+                  edgecolor=COLOURS[kind], linewidth=0.8)  # fmt: skip
+    for line in one.overlaps:
+        axes.plot(*line.T, color=COLOURS["overlap"], linewidth=0.5)
+    for mark in one.marks:
+        axes.plot(*mark.line.T, color=COLOURS["mark"], linewidth=1.2)
+        if names:
+            inner = 3.0 * mark.line[0] - 2.0 * mark.line[1]
+            axes.text(*inner, mark.number, color=COLOURS["mark"], fontsize=6, ha="center",
+                      va="center")  # fmt: skip
+    tail, tip = one.warp
+    arrow = {"arrowstyle": "-|>", "linewidth": 0.8, "color": "#1b2733"}
+    axes.annotate("", tip, tail, arrowprops=arrow)
+    axes.annotate(one.name, (tail + tip) / 2, xytext=(0, 2), textcoords="offset points",
+                  fontsize=9 if names else 6, ha="center", va="bottom")  # fmt: skip
+    if names:
+        for name, place, angle in one.names:
+            axes.text(*place, name, rotation=angle, rotation_mode="anchor", fontsize=7,
+                      ha="center", va="center", color="#5b6876")  # fmt: skip

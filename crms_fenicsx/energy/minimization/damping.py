@@ -1,0 +1,113 @@
+"""Springs in H0 that restrain cable points while forces are unbalanced.
+
+A cable has little lateral restraint short of the next vertex, and two points at a crossing near an
+edge are so close that their distance does not control the next one. Newton's step moves such points
+far beyond the quadratic model, and the line search then shortens the whole step. So springs tie
+
+* each sliding point to its place on its edge, and
+* the ends of each straight segment of a cable to each other.
+
+With them the unbalanced force on a point alone moves it by a fraction of the edge, or by the
+segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
+
+Steps by the exact second derivatives have no springs. There vertices that move by a thousandth of a
+cell send a point over several cells, so each is stopped short of its edge's ends (`stop_short`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.foundation.dofs.block_patterns import (
+    BlockPattern,
+    BlockSink,
+    SegmentPattern,
+    rows_of,
+)
+from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+
+SLIDE = 0.1
+"""Fraction of its edge by which the unbalanced force alone moves a sliding point; 0.02 to 0.2
+perform alike."""
+
+REACH = 0.9
+"""Fraction of the way to the edge's end that a sliding point may go in a Newton step."""
+
+
+@dataclass(frozen=True)
+class Springs(ElementTable):
+    """This rank's springs."""
+
+    # sliders (n, 3), fractions (n,): sliding points and ends of their edges, edge fractions
+    sliders: Indices
+    fractions: Array
+    segments: Indices  # (m, 2) blocks at the ends of straight cable segments
+    addresses = ("sliders", "segments")
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the sliding points and their edges."""
+        return rows_of(self.sliders)
+
+
+class Damping:
+    """Stiffness of the springs."""
+
+    def __init__(self, springs: Springs) -> None:
+        self.springs, fractions = springs, springs.fractions
+        weights = np.stack([np.ones(len(fractions)), fractions - 1, -fractions], axis=1)
+        shares = weights[:, :, None] * weights[:, None, :]
+        rows, cols = np.repeat(springs.sliders, 3, axis=1), np.tile(springs.sliders, 3)
+        self._on_edges = BlockPattern(rows.ravel(), cols.ravel(), shares.reshape(-1, 9))
+        self._along = SegmentPattern(springs.segments)
+        self.patterns = (self._on_edges, self._along)
+
+    def elements_on(self, chosen: Booleans) -> Springs:
+        """Springs that touch the chosen blocks, (n_local,)."""
+        s = self.springs
+        own, parts = chosen[s.sliders[:, 0]], chosen[s.segments].any(axis=1)
+        return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
+
+    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: BlockSink) -> None:
+        """Add the springs' stiffness to the matrix. Shapes: x, g (n_local, 3)."""
+        X = unknowns.X + x
+        force = np.linalg.norm(g, axis=1)
+        point, start, end = self.springs.sliders.T
+        to_start, to_end = (np.linalg.norm(X[point] - X[v], axis=1) for v in (start, end))
+        travel = np.minimum(SLIDE * np.linalg.norm(X[end] - X[start], axis=1), to_start)
+        travel = np.minimum(travel, to_end)
+        stiffness = _ratio(force[point], travel)
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._on_edges.values)
+        self._on_edges.add(A)
+        a, b = self.springs.segments.T
+        stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.values)
+        self._along.add(A)
+
+    def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
+        """Move sliding points in `x` back that on the way from `x0` come too near an edge's end;
+        x0, x (n_local, 3). Returns moved blocks (m,), all owned, and changes (m, 3) (length)."""
+        before, _ = self._places(unknowns.X + x0)
+        after, side = self._places(unknowns.X + x)
+        # A point already beyond an end goes no farther.
+        to_start, to_end = (np.minimum((1.0 - REACH) * s, s) for s in (before, 1.0 - before))
+        back = np.clip(after, to_start, 1.0 - to_end) - after
+        moved = back != 0.0
+        points, change = self.springs.sliders[moved, 0], back[moved, None] * side[moved]
+        x[points] += change
+        return points, change
+
+    def _places(self, X: Array) -> tuple[Array, Array]:
+        """Fractions of the sliding points on their edges, (n,), and the edges, (n, 3)."""
+        point, start, end = self.springs.sliders.T
+        side = X[end] - X[start]
+        along = np.einsum("ni,ni->n", X[point] - X[start], side)
+        return _ratio(along, np.einsum("ni,ni->n", side, side)), side
+
+
+def _ratio(a: Array, b: Array) -> Array:
+    """a / b; 0 where two points coincide, since their direction is then undefined."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)

@@ -1,0 +1,307 @@
+"""Initial Hessian H0 of the quasi-Newton solver: sparse stiffness plus one dyad per cable.
+
+A cable's elongation couples all its points: EA/L0 times the dyad of the length's gradient would be
+a dense block. H0 = K + G C G^T keeps it apart, with the sparse stiffness K of all terms, a column
+of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodbury:
+
+    H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
+
+On several processes the solves for Z dominate, so H0 is factorised with the tensions as unknowns
+(`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
+
+With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
+preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
+from crms_fenicsx.energy.minimization.membrane_multigrid import (
+    EXACT_SHIFT,
+    MULTIGRID,
+    SHIFT,
+    MembraneMultigrid,
+    block_traces,
+    set_defaults,
+    set_near_null_space,
+    shift_diagonal,
+    stiffen_across_edge_sliders,
+)
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
+from crms_fenicsx.foundation.runtime.arrays import Array
+
+QUIET = {"mat_cholmod_print": "0"}
+"""Stops CHOLMOD from printing that a matrix is indefinite; errors are raised anyway."""
+INDEFINITE = 76, 81
+"""PETSc's error codes when an external factorisation finds K indefinite."""
+WORKSPACE = 100
+"""Extra memory for MUMPS beyond its estimate (per cent)."""
+DIRECT = 1_000_000
+"""Unknowns up to which K is factorised without cables. Relative to multigrid a load step takes 0.4
+to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6."""
+DIRECT_WITH_CABLES = 10_000_000
+"""The same with cables (extrapolated): with 1e5 unknowns and 28 cables multigrid takes 65 times as
+long per solve and 2.5 times per new H0 (docs/benchmarks/parallel.md)."""
+ACCURACY = 1e-2
+"""Relative residual of conjugate gradients on H0; a looser one costs BLMVM more iterations."""
+
+
+def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
+    """Owned components in contact with an obstacle, (n, 3)."""
+    n = potential.unknowns.n_owned
+    lower, upper = potential.unknowns.bounds  # type: ignore[misc]
+    x, g = potential.x[:n], potential.g[:n]
+    pressed: npt.NDArray[np.bool_] = ((x <= lower[:n]) & (g > 0)) | ((x >= upper[:n]) & (g < 0))
+    return pressed
+
+
+def direct_solver(comm: MPI.Comm) -> str:
+    """Default package for factorising K: the fastest that this PETSc has."""
+    has = PETSc.Sys.hasExternalPackage
+    if comm.size == 1 and (has("cholmod") or has("suitesparse")):
+        return "cholmod"
+    return "mumps" if has("mumps") else "petsc"
+
+
+class InitialHessian:
+    """Positive definite H0 of a potential, decoupled from held and across-slider components.
+
+    Attributes: `matrix`: K; `shift` (n_owned,): last shift of K's diagonal blocks (force/length);
+    `slackened`: whether it counts nearly taut cables as slack.
+    """
+
+    def __init__(self, potential: Potential, prefix: str) -> None:
+        self.potential = potential
+        unknowns = potential.unknowns
+        self._stiffness = StiffnessMatrix(unknowns, potential.patterns())
+        self.matrix = self._stiffness.petsc
+        self.pc = PETSc.PC().create(unknowns.comm)
+        self.pc.setOptionsPrefix(prefix)
+        self.pc.setOperators(self.matrix)
+        cables = any(term.of_cables for term in potential.terms)
+        if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
+            self.pc.setType(PETSc.PC.Type.CHOLESKY)
+            self.pc.setFactorSolverType(direct_solver(unknowns.comm))
+        else:
+            self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
+        self.pc.setFromOptions()
+        self._membrane: MembraneMultigrid | None = None
+        if self.pc.getType() == PETSc.PC.Type.FIELDSPLIT:
+            if unknowns.n_global > unknowns.V.dofmap.index_map.size_global:
+                self._membrane = MembraneMultigrid(potential, self.pc)
+            else:
+                self.pc.setType(PETSc.PC.Type.GAMG)
+        if self.pc.getType() == PETSc.PC.Type.GAMG:
+            set_defaults(prefix, MULTIGRID)
+        self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
+        if self._exact and self.pc.getFactorSolverType() == "mumps":
+            # MUMPS's own estimate is too small for some partitions, and it fails then. The options
+            # database still takes precedence.
+            self.pc.setFactorSetUpSolverType()
+            self.pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+        self._augmented: AugmentedStiffness | None = None
+        if self.pc.getType() == PETSc.PC.Type.CHOLESKY and PETSc.Sys.hasExternalPackage("mumps"):
+            self._augmented = AugmentedStiffness(self.matrix, prefix)
+        self._is_augmented = False
+        self._outer: PETSc.KSP | None = None
+        self._dyads: Array = np.zeros(0)
+        self.shift: Array = np.zeros(0)
+        self.slackened = False
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self._outer is not None:
+            self._outer.getOperators()[0].destroy()
+            self._outer.destroy()
+        if self._membrane is not None:
+            self._membrane.destroy()
+        if self._augmented is not None:
+            self._augmented.destroy()
+        self.pc.destroy()
+        self._stiffness.destroy()
+
+    def rebuild(self, exact: bool = False) -> bool:
+        """Assemble at the potential's current state, whose sums and `g` (unbalanced forces) must be
+        up to date. Returns whether H0 is definite, as far as is known; otherwise it is unusable."""
+        exact &= self._exact
+        held = self.assemble(exact)
+        if self._membrane is not None:
+            self._membrane.assemble(held)
+        elif not self._exact:
+            set_near_null_space(self.matrix, self.potential)
+        self._dyads, columns = self.potential.dyad_columns(held, exact)
+        self.slackened = exact and len(self._dyads) < sum(1 for _ in self.potential.dyads())
+        augmentable = self._augmented is not None and len(self._dyads) > 0
+        self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
+        if not self._is_augmented and self._set_up():
+            self._add_dyads(columns)
+            return True
+        self._is_augmented = augmentable
+        if self._augmented is None or not augmentable:
+            return False
+        return self._augmented.factorize(columns * np.sqrt(self._dyads))
+
+    def _set_up(self) -> bool:
+        """Factorise K, or set up multigrid, and return whether K is definite."""
+        if self._exact and self.pc.getFactorSolverType() == "cholmod":
+            set_defaults(self.pc.getOptionsPrefix(), QUIET)
+        try:
+            self.pc.setUp()
+        except PETSc.Error as error:
+            if error.ierr not in INDEFINITE:
+                raise
+            kind, library = self.pc.getType(), self.pc.getFactorSolverType()
+            self.pc.reset()
+            self.pc.setOperators(self.matrix)
+            self.pc.setType(kind)
+            self.pc.setFactorSolverType(library)
+            return False
+        return True
+
+    def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
+        """Only assemble K at the potential's state, and return owned held components, (n, 3)."""
+        A, unknowns = self.matrix, self.potential.unknowns
+        held = unknowns.held[: unknowns.n_owned].copy()
+        if unknowns.bounds is not None:
+            held |= at_bounds(self.potential)
+        self._held = held
+        self._stiffness.clear()
+        self.potential.add_stiffness(self._stiffness, exact)
+        self._stiffness.assemble()
+        traces = block_traces(A, held)
+        sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
+        unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
+        largest = float(sizes[0]) if sizes[0] > 0 else 1.0
+        self.shift = shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
+        if sizes[1]:
+            stiffen_across_edge_sliders(A, unknowns, largest)
+        rows = np.flatnonzero(held) + 3 * unknowns.start
+        A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
+        A.setOption(PETSc.Mat.Option.SPD, True)
+        return held
+
+    def _add_dyads(self, columns: Array) -> None:
+        """Compute this rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
+        self._columns, self._shares = columns, np.empty(len(self._dyads))
+        if not len(self._dyads):
+            return
+        self._solved = self._apply_to_all(columns)
+        products = columns.T @ self._solved
+        self.potential.comm.Allreduce(MPI.IN_PLACE, products)
+        self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
+
+    def _apply_to_all(self, columns: Array) -> Array:
+        """K^-1 or its preconditioner applied to columns: all at once if factorised, much faster. By
+        multigrid one by one: several at once crash on several processes (PETSc 3.25)."""
+        solved = np.empty_like(columns)
+        if not self._exact:
+            b, y = self.matrix.createVecs()
+            for k in range(columns.shape[1]):
+                b.array[:] = columns[:, k]
+                self.pc.apply(b, y)
+                self._take_out(y.array)
+                solved[:, k] = y.array
+            b.destroy()
+            y.destroy()
+            return solved
+        size = ((len(columns), 3 * self.potential.unknowns.n_global), (None, columns.shape[1]))
+        B, Y = (
+            PETSc.Mat().createDense(size, array=array, comm=self.potential.comm)
+            for array in (columns, solved)
+        )
+        self.pc.matApply(B, Y)
+        B.destroy()
+        Y.destroy()
+        return solved
+
+    def _sums_over_ranks(self, rows: Array, vector: PETSc.Vec) -> Array:
+        """``rows^T vector`` by one reduction; valid until the next call."""
+        np.dot(rows.T, vector.array_r, out=self._shares)
+        self.potential.comm.Allreduce(MPI.IN_PLACE, self._shares)
+        return self._shares
+
+    def solve_for(self, ksp: PETSc.KSP) -> None:
+        """Make `ksp` a solver of H0."""
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        pc = ksp.getPC()
+        pc.setType(PETSc.PC.Type.PYTHON)
+        pc.setPythonContext(Preconditioner(self.solve))
+
+    def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve ``H0 y = b``."""
+        if self._augmented is not None and self._is_augmented:
+            self._augmented.solve(b, y)
+            return
+        if self._exact:
+            self.precondition(b, y)
+            return
+        if self._outer is None:
+            self._outer = self._conjugate_gradients()
+        self._outer.solve(b, y)
+
+    def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply H0^-1 with K's preconditioner in place of K^-1; exact if K is factorised."""
+        self.pc.apply(b, y)
+        if not self._exact:
+            self._take_out(y.array)
+        if len(self._dyads):
+            y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
+
+    def _take_out(self, y: Array) -> None:
+        """Remove held and across-slider components from multigrid's result, whose coarse levels
+        ignore these constraints. It stays symmetric for right-hand sides without them."""
+        unknowns = self.potential.unknowns
+        values = y.reshape(-1, 3)
+        values[self._held] = 0.0
+        if unknowns.n_edge_sliders:
+            own = unknowns.edge_sliders < unknowns.n_owned
+            edge_sliders, d = unknowns.edge_sliders[own], unknowns.directions[own]
+            values[edge_sliders] = np.sum(values[edge_sliders] * d, axis=1)[:, None] * d
+
+    def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """``y = (K + G C G^T) x``."""
+        self.matrix.mult(x, y)
+        if len(self._dyads):
+            y.array += self._columns @ (self._dyads * self._sums_over_ranks(self._columns, x))
+
+    def _conjugate_gradients(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(self.potential.comm)
+        operator = PETSc.Mat().createPython(self.matrix.getSizes(), comm=self.potential.comm)
+        operator.setPythonContext(_Multiply(self.multiply))
+        operator.setUp()
+        ksp.setOperators(operator)
+        ksp.setOptionsPrefix(self.pc.getOptionsPrefix())
+        ksp.setType(PETSc.KSP.Type.CG)
+        ksp.setTolerances(rtol=ACCURACY)
+        ksp.setFromOptions()
+        ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+        ksp.getPC().setPythonContext(Preconditioner(self.precondition))
+        return ksp
+
+
+class Preconditioner:
+    """PETSc Python preconditioner (PETSc would also call a `destroy`)."""
+
+    def __init__(self, solve: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
+        self.solve = solve
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        self.solve(b, y)
+
+
+class _Multiply:
+    """PETSc Python matrix."""
+
+    def __init__(self, multiply: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
+        self.multiply = multiply
+
+    def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self.multiply(x, y)

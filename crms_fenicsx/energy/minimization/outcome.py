@@ -1,0 +1,88 @@
+"""Outcome of a minimisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from crms_fenicsx.foundation.runtime.checks import counted
+
+SEARCH_FAILED, OUT_OF_RANGE = -6, 63
+"""TAO's reason and PETSc's error code for a failed line search."""
+
+REASONS = {
+    -2: "too many iterations",
+    -4: "energy or gradient not finite",
+    -5: "too many evaluations",
+    SEARCH_FAILED: "line search failed",
+    -7: "trust region failed",
+    -8: "stopped by the user",
+}
+
+ENDLESS = "the membrane moves without end"
+"""Reason for giving up when vertices have moved too far."""
+
+SINGULAR = "the stiffness is singular to rounding"
+"""Reason for giving up when H0 cannot be factorised."""
+
+DROWNED = (
+    ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
+    "large for the loads"
+)
+
+
+@dataclass(frozen=True, repr=False)
+class Outcome:
+    """Result of a minimisation."""
+
+    converged: bool  # whether the gradient's norm fell below `tolerance`
+    reason: str  # reason for its end, in words
+    residual: float  # residual, tolerance: norm of the gradient and its limit (force)
+    tolerance: float
+    # iterations, evaluations, factorizations: of BLMVM and Newton's method; evaluations of energy
+    # and gradient, factorisations of H0
+    iterations: int
+    evaluations: int
+    factorizations: int
+    newton_steps: int = 0  # iterations of Newton's method
+    local_steps: int = 0  # Newton steps of local clusters of cable points and vertices
+    # minimisations: several where cables turned slack or taut, lifted off or slid
+    solves: int = 1
+    # mesh vertices that cables passed sideways between minimisations, including those on rejected
+    # paths, excluding the straightening of paths before the first
+    flips: int = 0
+    # updates of the friction forces; 0 without friction
+    passes: int = 0
+    # last relative change of the friction forces, if they cycled and were left unconverged
+    unsettled: float = 0.0
+    # force scale of the scene, to which the tolerance is relative unless rounding is larger
+    scale: float = 0.0
+    # whether the energy was not convex on the way of a minimisation: possible snap-through
+    nonconvex: bool = False
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"Outcome({self.reason}, residual {self.residual:.2g} for {self.tolerance:.2g}, "
+            f"{counted(self.iterations, 'iteration')}, {counted(self.evaluations, 'evaluation')}, "
+            f"{counted(self.factorizations, 'factorisation')})"
+        )
+
+    def __add__(self, other: Outcome) -> Outcome:
+        """Outcome `other` with the work of both."""
+        return Outcome(
+            other.converged,
+            other.reason,
+            other.residual,
+            other.tolerance,
+            self.iterations + other.iterations,
+            self.evaluations + other.evaluations,
+            self.factorizations + other.factorizations,
+            self.newton_steps + other.newton_steps,
+            self.local_steps + other.local_steps,
+            self.solves + other.solves,
+            self.flips + other.flips,
+            self.passes + other.passes,
+            other.unsettled,
+            other.scale,
+            self.nonconvex or other.nonconvex,
+        )

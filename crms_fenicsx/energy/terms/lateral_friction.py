@@ -1,0 +1,108 @@
+"""Friction of cables that slide sideways: Coulomb's law, smoothed so that a cable can stick.
+
+Each sliding node has the potential ``F eps f(s/eps)`` of its slip s, with the force F fixed during
+the minimisation:
+
+    f(y) = y^2 - |y|^3/3  for |y| < 1,   |y| - 1/3 beyond.
+
+The force F f'(y) reaches F exactly at the slip eps and then stays constant, so that a sliding node
+feels Coulomb's force and an unloaded one does not creep (the mollifier of M. Li et al., Incremental
+potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's position on its
+edge, ``s = slope * fraction + offset``, see `cabling.friction.slip`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.energy.terms.segments import (
+    EdgePoints,
+    add_slip_curvature,
+    add_slip_forces,
+    edge_fractions,
+    slip_stiffness,
+)
+from crms_fenicsx.energy.terms.smooth_coulomb import (
+    friction_energy,
+    friction_potentials,
+    secant_stiffness,
+    tangent_stiffness,
+)
+from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+
+
+@dataclass(frozen=True)
+class Slips(EdgePoints):
+    """This rank's nodes with friction."""
+
+    slope: Array  # slope, offset: (n,) slip as a function of the edge fraction (length)
+    offset: Array
+    bound: Array  # (n,) friction force F of a sliding node (force)
+    eps: Array  # (n,) slip at which it is reached (length)
+
+
+class LateralFriction(EnergyTerm):
+    """Sideways friction of the cables' sliding nodes, (3.3-1) with stick."""
+
+    name = "friction"
+    of_cables = True
+
+    def __init__(self, table: Slips) -> None:
+        self.table = table
+        n = len(table.place)
+        self._fractions, self.slips, self._force = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._gradients = np.zeros((len(table.blocks), 3))
+        self.pattern = ElementPattern(table.pointers, table.blocks)
+        self.patterns = (self.pattern,)
+
+    def renew(self, table: Slips) -> None:
+        """Use other forces and material curves for the same nodes."""
+        self.table = table
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the potential; keeps slips and forces for the gradient."""
+        t = self.table
+        edge_fractions(
+            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
+        )
+        np.multiply(t.slope, self._fractions, out=self.slips)
+        self.slips += t.offset
+        out[0] = friction_energy(self.slips, t.bound, t.eps, self._force)
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        t = self.table
+        add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the secant stiffness ``force / slip``; see `secant_stiffness`."""
+        t = self.table
+        self._stiffen(secant_stiffness(self.slips, t.bound, t.eps))
+        self.pattern.add(A)
+
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the second derivatives, without stiffness of nodes that slide beyond eps."""
+        t = self.table
+        self._stiffen(tangent_stiffness(self.slips, t.bound, t.eps))
+        add_slip_curvature(
+            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
+            self._force * t.slope, self.pattern.values,
+        )  # fmt: skip
+        self.pattern.add(A)
+
+    def _stiffen(self, stiffness: Array) -> None:
+        """Put a stiffness against the slips, (n,) (force/length), into the pattern's values."""
+        t, values = self.table, self.pattern.values
+        slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness * t.slope**2, values)
+
+    def elements_on(self, chosen: Booleans) -> Slips | None:
+        return self.table.points_on(chosen)
+
+    def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
+        return LateralFriction(table)
+
+    def element_energies(self, sums: Array) -> Array:
+        return friction_potentials(self.slips, self.table.bound, self.table.eps)

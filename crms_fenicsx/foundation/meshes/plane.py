@@ -1,0 +1,325 @@
+"""Flat membranes: rectangle, ellipse, circle and polygon, with checked outlines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.foundation.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
+from crms_fenicsx.foundation.meshes.membrane_mesh import Ranks, mesh_generator
+from crms_fenicsx.foundation.meshes.refinement import (
+    Refinement,
+    TargetSize,
+    check_point,
+    check_positive,
+    check_size,
+)
+from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
+
+
+def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
+    """Check the corners (n, 2) of a simple polygon, in the given order."""
+    try:
+        outline = np.asarray(corners, dtype=np.float64)
+    except (TypeError, ValueError):
+        outline = np.empty(0)
+    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        raise MeshError(f"the polygon's corners are {corners!r}: give three or more points (x, y)")
+    if not np.isfinite(outline).all():
+        raise MeshError(f"the polygon's corners {corners!r} are not all finite")
+    following = np.roll(outline, -1, axis=0)
+    along = following - outline
+    bad = np.flatnonzero((along == 0).all(axis=1))
+    if len(bad):
+        raise MeshError(
+            f"side {bad[0] + 1} of the polygon has no length, from and to "
+            f"{tuple(outline[bad[0]].tolist())}: give every corner once"
+        )
+    i, j = np.triu_indices(len(outline), k=1)
+    adjacent = (j == i + 1) | ((i == 0) & (j == len(outline) - 1))
+    straight = _cross(along[i], along[j]) == 0
+    folds_back = straight & (np.einsum("ij,ij->i", along[i], along[j]) < 0)
+    meet = _meet(outline[i], following[i], outline[j], following[j])
+    bad = np.flatnonzero(np.where(adjacent, folds_back, meet))
+    if len(bad):
+        raise MeshError(
+            f"sides {i[bad[0]] + 1} and {j[bad[0]] + 1} of the polygon intersect or touch: give "
+            "the corners in their order around it"
+        )
+    return outline
+
+
+def _cross(u: Array, v: Array) -> Array:
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def _meet(a: Array, b: Array, c: Array, d: Array) -> Booleans:
+    """Whether segments a-b and c-d have a point in common."""
+    apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
+    c_d_sides = _cross(b - a, c - a) * _cross(b - a, d - a)
+    a_b_sides = _cross(d - c, a - c) * _cross(d - c, b - c)
+    return ~apart.any(axis=1) & (c_d_sides <= 0) & (a_b_sides <= 0)
+
+
+RECTANGLE_SIDES = ("front", "right", "back", "left")
+RECTANGLE_CORNERS = ("front left", "front right", "back right", "back left")
+
+
+@mesh_generator
+def rectangle(
+    comm: MPI.Intracomm,
+    width: float,
+    depth: float,
+    size: float,
+    *,
+    corner: Sequence[float] = (0.0, 0.0),
+    structured: bool = False,
+    refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
+) -> SurfaceArrays:
+    """Mesh a rectangle in the plane z = 0.
+
+    Its sides are the edge groups "left" and "right" (smallest and largest x), "front" and "back"
+    (smallest and largest y); its corners are the point groups "front left" and so on.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective, and rank 0 holds the whole mesh first.
+    width, depth
+        Extents in x and y (length).
+    size
+        Edge length of the triangles (length).
+    corner
+        Coordinates (x, y) of the corner with the smallest x and y.
+    structured
+        Cut round(width / size) x round(depth / size) equal rectangles, each by its diagonal
+        from lower left to upper right, instead of meshing freely.
+    refinements
+        Where to refine an unstructured mesh.
+    ranks
+        Rank of each cell, as for `from_arrays`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, `size` is larger than a side, or a
+        structured mesh is given refinements.
+    """
+    check_positive("the rectangle", width=width, depth=depth)
+    check_size("the rectangle", size, min(width, depth), width * depth)
+    x, y = check_point("the rectangle's corner", corner)
+    if structured:
+        if refinements:
+            raise InputError(
+                f"a structured rectangle cannot take {len(refinements)} refinement(s): "
+                "use structured=False"
+            )
+        return _structured(x, y, width, depth, size)
+    corners = rectangle_corners(x, y, width, depth)
+    target = TargetSize(size, refinements)
+    return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
+
+
+@mesh_generator
+def ellipse(
+    comm: MPI.Intracomm,
+    a: float,
+    b: float,
+    size: float,
+    *,
+    center: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
+) -> SurfaceArrays:
+    """Mesh an ellipse in the plane z = 0; the ends of its axes are vertices.
+
+    Parameters
+    ----------
+    a, b
+        Semi-axes along x and y (length).
+    size
+        Edge length of the triangles (length).
+    center
+        Coordinates (x, y) of the centre.
+    comm, refinements, ranks
+        As for `rectangle`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is larger than a
+        semi-axis.
+    """
+    check_positive("the ellipse", a=a, b=b)
+    check_size("the ellipse", size, min(a, b), math.pi * a * b)
+    x, y = check_point("the ellipse's centre", center)
+    return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
+
+
+@mesh_generator
+def circle(
+    comm: MPI.Intracomm,
+    radius: float,
+    size: float,
+    *,
+    center: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
+) -> SurfaceArrays:
+    """Mesh a circle in the plane z = 0; its points on the axes are vertices.
+
+    Parameters
+    ----------
+    radius
+        Radius (length).
+    size
+        Edge length of the triangles (length).
+    center
+        Coordinates (x, y) of the centre.
+    comm, refinements, ranks
+        As for `rectangle`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is larger than the radius.
+    """
+    check_positive("the circle", radius=radius)
+    check_size("the circle", size, radius, math.pi * radius**2)
+    x, y = check_point("the circle's centre", center)
+    return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
+
+
+@mesh_generator
+def polygon(
+    comm: MPI.Intracomm,
+    corners: Sequence[Sequence[float]],
+    size: float,
+    *,
+    names: Sequence[str] | None = None,
+    refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
+) -> SurfaceArrays:
+    """Mesh a polygon in the plane z = 0.
+
+    Its corners are the point groups "corner 1", "corner 2", and so on.
+
+    Parameters
+    ----------
+    corners
+        Coordinates (x, y) of the corners in order, in either sense.
+    size
+        Edge length of the triangles (length).
+    names
+        Names of the sides' edge groups, the first for the side from corner 1 to corner 2. Names may
+        repeat; by default "side 1", "side 2", and so on.
+    comm, refinements, ranks
+        As for `rectangle`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if there are fewer than three corners, a side has no length, sides intersect
+        or touch, the numbers of names and sides differ, or `size` is not positive or larger than
+        the polygon's extent.
+    """
+    outline = simple_outline(corners)
+    if not isinstance(names, Sequence | None):
+        raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
+    sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
+    if len(sides) != len(outline):
+        raise InputError(
+            f"there are {len(sides)} names for the {len(outline)} sides of the polygon: give "
+            "one for each"
+        )
+    for name in sides:
+        if not isinstance(name, str) or not name.strip():
+            raise InputError(f"a side of the polygon has the name {name!r}: give a string")
+    x, y = outline.T
+    area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)
+    corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
+    return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
+
+
+def ellipse_arrays(
+    x: float, y: float, a: float, b: float, target: Callable[[Array], float]
+) -> SurfaceArrays:
+    """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`."""
+    with own_model() as gmsh:
+        geometry = gmsh.model.geo
+        middle = geometry.addPoint(x, y, 0.0)
+        ends = [
+            geometry.addPoint(x + u * a, y + v * b, 0.0)
+            for u, v in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        ]
+        major = ends[0] if a >= b else ends[1]
+        arcs = [geometry.addEllipseArc(ends[k], middle, major, ends[(k + 1) % 4]) for k in range(4)]
+        geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
+        geometry.synchronize()
+        mesh_with_sizes(gmsh, target)
+        arrays = read_model(gmsh)
+
+    return replace(arrays, project=partial(_to_the_rim, (x, y), (a, b)))
+
+
+def _to_the_rim(
+    center: tuple[float, float], axes: tuple[float, float], points: Array, on_rim: Booleans
+) -> Array:
+    """Move those of the points (3, n) that are `on_rim` (n,) to the rim of an ellipse."""
+    (x, y), (a, b), moved = center, axes, points.copy()
+    offset = points[:2, on_rim] - [[x], [y]]
+    moved[:2, on_rim] = [[x], [y]] + offset / np.hypot(offset[0] / a, offset[1] / b)
+    return moved
+
+
+def rectangle_corners(x: float, y: float, width: float, depth: float) -> Array:
+    """Corners of a rectangle in the order of `RECTANGLE_CORNERS`, (4, 2)."""
+    return np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
+
+
+def _structured(x: float, y: float, width: float, depth: float, size: float) -> SurfaceArrays:
+    nx, ny = max(round(width / size), 1), max(round(depth / size), 1)
+    points = np.stack(
+        np.meshgrid(np.linspace(x, x + width, nx + 1), np.linspace(y, y + depth, ny + 1)), axis=-1
+    ).reshape(-1, 2)
+    grid = np.arange(len(points)).reshape(ny + 1, nx + 1)
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    cells = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    lines = dict(zip(RECTANGLE_SIDES, (grid[0], grid[:, -1], grid[-1], grid[:, 0]), strict=True))
+    edges = {name: np.column_stack([line[:-1], line[1:]]) for name, line in lines.items()}
+    corners = zip(RECTANGLE_CORNERS, grid[[0, 0, -1, -1], [0, -1, -1, 0]], strict=True)
+    return SurfaceArrays(
+        points, cells, edges, point_groups={name: np.array([k]) for name, k in corners}
+    )
+
+
+def _polygon_arrays(
+    outline: Array,
+    target: TargetSize,
+    sides: Sequence[str],
+    corner_names: Sequence[str],
+) -> SurfaceArrays:
+    with own_model() as gmsh:
+        geometry = gmsh.model.geo
+        corners = [geometry.addPoint(x, y, 0.0) for x, y in outline]
+        lines = [
+            geometry.addLine(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        ]
+        geometry.addPlaneSurface([geometry.addCurveLoop(lines)])
+        geometry.synchronize()
+        for name in dict.fromkeys(sides):
+            members = [line for line, side in zip(lines, sides, strict=True) if side == name]
+            gmsh.model.addPhysicalGroup(1, members, name=name)
+        for name, point in zip(corner_names, corners, strict=True):
+            gmsh.model.addPhysicalGroup(0, [point], name=name)
+        mesh_with_sizes(gmsh, target)
+        return read_model(gmsh)

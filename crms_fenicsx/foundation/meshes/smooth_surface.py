@@ -1,0 +1,76 @@
+"""The smooth surface through the vertices of a triangulation, and lengths of curves on it.
+
+Facets lie inside a curved surface: a path over them is too short by about 0.13 (h / R)^2 of its
+length (cell size h, radius R). Here an edge is replaced by the parabola through its vertices that
+is orthogonal to the vertex normals, and a curve between two points by an arc.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
+from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, mix, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+
+CREASE = np.cos(np.radians(15.0))
+"""Cosine of the angle between the normals of a cell and its vertex beyond which the vertex counts
+as a crease: half the angle between two faces. On a sphere, cells of half the radius reach it."""
+PAIRS = ((0, 1), (1, 2), (2, 0))
+
+
+@dataclass(frozen=True)
+class SmoothSurface:
+    """Vertices with normals."""
+
+    points: Array  # (n, 3) positions of the vertices (length)
+    # (n, 3) unit normals; zero at boundaries, seams and creases, where the surface is not smooth
+    normals: Array
+
+    @classmethod
+    def of(cls, points: Array, cells: Integers) -> SmoothSurface:
+        """Normals by N. Max (1999), exact on spheres, from the cells around each vertex."""
+        sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
+        areas = double_areas(points[cells])
+        square = dot(sides, sides)
+        total = np.zeros_like(points)
+        for k in range(3):
+            share = areas / (square[:, k] * square[:, k - 1])[:, None]
+            np.add.at(total, cells[:, k], share)
+        size = norm(total)
+        normals = total / np.where(size > 0, size, 1.0)[:, None]
+        table = EdgeTable.of(cells)
+        normals[table.vertices[table.counts != 2].ravel()] = 0.0
+        slopes = dot(normals[cells], (areas / norm(areas)[:, None])[:, None])
+        normals[cells[slopes < CREASE]] = 0.0
+        return cls(points, normals)
+
+    def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
+        """Vectors (k, 3) (length) from points on facets to the surface, and unit normals there."""
+        x, n = self.points[corners], self.normals[corners]
+        height = np.zeros(len(corners))
+        for i, j in PAIRS:
+            edge = x[:, j] - x[:, i]
+            height += weights[:, i] * weights[:, j] * _turns(n[:, i], n[:, j], edge) / 2
+        mean = mix(weights, n)
+        size = norm(mean)
+        unit = mean / np.where(size > 0, size, 1.0)[:, None]
+        return height[:, None] * unit, unit
+
+
+def arc_lengths_on(points: Array, normals: Array, straight: Booleans) -> Array:
+    """Arc lengths between points with surface normals (k, 3), (k - 1,); of chords if `straight`."""
+    steps = np.diff(points, axis=0)
+    chords = norm(steps)
+    turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)
+    turns = np.where(straight, 0.0, turns)
+    return np.asarray(chords * (1 + turns**2 / 24))
+
+
+def _turns(start: Array, end: Array, steps: Array) -> Array:
+    """Turn of the normals along steps, times these; doubled if only one normal is known."""
+    known = [np.any(normals != 0.0, axis=-1) for normals in (start, end)]
+    turn = dot(end, steps) - dot(start, steps)
+    return np.where(known[0] == known[1], turn, 2 * turn)

@@ -1,0 +1,208 @@
+"""Checks of user input; errors name the argument, its value and the remedy."""
+
+from __future__ import annotations
+
+import math
+import operator
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+
+LONGEST = 200
+"""Number of characters of a value quoted in a message."""
+
+
+Named = TypeVar("Named")
+Found = TypeVar("Found")
+
+
+def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
+    """Return the entry of `ones` with the given name."""
+    if not isinstance(name, str) or name not in ones:
+        names = ", ".join(map(repr, ones)) or "none"
+        raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
+    return ones[name]
+
+
+def finite(what: str, value: object) -> float:
+    """Return `value` as a finite float; `what` names it in the error."""
+    try:
+        if isinstance(value, str | bytes) or np.ndim(value) != 0:  # type: ignore[arg-type]
+            raise TypeError
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise InputError(f"{what} = {value!r} is no number; give a finite one.") from None
+    except OverflowError:  # an integer of more than about 300 digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(f"{what} = {value!r} is not finite; give a finite number.")
+    return number
+
+
+def positive(what: str, value: object) -> float:
+    """Return a positive, finite float; `what` and errors as for `finite`."""
+    number = finite(what, value)
+    if number <= 0:
+        raise InputError(f"{what} = {value!r} is not positive; give a positive number.")
+    return number
+
+
+def whole(what: str, value: object, least: int) -> int:
+    """Return an integer not less than `least`; `what` and errors as for `finite`."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = least - 1
+    if isinstance(value, bool) or number < least:
+        raise InputError(f"{what} = {value!r} must be a whole number, {least} or more.")
+    return number
+
+
+def vector(what: str, value: object) -> Array:
+    """Return a vector (3,) of finite numbers; `what` and errors as for `finite`."""
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.zeros(0)
+    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{what} = {value!r} must be three finite numbers (x, y, z).")
+    return numbers
+
+
+def text(what: str, value: object) -> str:
+    """Return a non-empty string; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{what} = {value!r} is no text; give one.")
+    return value
+
+
+def options_prefix(what: str, value: object) -> str:
+    """Return a PETSc options prefix; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or value.startswith("-"):
+        raise InputError(
+            f"{what} = {value!r} is no options prefix; give a text without the leading '-'."
+        )
+    return value
+
+
+def one_of(what: str, value: object, known: Iterable[object]) -> None:
+    """Refuse a value that is not among the known ones."""
+    if value not in (known := list(known)):
+        *others, last = map(repr, known)
+        raise InputError(f"{what} = {value!r} is not known; use {', '.join(others)} or {last}.")
+
+
+def of_type(what: str, value: object, kind: type) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")
+
+
+def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
+    """Refuse a value that is no `Mapping` or `Sequence`, or has fewer than `least` members."""
+    if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
+        name = "list" if kind is Sequence else "mapping"
+        raise InputError(f"{what} = {value!r} is no {name} to use; write {example}.")
+
+
+def returned(function: str, values: object, places: Array, shape: tuple[int, ...]) -> Array:
+    """Check what a user's function returned at `places` (3, n): finite numbers of a given shape."""
+    found = np.asarray(values)
+    if found.shape != shape or found.dtype.kind not in "fiu":
+        raise InputError(
+            f"{function} returned an array of shape {found.shape} and type {found.dtype}; it must "
+            f"return real numbers of shape {shape}."
+        )
+    bad = ~np.isfinite(np.atleast_2d(found)).all(axis=0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{function} returned {found[..., first]} at {places[:, first]}; it must return finite "
+            "numbers."
+        )
+    return np.asarray(found, dtype=np.float64)
+
+
+def file(what: str, value: object) -> Path:
+    """Return the path of a file or folder; `what` and errors as for `finite`."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{what} = {value!r} is no path; give a text or a pathlib.Path.")
+    return Path(value)
+
+
+def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
+    """Refuse arguments that differ between the ranks. Collective."""
+    if comm.size == 1:
+        return
+    own = {name: _text(value) for name, value in arguments.items()}
+    first = comm.bcast(own)
+    names = {**first, **own}  # a rank may omit an argument that others give
+    differing = next((name for name in names if own.get(name) != first.get(name)), None)
+    rank = comm.allreduce(comm.size if differing is None else comm.rank, op=MPI.MIN)
+    if rank == comm.size:
+        return
+    name, text = comm.bcast((differing, own.get(differing or "", "nothing")), root=rank)
+    other = first.get(name, "nothing")
+    pairs = enumerate(zip_longest(other, text))
+    begin = max(next(k for k, (a, b) in pairs if a != b) - LONGEST // 2, 0)
+    other, text = (("..." if begin else "") + one[begin:][:LONGEST] for one in (other, text))
+    raise InputError(
+        f"{call}: {name} = {other} on rank 0, but {text} on rank {rank}; "
+        "give the same on all ranks, as comm.bcast makes it."
+    )
+
+
+def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
+    """Call a function on rank 0 and return its result, or raise its error, on all. Collective."""
+    found = None
+    with raised_together(comm):
+        if comm.rank == 0:
+            found = function()
+    return cast(Found, comm.bcast(found))
+
+
+def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:
+    """Return a mapping in rank 0's order of names, for collective loops over it: `same` accepts
+    any order. Collective."""
+    return {name: given[name] for name in comm.bcast(list(given))}
+
+
+def _text(value: object) -> str:
+    """Full-precision text of a value, without addresses and independent of the order of keys."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(sorted(f'{_text(k)}: {_text(v)}' for k, v in value.items()))}}}"
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(value))
+
+
+def span(values: Sequence[float] | Array) -> str:
+    """Range of the values as text; NaN are ignored.
+
+    >>> span([3.0, 1.0])
+    '1 to 3'
+    """
+    known = np.asarray(values, dtype=np.float64).ravel()
+    known = known[np.isfinite(known)]
+    if len(known) == 0:
+        return "none"
+    low, high = f"{known.min():.4g}", f"{known.max():.4g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def counted(n: int, what: str) -> str:
+    """A number with its noun, in the plural unless it is 1.
+
+    >>> counted(2, "cell")
+    '2 cells'
+    """
+    return f"{n} {what}{'' if n == 1 else 's'}"

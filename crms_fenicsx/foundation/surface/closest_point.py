@@ -1,0 +1,309 @@
+"""Location of route points on a triangulated surface."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.foundation.meshes.triangles import (
+    WALL,
+    altitudes,
+    balls,
+    closest,
+    dot,
+    double_areas,
+    flattened,
+    lists,
+    longest_sides,
+    mix,
+    norm,
+)
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
+from crms_fenicsx.foundation.surface.feet import Foot, feet_of, pairs_within
+from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
+
+# Distance from the surface, relative to the local mesh size, up to which a point in space lies on
+# it: a faceted dome of three cells per radius is nowhere farther from the smooth one.
+ON_SURFACE = 0.1
+
+# Distance outside, relative to the mesh size, up to which a route point in plan is moved to the
+# rim: the circle through the vertices of a disc of 20 edges is nowhere farther from them.
+RIM = 0.05
+
+# A vertex (id,) or an edge (smaller, larger).
+Node = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TargetSurface:
+    """A triangulated surface: global ids (n,), positions (n, 3), cells as rows of both (m, 3)."""
+
+    ids: Integers
+    points: Array
+    cells: Integers
+    size: float  # length of its longest edge
+
+    @classmethod
+    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
+        """Check the arrays and return their surface; raise PathError if they are invalid."""
+        ids = np.asarray(vertices, dtype=np.int64)
+        x = np.asarray(points, dtype=np.float64)
+        rows = np.asarray(cells, dtype=np.int64)
+        if ids.ndim != 1 or x.shape != (len(ids), 3):
+            raise PathError(
+                f"vertices of shape {ids.shape} with points of shape {x.shape}: give (n,) ids "
+                "and (n, 3) positions"
+            )
+        if len(np.unique(ids)) != len(ids) or np.min(ids, initial=0) < 0:
+            raise PathError("the vertices' global ids must not repeat or be negative")
+        if rows.ndim != 2 or rows.shape[1] != 3 or len(rows) == 0:
+            raise PathError(f"cells of shape {rows.shape}: give (m, 3) rows of points, m > 0")
+        if rows.min() < 0 or rows.max() >= len(ids):
+            raise PathError(
+                f"cells name rows {rows.min()} to {rows.max()} of {len(ids)} points; they index "
+                "the arrays given, not the global ids"
+            )
+        bad = ~np.isfinite(x).all(axis=1)
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise PathError(f"vertex {ids[i]} is at {as_text(x[i])}; positions must be finite")
+        return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Row of each vertex id."""
+        return {int(vertex): row for row, vertex in enumerate(self.ids)}
+
+    @cached_property
+    def around(self) -> dict[int, set[int]]:
+        """Rows of the cells around each vertex."""
+        found: dict[int, set[int]] = {int(vertex): set() for vertex in self.ids}
+        for row, corners in enumerate(lists(self.ids[self.cells])):
+            for vertex in corners:
+                found[vertex].add(row)
+        return found
+
+    def cells_at(self, point: SurfacePoint) -> set[int]:
+        """Rows of the cells that contain a point."""
+        return set.intersection(*(self.around[vertex] for vertex in point.support))
+
+    def in_one_cell(self, points: Iterable[SurfacePoint]) -> bool:
+        """Whether one cell contains all the points."""
+        return bool(set.intersection(*(self.cells_at(point) for point in points)))
+
+
+@dataclass(frozen=True)
+class Place:
+    """A route point on the surface, or an anchor above it or beyond its boundary."""
+
+    point: SurfacePoint | None  # None for an anchor
+    position: Array
+    normal: Array
+    foot: Foot | None = None  # closest point of the surface to an anchor
+    beyond: bool = False  # whether an anchor lies beyond the boundary
+
+    @property
+    def anchor(self) -> tuple[float, float, float] | None:
+        """Its position if it is an anchor."""
+        x, y, z = (float(c) for c in self.position)
+        return None if self.point is not None else (x, y, z)
+
+
+def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
+    """Locate route points (k, 2) given in plan, on the uppermost sheet or on the rim."""
+    found = _held_in_plan(surface, course, snap)
+    outside = [i for i, place in enumerate(found) if place is None]
+    on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
+    for i, place in zip(outside, _held_in_plan(surface, on_rim, snap), strict=True):
+        found[i] = place
+    lacking = [i for i, place in enumerate(found) if place is None]
+    if lacking:
+        raise PathError(
+            f"route point {lacking[0]} at {as_text(course[lacking[0]])} lies on a wall, where a "
+            "plan does not tell the height; give the route in space"
+        )
+    return [place for place in found if place is not None]
+
+
+def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place | None]:
+    """Locate points in plan; None for those outside the surface."""
+    corners = surface.points[surface.cells][:, :, :2]
+    least, most, reach = corners.min(axis=1), corners.max(axis=1), snap * surface.size
+    inside = (least <= course[:, None] + reach) & (most >= course[:, None] - reach)
+    target, near = np.nonzero(inside.all(axis=2))
+    triangles = surface.points[surface.cells[near]]
+    flat, targets = flattened(triangles), np.pad(course, ((0, 0), (0, 1)))
+    weights, _, gap = closest(flat, targets[target])
+    floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
+    holds = floor & (gap <= snap * altitudes(flat))
+    held = np.flatnonzero(holds)
+    heights = mix(weights[held], triangles[held])[:, 2]
+    top = near[held[_least_of(target[held], len(course), -heights)[target[held]]]]
+    with_top = surface.cells[near[held]][:, :, None] == surface.cells[top][:, None]
+    sheet = held[with_top.any(axis=(1, 2))]
+    places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
+    up = np.array([0.0, 0.0, 1.0])
+    return [None if place is None else Place(*place, up) for place in places]
+
+
+def _by_target(target: Integers, count: int) -> list[Integers]:
+    """Positions of each target's entries in an ascending list of targets."""
+    ends = np.searchsorted(target, np.arange(count + 1))
+    return [np.arange(a, b) for a, b in pairwise(ends)]
+
+
+def _least_of(target: Integers, count: int, *keys: Array | Integers) -> Integers:
+    """The row (count,) of the least keys of each target, the first of equal ones; -1 without."""
+    order = np.lexsort((*keys[::-1], target))
+    found = np.full(count, -1)
+    found[target[order[::-1]]] = order[::-1]
+    return found
+
+
+def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
+    """Closest point in plan to a route point just outside, as next to a curved rim."""
+    triangles = surface.points[surface.cells]
+    flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
+    weights, _, gap = closest(flat, target)
+    nearest = int(np.argmin(gap))
+    place = mix(weights[[nearest]], triangles[[nearest]])[0]
+    if gap[nearest] > RIM * float(longest_sides(flat[[nearest]])[0]):
+        raise PathError(
+            f"route point {index} at {as_text(xy)} leaves the membrane: it is "
+            f"{gap[nearest]:.6g} outside of it in plan, nearest to {as_text(place)}; move it "
+            "there, or give the route in space to make its first or last point an anchor"
+        )
+    return place[:2]
+
+
+def located(
+    surface: TargetSurface,
+    targets: Array,
+    target: Integers,
+    rows: Integers,
+    triangles: Array,
+    snap: float,
+) -> list[tuple[SurfacePoint, Array] | None]:
+    """Surface points at targets (k, 3), with positions: a vertex if one is near, else an edge, else
+    a point in the closest of the cells given by pairs `target`, `rows` (p,)."""
+    corners, at = surface.cells[rows], targets[target]
+    reach = snap * altitudes(triangles)
+    ids, (i, j) = surface.ids[corners], np.array([[0, 1, 2], [1, 2, 0]])
+    turned = ids[:, i] > ids[:, j]
+    i, j = np.where(turned, j, i), np.where(turned, i, j)
+    every = np.arange(len(rows))[:, None]
+    side = triangles[every, j] - triangles[every, i]
+    t = dot(at[:, None] - triangles[every, i], side) / np.maximum(dot(side, side), 1e-300)
+    gap = norm(triangles[every, i] + t[..., None] * side - at[:, None])
+    on_edge = np.nonzero((gap <= reach[:, None]) & (0.0 < t) & (t < 1.0))
+    start, end = corners[every, i][on_edge], corners[every, j][on_edge]
+    weights, _, gaps = closest(triangles, at)
+    positions = mix(weights, surface.points[corners])
+    to_corner = norm(triangles - at[:, None])
+    at_corner = np.nonzero(to_corner <= reach[:, None])
+    count = len(targets)
+    corner = _least_of(target[at_corner[0]], count, to_corner[at_corner])
+    a, b, fraction = surface.ids[start], surface.ids[end], t[on_edge]
+    edge = _least_of(target[on_edge[0]], count, gap[on_edge], a, b)
+    found: list[tuple[SurfacePoint, Array] | None] = []
+    for k, n in enumerate(_least_of(target, count, gaps)):
+        if n < 0:
+            found.append(None)
+        elif corner[k] >= 0:
+            row = corners[at_corner][corner[k]]
+            found.append((VertexPoint(int(surface.ids[row])), surface.points[row].copy()))
+        elif edge[k] >= 0:
+            q, s = edge[k], float(fraction[edge[k]])
+            position = (1.0 - s) * surface.points[start[q]] + s * surface.points[end[q]]
+            found.append((EdgePoint((int(a[q]), int(b[q])), s), position))
+        else:
+            (u, v, w), (x, y, z) = map(int, ids[n]), map(float, weights[n])
+            found.append((CellPoint((u, v, w), (x, y, z)), positions[n]))
+    return found
+
+
+def places_in_space(
+    surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
+) -> list[Place]:
+    """Locate route points (k, 3); the first and last may be anchors, `known` ones are kept."""
+    feet = feet_of(surface.points, surface.cells, course)
+    positions = np.array([foot.position for foot in feet])
+    target, rows = _touching(surface, positions, snap)
+    triangles = surface.points[surface.cells[rows]]
+    points = located(surface, positions, target, rows, triangles, snap)
+    altitude, longest = altitudes(triangles), longest_sides(triangles)
+    places = []
+    for i, own in enumerate(_by_target(target, len(course))):
+        foot = feet[i]
+        if i in known:
+            places.append(Place(known[i], course[i], foot.normal))
+            continue
+        found = points[i]
+        assert found is not None
+        point, position = found
+        offset = course[i] - foot.position
+        height = float(dot(offset, foot.normal))
+        aside = float(norm(offset - height * foot.normal))
+        # facets deviate from a smooth surface along its normal
+        is_aside = aside > max(snap * float(altitude[own].max()), 0.5 * abs(height))
+        off = foot.distance > ON_SURFACE * float(longest[own].max())
+        rim = (is_aside or off) and on_boundary(surface, point)
+        if not off and not (rim and is_aside):
+            places.append(Place(point, position, foot.normal))
+        elif i not in (0, len(course) - 1):
+            raise PathError(
+                f"route point {i} at {as_text(course[i])} leaves the membrane: it is "
+                f"{foot.distance:.6g} from its nearest place {as_text(foot.position)}; move it "
+                "there, only a first or last point may be off"
+            )
+        elif height < 0.0 and not rim:
+            raise PathError(
+                f"route point {i} at {as_text(course[i])} lies {foot.distance:.6g} inside the "
+                f"membrane, behind {as_text(foot.position)}, and a cable lies on the outside, "
+                "where the normals point; move this anchor outside or beyond the boundary, or "
+                "turn the membrane with the `outside` of its mesh"
+            )
+        else:
+            places.append(Place(None, course[i], foot.normal, foot, beyond=rim))
+    return places
+
+
+def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[Integers, Integers]:
+    """Pairs (p,) of surface positions (k, 3) and the cells that contain or touch them."""
+    triangles = surface.points[surface.cells]
+    centre, radius = balls(triangles)
+    widest = float(radius.max()) * (1.0 + 2.0 * snap)
+    target, near = pairs_within(centre, positions, np.full(len(positions), widest))
+    _, _, gap = closest(triangles[near], positions[target])
+    scale = np.abs(positions).max(axis=1)[target]
+    touches = gap <= snap * altitudes(triangles[near]) + 1e-14 * scale
+    return target[touches], near[touches]
+
+
+def on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
+    """Whether a point of the surface lies on its boundary."""
+    if isinstance(point, CellPoint):
+        return False
+    around = sorted({row for vertex in point.support for row in surface.around[vertex]})
+    count = edge_count(lists(surface.ids[surface.cells[around]]))
+    if isinstance(point, EdgePoint):
+        return count[point.edge] == 1
+    return any(n == 1 and point.vertex in edge for edge, n in count.items())
+
+
+def edge_count(cells: Iterable[Sequence[int]]) -> Counter[Node]:
+    """Number of cells at each edge (smaller, larger)."""
+    return Counter(edge_of(a, b) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))

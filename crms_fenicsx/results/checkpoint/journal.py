@@ -1,0 +1,200 @@
+"""Checkpoints of all calls of `Solver.advance` in a run, and fingerprints of these calls.
+
+Each call has a folder, numbered from 1, with the checkpoint of its last load step and the call's
+arguments. A script that is started again makes the same calls. Completed calls are restored from
+their folders instead of being computed, so that code between them finds the scene as it was; the
+interrupted call continues from its last load step.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
+from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
+from crms_fenicsx.results.checkpoint.contents import Run, refuse_history
+from crms_fenicsx.results.checkpoint.folder import ASIDE, complete
+from crms_fenicsx.results.checkpoint.record import scene_record
+from crms_fenicsx.results.checkpoint.saving import STATE, Saved, read, reading, restore, save
+
+ROUNDING = 1e-7
+"""Difference of numbers, relative to the largest beside them, that is attributed to rounding on
+another number of processes."""
+
+
+def _name(key: object) -> str:
+    if isinstance(key, Joint | PlacedBar):
+        return f"{'joint' if isinstance(key, Joint) else 'bar'} {key.name!r}"
+    if isinstance(key, CableEnd):
+        return f"{key.which} of the cable {key.cable.name!r}"
+    return f"cable {key.name!r}" if isinstance(key, LaidCable) else f"group {key!r}"
+
+
+def difference(was: object, now: object) -> str | None:
+    """First difference of plain data beyond rounding, in words; None if there is none."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        for name in {**was, **now}:
+            found = difference(was.get(name), now.get(name))
+            if found is not None:
+                label = name if name == "name" or "name" not in now else f"{now['name']!r}, {name}"
+                return label + ("" if found.startswith((" =", ":")) else ", ") + found
+        return None
+    if _close(was, now):
+        return None
+    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+        pairs = zip(was, now, strict=True)
+        found = next((d for d in (difference(a, b) for a, b in pairs) if d is not None), "")
+        if not found.startswith(" ="):
+            return f": {found}"
+    return f" = {_short(was)}, and now {_short(now)}"
+
+
+def _close(was: object, now: object) -> bool:
+    if _numeric(was) and _numeric(now):
+        a, b = np.atleast_1d(was), np.atleast_1d(now)  # type: ignore[call-overload]
+        size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
+        return a.shape == b.shape and bool(np.all(np.abs(a - b) <= ROUNDING * size))
+    if isinstance(was, list) and isinstance(now, list):
+        return len(was) == len(now) and all(
+            difference(a, b) is None for a, b in zip(was, now, strict=True)
+        )
+    return was == now
+
+
+def _numeric(value: object) -> bool:
+    """Whether the value is a rounded number, or a list of such."""
+    values: list[Any] = value if isinstance(value, list) and value else [value]
+    return all(isinstance(one, float) for one in values)
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 200 else text[:200] + "..."
+
+
+logger = logging.getLogger("crms_fenicsx")
+
+FOLDER = "checkpoints"
+"""Name of the checkpoint folder inside the results folder."""
+_OURS = re.compile(rf"({re.escape(PARTIAL)}|{re.escape(ASIDE)})?(\d{{4,9}})")
+
+
+@dataclass(frozen=True)
+class CallProgress:
+    """Progress of a call."""
+
+    # increments done; fractional if increments were halved
+    done: float = 0.0
+    increment: float = 1.0  # next increment, 1 if whole
+    failure: str | None = None  # why the call failed; None if it has not
+
+
+class Journal:
+    """Records the progress of all calls of `Solver.advance`."""
+
+    def __init__(self, folder: Path, comm: MPI.Intracomm, options: Plain, resume: bool) -> None:
+        self.folder, self.comm, self.options = folder.resolve(), comm, options
+        self._replaying = resume
+        self._call: Plain = {}
+        self._number = 0
+        self._outdated = 1
+        """Number of the first call whose folder is from another run; 0 if there are none."""
+        checks.from_first(comm, lambda: make_writable(self.folder))
+
+    def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[CallProgress, Run | None]:
+        """Begin a call; restore its saved progress and run (None if unsaved). Collective."""
+        refuse_history(scene)
+        steps, move, L0 = given["steps"], given["move"], given["L0"]
+        loads = {name: encode(one) for name, one in given.items() if name not in ("move", "L0")}
+        loads["move"] = {_name(key): [float(x) for x in vector] for key, vector in move.items()}
+        loads["L0"] = {_name(key): float(length) for key, length in L0.items()}
+        self._number += 1
+        call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
+        saved = self._saved() if self._replaying else None
+        if saved is None:
+            self._replaying, self._call, self._outdated = False, call, self._number
+            return CallProgress(), None
+        before = saved.contents.call
+        if before is None:
+            raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
+        for name, now in call.items():
+            found = difference(before.get(name), now)
+            if found is not None:
+                raise InputError(
+                    f"resume: at call {self._number} of advance the script is not the one that "
+                    f"was interrupted: {name}, {found}. Run it as it was, or begin anew with "
+                    f"resume=False, or delete {saved.file.parent} and those after it, to compute "
+                    "from this call on anew."
+                )
+        with reading(saved.file):
+            progress = decode(CallProgress, before["progress"])
+            if not (0 <= progress.done <= steps and 0 < progress.increment <= 1):
+                raise ValueError(f"{progress} of {steps} steps")
+            if progress.done > 0 and not saved.contents.run.steps:
+                raise ValueError(f"{progress.done} steps are done, but it has none")
+        run = restore(saved, scene)
+        self._call = call
+        if progress.done < steps and progress.failure is None:
+            self._replaying, self._outdated = False, self._number + 1
+        logger.info("call %d of advance: %g of %d steps from %s", self._number, progress.done,
+                    steps, saved.file.parent)  # fmt: skip
+        return progress, run
+
+    def remove_outdated(self) -> None:
+        """Remove the folders of calls that are computed anew. Collective."""
+        # One by one from the last: a run killed meanwhile leaves folders it can resume from.
+        first, self._outdated = self._outdated, 0
+        if first == 0:
+            return
+        with raised_together(self.comm), explained(self.folder):
+            if self.comm.rank == 0:
+                found = [(match, path) for path in self.folder.iterdir()
+                         if (match := _OURS.fullmatch(path.name))]  # fmt: skip
+                order = {PARTIAL: 0, ASIDE: 1, None: 2}
+                found.sort(key=lambda one: (-int(one[0][2]), order[one[0][1]]))
+                for match, path in found:
+                    if int(match[2]) >= first:
+                        _remove(path, self.folder / match[2])
+
+    def keep(
+        self, scene: Scene, run: Run, done: float, increment: float, failure: str | None
+    ) -> None:
+        """Checkpoint a load step of the call; see `CallProgress`. Collective."""
+        self.remove_outdated()
+        progress = CallProgress(done, increment, failure)
+        save(self._place, scene, run, self._call | {"progress": encode(progress)})
+
+    @property
+    def _place(self) -> Path:
+        return self.folder / f"{self._number:04d}"
+
+    def _saved(self) -> Saved | None:
+        """Checkpoint of this call; None if it has not begun."""
+        place = complete(self._place)
+        there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
+        return read(place, self.comm) if there else None
+
+
+def _remove(path: Path, folder: Path) -> None:
+    """Remove a folder, renaming it first so that none is ever left incomplete."""
+    partial = partial_of(folder)
+    if path != partial:
+        if partial.exists():
+            shutil.rmtree(partial)
+        os.replace(path, partial)
+    shutil.rmtree(partial)

@@ -1,0 +1,263 @@
+"""Save a scene and its run to a folder, and restore them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.cabling.cables.strip import Strip, cells_at
+from crms_fenicsx.foundation.meshes.edge_table import edge_keys
+from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_ids
+from crms_fenicsx.foundation.meshes.triangles import lists
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Booleans, Integers, Rows
+from crms_fenicsx.foundation.runtime.checks import LONGEST
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.foundation.runtime.files import explained, read_text, readable
+from crms_fenicsx.foundation.runtime.handle import Handle
+from crms_fenicsx.model.changed_materials import numbers, with_numbers
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
+from crms_fenicsx.results.checkpoint.contents import Contents, Run, check, check_same, fingerprint
+from crms_fenicsx.results.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.results.output.shared_file import first_row, read_rows, write_rows
+
+STATE = "state.json"
+POSITIONS = "positions"
+"""File name of the stress-free vertices."""
+FORMAT = "crms_fenicsx checkpoint 11"
+"""Format mark of a checkpoint; its number grows with each change of the content."""
+
+
+def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
+    """Write a checkpoint; see `Solver.save`. Collective."""
+    checks.same(scene.comm, "save", folder=folder)
+    place = checks.file("save: folder", folder).resolve()
+    with replaced_folder(place, scene.comm, STATE) as partial:
+        storage = SceneStorage(partial, scene)
+        contents = Contents(
+            fingerprint(scene),
+            storage.write(POSITIONS, Rows.VERTICES, scene.membrane.stress_free),
+            encode(scene.state, storage),
+            scene.versions.state_version,
+            scene.in_equilibrium(),
+            replace(run, steps=[replace(step, verification=None) for step in run.steps]),
+            call,
+        )
+        data = encode(contents)
+        with raised_together(scene.comm), explained(partial / STATE):
+            if scene.comm.rank == 0:
+                (partial / STATE).write_text(signed(data), encoding="utf-8")
+
+
+class SceneStorage:
+    """Stores a scene's arrays in files, in the mesh's original numbering, and handles by name."""
+
+    def __init__(self, folder: Path, scene: Scene) -> None:
+        self.folder, self.scene, self.comm = folder, scene, scene.comm
+        vertices = scene.V.dofmap.index_map
+        self._own, self._vertices = vertices.size_local, vertices.size_global
+        self._ids = scene.membrane.vertex_ids
+        self._held_edges: Booleans | None = None  # as read
+        held: list[Handle[Any]] = [*scene.cables, *scene.joints, *scene.bars]
+        self._handles: dict[tuple[type, str], Any] = {(type(one), one.name): one for one in held}
+
+    def reduce(self, value: Any) -> Any:
+        """A strip as its complete vertices, those with all their cells, and the corners of its
+        covers; a material as numbers."""
+        if isinstance(value, Strip):
+            return [*sorted(value.complete), *lists(value.covers)]
+        return numbers(value) if isinstance(value, MembraneMaterial) else value
+
+    def restore(self, kind: type, data: Any, path: str) -> Any:
+        """Restore a handle by name (making new ones), a strip or a material."""
+        if issubclass(kind, Handle):
+            if not isinstance(data, str):
+                raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
+            return self._handles.setdefault((kind, data), kind(data, None))
+        if kind is Strip:
+            complete = [int(one) for one in data if not isinstance(one, list)]
+            covers = [[int(v) for v in one] for one in data if isinstance(one, list)]
+            strip = cells_at(self.scene.membrane, complete, self._held_edges)
+            return strip.with_covers(np.array(covers, dtype=np.int64).reshape(-1, 3))
+        if kind is MembraneMaterial:
+            return with_numbers(self.scene.materials[int(path.rpartition(".")[2])], data)
+        return NotImplemented
+
+    def unsaved(self, kind: type) -> dict[str, Any]:
+        """Terms and versions of the present scene."""
+        if kind is not SceneState:
+            return {}
+        scene = self.scene
+        return {"terms": scene.terms, "version": scene.versions.current, "scene": scene}
+
+    def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
+        """Write a distributed array; return its digest and number of rows. Collective."""
+        file = self.folder / f"{path}.npy"
+        if rows is Rows.EDGES:
+            own = self.scene.mesh.mesh.topology.index_map(1).size_local
+            values = edge_vertices(self.scene)[:own][values[:own]]
+            first, total = first_row(len(values), self.comm)
+            ids: Integers = first + np.arange(len(values))
+        elif rows is Rows.CELLS:
+            ids, total = cell_ids(self.scene)
+        else:
+            count = self._own if rows is Rows.VERTICES else len(self._ids)
+            ids, values, total = self._ids[:count], values[:count], self._vertices
+        columns = values.reshape(len(values), int(np.prod(values.shape[1:])))
+        return {"digest": write_rows(file, self.comm, ids, columns, total), "rows": total}
+
+    def read(
+        self, path: str, rows: Rows, dtype: np.dtype[Any], shape: tuple[int, ...], data: Any
+    ) -> np.ndarray[Any, Any]:
+        """Read this rank's rows, (n, *shape); shared values go to their owner. Collective."""
+        if not isinstance(data, dict) or data.keys() != {"digest", "rows"}:
+            raise ValueError(f"{data!r} where a file {path}.npy is due")
+        file, due = self.folder / f"{path}.npy", str(data["digest"])
+        if rows is Rows.EDGES:
+            pairs = read_rows(file, self.comm, None, np.int64, (int(data["rows"]), 2), due)
+            self._held_edges = np.isin(edge_keys(edge_vertices(self.scene)), edge_keys(pairs))
+            return self._held_edges
+        ids, total = cell_ids(self.scene) if rows is Rows.CELLS else (self._ids, self._vertices)
+        columns = int(np.prod(shape))
+        values = read_rows(file, self.comm, ids, dtype, (total, columns), due)
+        with raised_together(self.comm):
+            if not np.isfinite(values).all():
+                raise InputError(f"{file} has numbers that are not finite; take another checkpoint")
+        if rows is Rows.SHARES:
+            values[self._own :] = 0.0
+        return values.reshape(-1, *shape)
+
+    def check_mesh(self, data: Any) -> None:
+        """Refuse a mesh with other vertices than the saved ones. Collective."""
+        X = self.read(POSITIONS, Rows.VERTICES, np.dtype(float), (3,), data)
+        here, size = self.scene.membrane.stress_free, self.scene.membrane.size
+        with raised_together(self.comm):
+            apart = np.flatnonzero(~(np.abs(X - here).max(axis=1) <= SAME_PLACE * size))
+            if len(apart):
+                k = apart[0]
+                raise InputError(
+                    f"load: the checkpoint is of another mesh: its vertex {self._ids[k]} is at "
+                    f"{X[k]}, and here at {here[k]}; build the mesh as it was when it was saved"
+                )
+
+
+def cell_ids(scene: Scene) -> tuple[Integers, int]:
+    """Numbers of this rank's cells in the mesh as given, and their global count."""
+    topology = scene.mesh.mesh.topology
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
+
+
+def edge_vertices(scene: Scene) -> Integers:
+    """End ids of this rank's edges, (m, 2)."""
+    mesh = scene.mesh.mesh
+    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
+
+
+def signed(data: Plain) -> str:
+    """JSON text of plain data with its digest."""
+    content = json.dumps(data, allow_nan=False)
+    return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Saved:
+    """Contents of a checkpoint, the same on all ranks."""
+
+    file: Path  # path of state.json
+    contents: Contents  # decoded contents
+
+
+def read(folder: Path, comm: MPI.Intracomm) -> Saved:
+    """Read a checkpoint without its arrays. Collective."""
+    data = checks.from_first(comm, lambda: _read(folder / STATE))
+    with reading(folder / STATE):
+        return Saved(folder / STATE, decode(Contents, data))
+
+
+def load(folder: str | Path, scene: Scene) -> Run:
+    """Restore a scene from a folder and return its run; see `Solver.load`. Collective."""
+    checks.same(scene.comm, "load", folder=folder)
+    place = checks.file("load: folder", folder).resolve()
+    return restore(read(complete(place), scene.comm), scene)
+
+
+def restore(saved: Saved, scene: Scene) -> Run:
+    """Restore a scene from a checkpoint and return its run. Collective."""
+    contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
+    check_same(contents.scene, scene)
+    storage.check_mesh(contents.positions)
+    with reading(saved.file):
+        state = decode(SceneState, contents.state, storage)
+        check(state, scene.mesh.parts, scene.V.dofmap.index_map.size_global)
+    net = state.net
+    points = (node.point for one in net.cables.values() for node in one.nodes)
+    known = [point.support for point in points if point is not None]
+    if known and (net.strip is None or not all(net.strip.rows(one) for one in known)):
+        raise InputError(
+            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
+            "checkpoint"
+        )
+    scene.state = state
+    scene.versions.change_model()
+    scene.versions.change_state(above=contents.state_version)
+    if contents.in_equilibrium:
+        scene.versions.settle(scene.membrane.owned_u, None)
+    else:
+        scene.versions.unsettle()
+    return contents.run
+
+
+def _read(file: Path) -> Plain:
+    with readable(file, "give the folder of a checkpoint"):
+        text = read_text(file)
+    with reading(file):
+        found = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        if found["format"] != FORMAT:
+            raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
+        data: Plain = found["content"]
+        if _digest(json.dumps(data)) != found["digest"]:
+            raise ValueError("its content is not what was written")
+    return data
+
+
+def _finite(text: str) -> float:
+    """A finite number of a JSON text, where Python also accepts NaN and infinity."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"it has the number {text[:20]}")
+    return number
+
+
+@contextmanager
+def reading(file: Path) -> Iterator[None]:
+    """Name the file in errors of decoding."""
+    try:
+        yield
+    except InputError:  # already names the file
+        raise
+    except (
+        ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
+    ) as error:  # fmt: skip
+        why = repr(error)  # a decoding error quotes the whole text
+        why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
+        raise InputError(
+            f"{file} is damaged or of another version ({why}); take another checkpoint"
+        ) from error

@@ -1,0 +1,168 @@
+"""Tables of the forces on foundations, grouped by points where cables, bars and supports meet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from crms_fenicsx.results.cable_and_bar_results import Force, triple
+from crms_fenicsx.results.foundations import FoundationPoint
+from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.page import Table
+from crms_fenicsx.results.output.report.results_tables import Row, clean, with_size
+from crms_fenicsx.results.output.report.units import Units
+
+DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
+"""Headings of a force's horizontal component and angles."""
+NOTHING = 1e-4
+"""Components below this fraction of the largest are shown as zero."""
+BALANCED = 1e-8
+"""Relative difference of loads and foundation forces attributed to rounding."""
+
+
+@dataclass(frozen=True)
+class FoundationTables:
+    """Foundation forces of all load cases."""
+
+    cases: Sequence[Case]
+    units: Units
+    # names of cable ends and joints, by foundation
+    carried: Mapping[str, Sequence[str]]
+
+    @property
+    def points(self) -> dict[str, dict[str, FoundationPoint]]:
+        """Foundation points by foundation and case; those outside `carried` are F1, F2 ..."""
+        of_case = {case.name: case.foundations.points for case in self.cases}
+        every = [point for points in of_case.values() for point in points]
+        first = {one.members: one.at for one in reversed(every)}
+        rest = {
+            one.members for one in every if not any(self._carries(x, one) for x in self.carried)
+        }
+        centre = np.mean([*first.values()], axis=0) if first else np.zeros(3)
+        order = sorted(rest, key=lambda key: _angle(triple(np.subtract(first[key], centre))))
+        numbers = (name for k in count(1) if (name := f"F{k}") not in self.carried)
+        labels = dict(zip(order, numbers, strict=False))
+        found: dict[str, dict[str, FoundationPoint]] = {}
+        for name in (*self.carried, *labels.values()):
+            for case, points in of_case.items():
+                own = [x for x in points if self._carries(name, x) or labels.get(x.members) == name]
+                if own:
+                    found.setdefault(name, {})[case] = summed(own)
+        return found
+
+    def _carries(self, name: str, point: FoundationPoint) -> bool:
+        """Whether a named foundation carries the members at a point."""
+        return bool({*self.carried.get(name, ())} & {*point.members, *point.joints})
+
+    def places(self) -> Table:
+        """Positions of the foundations, and the members that meet there."""
+        rows: list[Row] = [
+            (label, *clean(one.at, max(map(abs, one.at)), 1e-4), ", ".join(one.members))
+            for label, found in self.points.items() for one in list(found.values())[:1]
+        ]  # fmt: skip
+        columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|What meets there")
+        return Table("Foundation points", columns, rows, "foundation_points")
+
+    def forces(self) -> Table:
+        """Forces on the foundations, by combination; moments if one has several points."""
+        every = self.points.items()
+        turned = any(any(one.moment) for _, found in every for one in found.values())
+        rows: list[Row] = [
+            (
+                label, case, *with_size(one.force, NOTHING), *inclined(one.force),
+                *(clean(one.moment, math.hypot(*one.moment), NOTHING) if turned else ()),
+            )
+            for label, found in every for case, one in found.items()
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Foundation|Combination|Fx{force}|Fy{force}|Fz{force}|Size{force}|"
+            + DIRECTION
+            + ("|Mx{energy}|My{energy}|Mz{energy}" if turned else "")
+        )
+        return Table("Forces on the foundations", columns, rows, "foundations", headings=2)
+
+    def envelope(self) -> Table:
+        """Governing combinations of each foundation."""
+        rows: list[Row] = []
+        for label, found in self.points.items():
+            up, down, flat, most = (
+                max(found, key=lambda name, of=of: of(found[name].force))  # type: ignore[misc]
+                for of in (
+                    lambda f: f[2], lambda f: -f[2], lambda f: math.hypot(f[0], f[1]),
+                    lambda f: math.dist(f, (0.0, 0.0, 0.0)),
+                )
+            )  # fmt: skip
+            lift, push = found[up].force[2], -found[down].force[2]
+            noise = 1e-6 * math.hypot(*found[most].force)
+            rows.append((
+                label, *((lift, up) if lift > noise else (None, None)),
+                *((push, down) if push > noise else (None, None)),
+                math.hypot(*found[flat].force[:2]), flat, math.hypot(*found[most].force), most,
+            ))  # fmt: skip
+        columns = self.units.headings(
+            "Foundation|Uplift{force}|Governs|Downward{force}|Governs|Horizontal{force}|Governs|"
+            "Size{force}|Governs"
+        )
+        return Table("Largest forces on the foundations", columns, rows, "foundation_envelope")
+
+    def lines(self) -> Table:
+        """Forces on lines of held edges, without those on points."""
+        rows: list[Row] = []
+        names = [one.name for case in self.cases for one in case.foundations.lines]
+        for name in dict.fromkeys(names):
+            for case in self.cases:
+                for one in (one for one in case.foundations.lines if one.name == name):
+                    scale = max(*map(abs, one.force), one.mean * one.length)
+                    along = (one.length, one.mean, one.largest) if one.length else (None,) * 3
+                    rows.append((name, case.name, *clean(one.force, scale, NOTHING), *along))
+        columns = self.units.headings(
+            "Line|Combination|Fx{force}|Fy{force}|Fz{force}|Length{length}|"
+            "Per length, mean{stress}|Per length, largest{stress}"
+        )
+        return Table(
+            "Forces of the membrane on its held edges", columns, rows, "support_lines", headings=2
+        )
+
+    def balance(self) -> Table:
+        """Sums of the loads and of all foundation forces."""
+        rows: list[Row] = []
+        for case in self.cases:
+            of = case.foundations
+            scale = max([abs(x) for one in of.loads.values() for x in one], default=0.0)
+            for name, force in of.loads.items():
+                rows.append((case.name, name, *clean(force, scale, NOTHING)))
+            words = f"to {BALANCED:g}" if of.unbalanced <= BALANCED else f"to {of.unbalanced:.1e}"
+            rows.append(
+                (case.name, f"all foundations (balanced {words})", *clean(of.total, scale, NOTHING))
+            )
+        columns = self.units.headings("Combination|Sum of|Fx{force}|Fy{force}|Fz{force}")
+        return Table("Balance of loads and foundations", columns, rows, "balance", headings=2)
+
+
+def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
+    """Points of one foundation, summed up, with their moment about the mean of their places."""
+    places, forces = (np.array([getattr(one, x) for one in points]) for x in ("at", "force"))
+    centre = places.mean(axis=0)
+    return FoundationPoint(
+        tuple(name for one in points for name in one.members),
+        triple(centre),
+        triple(forces.sum(axis=0)),
+        tuple(name for one in points for name in one.joints),
+        triple(np.cross(places - centre, forces).sum(axis=0)),
+    )
+
+
+def inclined(force: Force) -> tuple[float | None, float | None, float]:
+    """Horizontal component, direction in plan from the x axis and inclination (degrees)."""
+    x, y, z = clean(force, math.hypot(*force), NOTHING)
+    flat = math.hypot(x, y)
+    return flat, (_angle((x, y)) if flat else None), math.degrees(math.atan2(z, flat))
+
+
+def _angle(way: Sequence[float]) -> float:
+    """Direction in plan from the x axis, 0 to 360 degrees."""
+    return math.degrees(math.atan2(way[1], way[0])) % 360.0

@@ -1,0 +1,327 @@
+"""Elements of a report page: sections of texts, figures, charts and tables."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from crms_fenicsx.results.output.history import escaped
+
+Cell = str | int | float | None
+"""None is an empty cell: no value."""
+
+MOST_ROWS = 600
+"""Number of rows above which a table is in the CSV file only."""
+SHORT = 8
+"""Number of rows up to which a table is kept on one printed page."""
+
+EMPTY = "\u2013"
+"""Dash shown in an empty cell."""
+
+MINUS = "\u2212"
+"""Minus sign, as wide as a digit."""
+
+PAGE = "report.html"
+"""The package's template of a page, which others extend."""
+
+MACROS = "parts.html"
+"""Template of tables and figures, which a file beside the user's template replaces."""
+
+LARGEST = 4_900_000
+"""Largest size of a page with pictures (bytes)."""
+
+
+class Measured(float):
+    """A number with fixed decimals on the page, and with all digits in CSV files."""
+
+    decimals: int
+
+    def __new__(cls, value: float, decimals: int) -> Measured:
+        """The number with its decimals."""
+        new = super().__new__(cls, value)
+        new.decimals = decimals
+        return new
+
+
+class PagePart(Protocol):
+    """Part of a section; `kind` is the template macro that writes it."""
+
+    kind: ClassVar[str]
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text."""
+
+    text: str
+    look: str = ""  # style class
+    kind: ClassVar[str] = "text"
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Texts in small print."""
+
+    texts: Sequence[str]
+    kind: ClassVar[str] = "notes"
+
+
+@dataclass(frozen=True)
+class Link:
+    """Link to a file beside the page."""
+
+    text: str
+    file: str
+    kind: ClassVar[str] = "link"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict on a structure, with reasons."""
+
+    text: str
+    reasons: Sequence[str] = ()
+    look: str = ""  # "doubtful", "failed", or "" if good
+    kind: ClassVar[str] = "verdict"
+
+
+@dataclass(frozen=True)
+class KeyFigures:
+    """The most important results."""
+
+    rows: Sequence[tuple[str, str, str]]  # title, value and source
+    kind: ClassVar[str] = "cards"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Picture embedded in the page; the caption is also its alternative text."""
+
+    png: bytes
+    caption: str
+    look: str = "result"  # style class
+    kind: ClassVar[str] = "figure"
+
+    @property
+    def base64(self) -> str:
+        """Base64 text of the PNG."""
+        return base64.b64encode(self.png).decode("ascii")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, from the PNG header."""
+        width, height = struct.unpack(">II", self.png[16:24])
+        return width, height
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures side by side, as space permits."""
+
+    figures: Sequence[Figure]
+    kind: ClassVar[str] = "figures"
+
+
+@dataclass(frozen=True)
+class BarChart:
+    """Bar chart; rows are (name, start, end)."""
+
+    caption: str
+    rows: Sequence[tuple[str, float, float]]
+    limit: float | None = None
+    kind: ClassVar[str] = "chart"
+    WIDE: ClassVar[float] = 760.0  # drawing units; width right of the longest bar, for its values
+    BESIDE: ClassVar[float] = 140.0
+    LETTER: ClassVar[float] = 6.6  # mean width of a letter
+    MOST: ClassVar[int] = 40  # largest number of bars; more are unreadable
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are no bars, too many, or only zeros."""
+        return not 0 < len(self.rows) <= self.MOST or self._most <= 0.0
+
+    @property
+    def _most(self) -> float:
+        return max([high for *_, high in self.rows] + [self.limit or 0.0], default=0.0)
+
+    @property
+    def left(self) -> float:
+        """Start of the bars, right of the longest name (drawing units)."""
+        longest = max(len(name) for name, *_ in self.rows)
+        return min(max(self.LETTER * longest + 16.0, 120.0), 0.6 * self.WIDE)
+
+    @property
+    def scale(self) -> float:
+        """Drawing units per unit of value."""
+        return (self.WIDE - self.BESIDE - self.left) / self._most
+
+    @property
+    def drawn(self) -> list[tuple[str, float, float, str, bool]]:
+        """Name, start, width and text of each bar, and whether it exceeds the limit."""
+        ranges, found = any(low > 0.0 for _, low, _ in self.rows), []
+        for name, low, high in self.rows:
+            text = f"{number(low)} to {number(high)}" if ranges else number(high)
+            width = max(self.scale * (high - low), 1.5)
+            over = self.limit is not None and high > self.limit
+            found.append((name, self.scale * low, width, text, over))
+        return found
+
+    @property
+    def words(self) -> str:
+        """Alternative text with all values."""
+        every = (f"{name}: {number(low)} to {number(high)}" for name, low, high in self.rows)
+        return f"{self.caption}. {'; '.join(every)}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Table with a heading for each column."""
+
+    caption: str  # subject
+    columns: Sequence[str]  # headings, with units
+    rows: Sequence[Sequence[Cell]]  # one cell per column
+    name: str = ""  # suffix of the CSV file's name; "" writes none
+    headings: int = 1  # number of columns that name the row
+    kind: ClassVar[str] = "table"
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it is in the CSV file only."""
+        return bool(self.name) and len(self.rows) > MOST_ROWS
+
+    @property
+    def is_short(self) -> bool:
+        """Whether it is kept on one printed page."""
+        return len(self.rows) <= SHORT
+
+    @property
+    def shown(self) -> Table:
+        """The table without empty columns."""
+        kept = [
+            k for k in range(len(self.columns))
+            if k < self.headings or any(row[k] not in (None, "") for row in self.rows)
+        ]  # fmt: skip
+        rows = [[row[k] for k in kept] for row in self.rows]
+        return replace(self, columns=[self.columns[k] for k in kept], rows=rows)
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Whether each column has numbers."""
+        each = range(len(self.columns))
+        return [any(isinstance(row[k], float | int) for row in self.rows) for k in each]
+
+    @property
+    def groups(self) -> list[list[Sequence[Cell]]]:
+        """Rows grouped by their first heading, up to `SHORT` per group, kept on one printed page;
+        one group if there is one heading column."""
+        if self.headings == 1:
+            return [list(self.rows)]
+        every = (list(group) for _, group in groupby(self.rows, key=lambda row: row[0]))
+        parts = ((group, math.ceil(len(group) / SHORT)) for group in every)
+        return [
+            group[k * len(group) // n : (k + 1) * len(group) // n]
+            for group, n in parts for k in range(n)
+        ]  # fmt: skip
+
+    def csv(self) -> str:
+        """The table as CSV text, numbers with all digits, texts escaped."""
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(map(escaped, self.columns))
+        writer.writerows(["" if x is None else escaped(x) for x in row] for row in self.rows)
+        return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class PageSection:
+    """A section with a heading."""
+
+    title: str  # heading
+    body: Sequence[PagePart]  # contents
+    level: int = 2  # 2, or 3 for a subsection
+    number: str = ""  # set by `page`
+
+    @property
+    def parts(self) -> list[PagePart]:
+        """The contents without empty charts and figures."""
+        return [
+            one.shown if isinstance(one, Table) else one for one in self.body
+            if not (isinstance(one, BarChart) and one.is_empty)
+            and not (isinstance(one, Figures) and not one.figures)
+        ]  # fmt: skip
+
+
+def page(
+    title: str, about: Sequence[tuple[str, str]], sections: Sequence[PageSection],
+    template: Path | None = None,
+) -> str:  # fmt: skip
+    """The HTML page, from the package's template or the user's."""
+    numbered, chapter, below = [], 0, 0
+    for one in sections:
+        chapter, below = (chapter + 1, 0) if one.level == 2 else (chapter, below + 1)
+        text = f"{chapter}" if one.level == 2 else f"{chapter}.{below}"
+        numbered.append(PageSection(one.title, one.body, one.level, text))
+    return rendered(PAGE, template, title=title, about=about, sections=numbered)
+
+
+def rendered(name: str, template: Path | None = None, **values: Any) -> str:
+    """A template of the package, or the user's, with values."""
+    from jinja2 import ChoiceLoader, DictLoader, Environment, FileSystemLoader, StrictUndefined
+
+    own = Path(__file__).parent / "templates"
+    # never beside the user's template, where it is a page written before
+    extended = DictLoader({PAGE: (own / PAGE).read_text(encoding="utf-8")})
+    folders = [template.parent, own] if template else [own]
+    jinja = Environment(
+        loader=ChoiceLoader([extended, FileSystemLoader(folders)]),
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+    )  # fmt: skip
+    jinja.filters["cell"] = shown
+    if template is None:
+        return jinja.get_template(name).render(**values)
+    return jinja.from_string(template.read_text(encoding="utf-8")).render(**values)
+
+
+def shown(value: Cell) -> str:
+    """Display text of a cell."""
+    if value is None:
+        return EMPTY
+    if isinstance(value, Measured):
+        return f"{value:.{value.decimals}f}".replace("-", MINUS)
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def number(value: float) -> str:
+    """A number with four significant digits: 0.01234, 12.34, 12340; else with an exponent."""
+    if not math.isfinite(value):
+        return EMPTY if math.isnan(value) else str(value)
+    size = abs(float(f"{value:.3e}"))
+    if size == 0.0:
+        return "0"
+    digits = math.floor(math.log10(size))
+    if not -4 <= digits < 7:
+        mantissa, power = f"{value:.3e}".split("e")
+        return f"{mantissa}e{int(power)}".replace("-", MINUS)
+    return f"{value:.{max(3 - digits, 0)}f}".replace("-", MINUS)
+
+
+def per_cent(share: float) -> str:
+    """A fraction in per cent; small non-zero ones are shown as "< 0.1 %"."""
+    if 0.0 < share < 5e-4:
+        return "< 0.1 %"
+    return f"{100 * share:.1f} %"
+
+
+def place(at: Sequence[float], size: float) -> str:
+    """Coordinates to a thousandth of `size`."""
+    decimals = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 3
+    numbers = (f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
+    return "; ".join(numbers).replace("-", MINUS)

@@ -1,0 +1,132 @@
+"""Report pictures independent of a single load case: model, loads, foundation forces."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.deformed_surface import current_surface
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.results.foundations import held_rim
+from crms_fenicsx.results.load_values import load_label
+from crms_fenicsx.results.membrane_results import membrane_results
+from crms_fenicsx.results.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, spread
+from crms_fenicsx.results.output.figures.draw_surface import outline_of
+from crms_fenicsx.results.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
+from crms_fenicsx.results.output.report.case import SHARPEST, draw_png
+from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.results.output.report.page import Figure
+from crms_fenicsx.results.output.report.results_tables import families
+from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.views.view_data import Line, surface_piece, whole_surface
+
+MOST_PLANNED = 40_000
+"""Largest number of cells in a plan; more would print black."""
+
+
+def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
+    """The model in space and in plan, on the first rank. Collective."""
+    scene, found = solver.system.scene, list[Figure]()
+    png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
+    if png:
+        found.append(Figure(png, f"{caption}; faintly the stress-free shape", "model"))
+    if scene.mesh.mesh.topology.index_map(2).size_global <= MOST_PLANNED:
+        plan = _model_plan(solver)
+        if scene.comm.rank == 0:
+            warp = "warp, " if len(plan.warp[0]) else ""
+            text = f"Plan of the model with supports, {warp}and the names of cables and bars"
+            found.append(Figure(draw_model(plan, unit, SHARPEST), text, "model"))
+    return found
+
+
+def _model_plan(solver: HasSystem) -> ModelPlan:
+    """Contents of the model's plan, on all ranks. Collective."""
+    scene, comm = solver.system.scene, solver.comm
+    own = scene.mesh.mesh.topology.index_map(2).size_local
+    corners = scene.positions()[scene.V.dofmap.list[:own]]
+    pieces = comm.allgather((corners, membrane_results(solver.system).warp))
+    corners, warp = (np.concatenate([one[k] for one in pieces]) for k in (0, 1))
+    woven = np.isfinite(warp[:, 0])
+    shared = {
+        own[len(own) // 2]: label
+        for label, own in families([bar.name for bar in scene.bars]).items()
+    }
+    bars = [Line(bar.points, name=shared.get(bar.name, "")) for bar in scene.bars]
+    cables = [Line(cable.line, name=cable.name) for cable in scene.cables]
+    joints = [
+        ("" if re.match("(start|end) of ", joint.name) else joint.name, joint.position)
+        for joint in scene.joints if joint.held.any()
+    ]  # fmt: skip
+    held = [*_held_points(scene).items(), *joints]
+    centres = corners.mean(axis=1) * (1.0, 1.0, 0.0)
+    step = float(np.ptp(centres, axis=0).max()) / MOST_STROKES
+    chosen = spread(centres[woven], step)
+    strokes = centres[woven][chosen], warp[woven][chosen]
+    return ModelPlan(corners, held_rim(scene), held, cables, bars, strokes)
+
+
+def _held_points(scene: Scene) -> dict[str, Array]:
+    """Positions of named held mesh points off the held edges. Collective."""
+    found, n = dict[str, Array](), scene.V.dofmap.index_map.size_local
+    rim = held_rim(scene).reshape(-1, 3)
+    for name in scene.mesh.points:
+        dofs = scene.vertices(name)
+        own = dofs[dofs < n]
+        places = scene.positions()[own[scene.held[own].any(axis=1)]]
+        every = np.concatenate(scene.comm.allgather(places))
+        if len(every):
+            gaps = np.linalg.norm(rim - every[0], axis=1)
+            if gaps.min(initial=np.inf) > 1e-9 * scene.membrane.size:
+                found[name] = every[0]
+    return found
+
+
+def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
+    """A picture of each load at factor 1, on the first rank. Collective."""
+    scene, found = solver.system.scene, list[Figure]()
+    on_joints = {load.name for load in scene.loads if load.joints}
+    peaks = {load.name: load.peak for load in scene.loads if load.suction is not None}
+    for name in scene.loads.factors:
+        if name not in on_joints:
+            colour = f"{LOAD}{name}"
+            png = draw_png(solver, dpi=110, colour=colour, tensions=False, loose=None, **look)
+            if png:
+                label = load_label(scene, name)[0]
+                text = f"q_p = {peaks[name]:.4g}{units.plain('pressure')}" if name in peaks else ""
+                found.append(Figure(png, f"{label}{text and ', '}{text}, at the factor 1"))
+    return found
+
+
+def outline_in_plan(scene: Scene) -> Array:
+    """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
+    surface = whole_surface(
+        scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {})
+    )
+    edges: Array = np.zeros((0, 2, 3))
+    if surface is not None:
+        edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
+    bars = [bar.points for bar in scene.bars]
+    return np.concatenate([scene.comm.bcast(edges), np.reshape(bars, (-1, 2, 3))])
+
+
+def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> list[Figure]:
+    """Plans of the foundation forces in up to `most` load cases, all at one scale."""
+    points, figures = held.points, list[Figure]()
+    flat = [np.hypot(*x.force[:2]) for one in points.values() for x in one.values()]
+    sizes = [np.linalg.norm(case.foundations.per_length, axis=2) for case in held.cases]
+    greatest = max((float(x.max(initial=0.0)) for x in sizes), default=0.0)
+    largest = max(map(float, flat), default=0.0)
+    for case in held.cases[:most]:
+        of = case.foundations
+        own = {
+            label: (np.array(one[case.name].at), np.array(one[case.name].force))
+            for label, one in points.items() if case.name in one
+        }  # fmt: skip
+        if own or len(of.rim):
+            plan = ForcePlan(of.rim, of.per_length, own, outline, largest, greatest)
+            png = draw_forces(plan, held.units.length, held.units.force, 110)
+            figures.append(Figure(png, f"{case.name}: forces on the foundations"))
+    return figures

@@ -1,0 +1,312 @@
+"""Write a report of states or load combinations, by one call on all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.load_cases import (
+    Combination,
+    HasStates,
+    back_to_now,
+    checked_states,
+)
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
+from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.output.figures.axes3d import check_view
+from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF, HasSystem
+from crms_fenicsx.results.output.report.case import (
+    TENSION,
+    Case,
+    case_of,
+    with_pictures,
+    with_view,
+)
+from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.results.output.report.interactive import check_interactive
+from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
+from crms_fenicsx.results.output.report.page import MACROS, PageSection
+from crms_fenicsx.results.output.report.pictures import (
+    force_figures,
+    load_figures,
+    model_figures,
+    outline_in_plan,
+)
+from crms_fenicsx.results.output.report.printing import browser, print_page
+from crms_fenicsx.results.output.report.results_tables import ResultTables
+from crms_fenicsx.results.output.report.sections import Report, with_codes
+from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.verdict import Limits
+from crms_fenicsx.results.quantities import names_of
+from crms_fenicsx.results.shape_change import Shape, shape_of
+
+NOW = "Current state"
+"""Case name in a report without combinations."""
+
+
+class Reported(HasSystem, HasStates, Protocol):
+    """Protocol of `Solver`, which is in a higher layer."""
+
+    base: SceneState | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Contents of a report: the options of `Solver.report`."""
+
+    path: Path  # of the page
+    title: str = "Membrane structure"  # title, about: heading, and entries below it
+    about: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    force: str = ""
+    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
+    pictures: Sequence[str] | None = None  # colours of the membrane
+    view: tuple[float, float] = (-60.0, 30.0)
+    sections: Sequence[PageSection] = ()  # additional ones
+    order: Order | None = None  # lengths of the cables to be made
+    # joints, or cables with "start" or "end", by foundation
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    strain_limit: float = 0.1  # limit of the larger principal strain
+    template: str | Path | None = None  # jinja2 template of the page
+    pdf: bool = False  # whether to print the page to PDF, too
+    interactive: bool = False  # whether to write interactive pages
+
+    @property
+    def units(self) -> Units:
+        """Units of length and force."""
+        return Units(self.unit, self.force)
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Options of `draw` common to all pictures."""
+        return {"unit": self.unit, "force": self.force, "view": self.view}
+
+
+def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
+    """Checked options of a report. Collective on `comm`."""
+    checks.same(comm, "report", filename=filename, **options)
+    plan = Plan(Path(), **options)
+    plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
+    for name in ("title", "unit", "force"):
+        checks.of_type(f"report: {name}", getattr(plan, name), str)
+    checks.collection("report: about", plan.about, Mapping, '{"Project": "Tent"}')
+    for text in (text for pair in plan.about.items() for text in pair):
+        checks.of_type(f"report: {text!r} in about", text, str)
+    checks.collection("report: cable_strengths", plan.cable_strengths, Mapping, '{"ridge": 120.0}')
+    strengths = {
+        scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
+        for name, value in plan.cable_strengths.items()
+    }
+    further = plan.sections
+    if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
+        raise InputError(
+            f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
+        )
+    if plan.order is not None and not isinstance(plan.order, Order):
+        raise InputError(
+            f"report: order = {plan.order!r}; give what nets.lengths_to_order(...) returned."
+        )
+    foundations = _checked_foundations(scene, plan.foundations)
+    pictures = _checked_pictures(scene, plan.pictures)
+    check_view(plan.view)
+    checks.positive("report: strain_limit", plan.strain_limit)
+    checks.of_type("report: pdf", plan.pdf, bool)
+    checks.of_type("report: interactive", plan.interactive, bool)
+    path = absolute(checks.file("report: filename", filename), comm)
+    with raised_together(comm):  # last, as it creates the folder
+        if comm.rank == 0:
+            if path.suffix.lower() not in (".html", ".htm"):
+                raise InputError(
+                    f"report: filename = {str(path)!r} is no page; give one with .html."
+                )
+            if path.is_dir():
+                raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+            make_writable(path.parent)
+            if plan.pdf:
+                browser()
+            if plan.interactive:
+                check_interactive()
+            if plan.template is not None and not Path(plan.template).is_file():
+                raise InputError(
+                    f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
+                    'which may begin with {% extends "report.html" %}.'
+                )
+            if path.name == MACROS or (plan.template and path == Path(plan.template).absolute()):
+                raise InputError(
+                    f"report: filename = {str(path)!r} is a template's name; give the page another."
+                )
+    return replace(
+        plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
+        template=None if plan.template is None else Path(plan.template).absolute(),
+    )  # fmt: skip
+
+
+def _checked_foundations(
+    scene: Scene, foundations: Mapping[str, Sequence[str]] | None
+) -> dict[str, Sequence[str]]:
+    """Members carried by each foundation."""
+    known = {f"{cable.name} {end}" for cable in scene.cables for end in ("start", "end")}
+    known |= {joint.name for joint in scene.joints}
+    foundations = {} if foundations is None else foundations
+    if not isinstance(foundations, Mapping):
+        raise InputError(
+            f"report: foundations = {foundations!r}; write names of cables' ends and of joints by "
+            'foundation, {"F1": ["A1 start", "B1 end"]}.'
+        )
+    for name, members in foundations.items():
+        unknown = [one for one in members if one not in known]
+        if unknown or isinstance(members, str):
+            raise InputError(
+                f"report: the foundation {name!r} carries {unknown or members!r}; give a list of "
+                'ends of cables, such as "A1 start", and of names of joints.'
+            )
+    return {str(name): tuple(members) for name, members in foundations.items()}
+
+
+def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
+    """Checked colours of the pictures; by default those that apply to the scene."""
+    known = names_of(scene.membrane)
+    if pictures is None:
+        forces = ("warp", "weft") if "warp" in known else ("stress",)
+        lines = (TENSION,) if scene.cables or scene.bars else ()
+        return (*lines, "displacement", *forces, *({"utilisation"} & {*known}))
+    checks.collection("report: pictures", pictures, Sequence, 'pictures=["stress"]')
+    for colour in pictures:
+        checks.one_of("report: one of pictures", colour, (TENSION, *COLOURS))
+        if QUANTITY_OF.get(colour, known[0]) not in known:
+            raise InputError(
+                "report: pictures has 'utilisation', but there are no strengths; call "
+                "scene.set_strengths(...) before."
+                if colour == "utilisation"
+                else f"report: pictures has {colour!r}, but the membrane is isotropic and has no "
+                'warp; take "stress" and "stress 2".'
+            )
+    return tuple(pictures)
+
+
+def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
+    """Results of the combinations, or of the current state if there are none. Collective."""
+    cases = list[Case]()
+    if not states:
+        with back_to_now(solver):
+            if solver.base is not None:
+                solver.restore(solver.base)
+            before = shape_of(solver.scene)
+        return [case_of(solver, NOW, before)]
+    shapes = dict[int, Shape]()
+    with back_to_now(solver):
+        for name, one in states.items():
+            if id(one.base) not in shapes:
+                solver.restore(one.base)
+                shapes[id(one.base)] = shape_of(solver.scene)
+            solver.restore(one.snapshot)
+            cases.append(case_of(solver, name, shapes[id(one.base)]))
+    return cases
+
+
+def drawn(
+    solver: Reported, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
+    every: Sequence[Case],
+) -> list[Case]:  # fmt: skip
+    """The cases with pictures in the colour scales of `every` case. Collective."""
+    pictured = []
+    with back_to_now(solver):
+        for case in cases:
+            if states:
+                solver.restore(states[case.name].snapshot)
+            colours = plan.pictures or ()
+            shown = with_pictures(solver, case, every, colours, plan.look)
+            if plan.interactive:
+                shown = with_view(solver, shown, every, colours, plan.units)
+            pictured.append(shown)
+    return pictured
+
+
+def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) -> Model:
+    """The model in the combinations' base states, or the current one. Collective."""
+    base, now = solver.base, solver.scene.versions.current
+    if not states:
+        model = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
+        if base is None or base.version.model_version != now.model_version:
+            return _pictured(solver, plan, model, "The model in its current state")
+        with back_to_now(solver):
+            solver.restore(base)
+            return _pictured(solver, plan, model, "The model in its base state, before its loads")
+    names = dict[int, list[str]]()
+    for name, one in states.items():
+        names.setdefault(one.base.version.model_version, []).append(name)
+    first = next(iter(states.values())).base
+    alike = [name for name, one in states.items() if one.base.version == first.version]
+    caption = "The model in its base state"
+    if len(alike) < len(states):
+        caption = f"The model in the base state of {', '.join(alike)}"
+    with back_to_now(solver):
+        models = {}
+        for own in names.values():
+            solver.restore(states[own[0]].base)
+            models[", ".join(own)] = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
+        model = merged(models)
+        solver.restore(first)
+        return _pictured(solver, plan, model, caption)
+
+
+def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
+    """A model with pictures of the scene's current state. Collective."""
+    scene = solver.scene
+    if not scene.in_equilibrium():
+        caption += f" ({UNBALANCED})"
+    figures = model_figures(solver, caption, plan.unit, plan.look)
+    loads = load_figures(solver, plan.units, plan.look)
+    return replace(model, pictures=figures, loads=loads, outline=outline_in_plan(scene))
+
+
+def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
+    """Write the page and its tables, replacing old files once all are complete. Collective."""
+    with raised_together(solver.comm):
+        if solver.comm.rank == 0:
+            results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
+            factors = results.factors(model.pressure, model.factors)
+            limits = Limits(plan.strain_limit, plan.cable_strengths)
+            held = FoundationTables(cases, plan.units, plan.foundations)
+            report = Report(
+                plan.title, [*plan.about.items()], model, factors, results, held, limits,
+                plan.sections, stem=plan.path.stem, order=plan.order,
+                template=Path(plan.template) if plan.template else None,
+            )  # fmt: skip
+            path, tables, coded = plan.path, report.tables(), with_codes(cases, factors)
+            held = replace(held, cases=coded)
+            report = replace(
+                report, results=replace(results, cases=coded), held=held,
+                plans=force_figures(held, model.outline),
+            )  # fmt: skip
+            texts = {path: report.html()}
+            texts |= {path.with_name(name): page for name, page in report.views.items()}
+            for table in tables:
+                texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
+            with ExitStack() as files:
+                for file, text in texts.items():
+                    files.enter_context(replaced(file)).write_text(text, encoding="utf-8")
+                if plan.pdf:
+                    pdf = files.enter_context(replaced(path.with_suffix(".pdf")))
+                    print_page(texts[path], pdf)
+
+
+def write_report(
+    solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Write a report of combinations or the current state; options as `Plan`. Collective."""
+    states = checked_states("report", solver.scene, combinations)
+    plan = checked_plan(solver.comm, solver.scene, filename, **options)
+    model, cases = model_of(solver, plan, states), results_of(solver, states)
+    write_files(solver, plan, model, drawn(solver, plan, states, cases, cases))

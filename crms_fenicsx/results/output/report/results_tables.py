@@ -1,0 +1,422 @@
+"""Tables of results: by case, and envelopes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.cable_and_bar_results import BarResults
+from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.page import (
+    Cell,
+    PagePart,
+    Paragraph,
+    Table,
+    per_cent,
+    place,
+)
+from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.quantities import QUANTITIES
+from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
+
+WHOLE = "whole membrane"
+BOTH = "supports, anchors and held joints"
+TOTAL = "all that meets there"
+Row = tuple[Cell, ...]
+NOISE = 1e-6
+"""Force components below this fraction of the largest are rounding errors."""
+FINE = 1e-3
+"""Values below this fraction of the largest are shown as zero, as irrelevant to design."""
+PEAK = 1.25
+"""Ratio of largest to largest smoothed cell value above which it is called a peak."""
+FAMILY = 10
+"""Number of bars from which those with numbered names share rows on the page."""
+
+
+@dataclass(frozen=True)
+class ResultTables:
+    """Result tables of the load cases."""
+
+    cases: Sequence[Case]
+    units: Units
+    size: float  # largest extent of the stress-free surface (length)
+    strengths: Mapping[str, float]  # of cables, by name (force)
+
+    def names(self, kind: str) -> list[str]:
+        """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
+        every = (name for case in self.cases for name in getattr(case.summary, kind))
+        return list(dict.fromkeys(every))
+
+    def each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
+        """Name, case and result of each item of a kind."""
+        for name in self.names(kind):
+            for case in self.cases:
+                if name in getattr(case.summary, kind):
+                    yield name, case.name, getattr(case.summary, kind)[name]
+
+    def _extremes(self, case: Case) -> Iterator[tuple[str, str, str, Extreme, Extreme]]:
+        """Part, name and label of each quantity, with its minimum and maximum."""
+        for part, found in case.summary.parts.items():
+            for name in (name for name in SUMMED_UP if name in found.largest):
+                one, scale = QUANTITIES[name], in_per_cent(name)
+                label = one.label[:1].upper() + one.label[1:]
+                label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
+                low, high = (replace(x[name], value=scale * x[name].value)
+                             for x in (found.least, found.largest))  # fmt: skip
+                yield part, name, label, low, high
+
+    def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
+        """Pressure and load factors of the cases and the base state."""
+        every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
+        divided = {case.name: case.summary.strength_factor for case in self.cases}
+        reduced = any(x != 1.0 for x in divided.values())
+        base = [one for one in every if one[1] == pressure and one[2] == factors]
+        if not base:
+            base = [("base state", pressure, factors)]
+        every = base + [one for one in every if one not in base]
+        loads = list(dict.fromkeys(load for _, _, known in every for load in known))
+        first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
+        rows: list[Row] = [
+            (
+                f"LC{k}",
+                name,
+                p,
+                *(known.get(load) for load in loads),
+                divided.get(name) if reduced else None,
+            )
+            for k, (name, p, known) in enumerate(every, first)
+        ]
+        columns = self.units.headings("Case|Combination|Inner pressure{pressure}")
+        columns += [*(f"Factor of {load}" for load in loads), "Strengths divided by"]
+        return Table("Inner pressure and factors of the loads", columns, rows, "combinations")
+
+    def overview(self) -> Table:
+        """Deformation and state of the membrane."""
+        most = max(case.summary.displacement.value for case in self.cases)
+        rows: list[Row] = [
+            (
+                case.name, one.displacement.value,
+                *clean((one.lowest.value, one.highest.value), most, FINE),
+                per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled), one.energy,
+            )
+            for case in self.cases for one in [case.summary]
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Combination|Largest deflection{length}|Lowest in z{length}|Highest in z{length}|"
+            "Slack area|Wrinkled area|Potential energy{energy}"
+        )
+        return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
+
+    def of_case(self, case: Case) -> Table:
+        """Membrane forces of a case, by parts."""
+        rows: list[Row] = []
+        for part, name, label, low, high in self._extremes(case):
+            smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
+            nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
+            if nodal is None and change is not None:
+                peak = f"may change by {per_cent(change)}"
+            elif nodal is not None and high.value > PEAK * max(nodal, 0.0):
+                peak = "single-cell peak"
+            rows.append((
+                part_name(part), label, *clean([low.value], abs(high.value), FINE),
+                place(low.at, self.size), high.value, place(high.at, self.size), nodal, peak,
+            ))  # fmt: skip
+        columns = "Part|Result|Least|at x; y; z{length}|Largest|at x; y; z{length}"
+        columns += "|Largest, smoothed|Remark"
+        table = Table(f"Membrane, {case.name}", self.units.headings(columns), rows, headings=2)
+        return _without_one_part(table)
+
+    def patches(self) -> Table:
+        """Reinforced corners, and what plain fabric would bear there, over all cases."""
+        rows: list[Row] = []
+        for name in self.names("patches"):
+            found = [(case, one) for own, case, one in self.each("patches") if own == name]
+            governs, most = max(found, key=lambda one: one[1].utilisation)
+            patch = most.patch
+            radius = "given" if patch.given else "a twentieth of the distance to the next"
+            rows.append((
+                name, patch.reason, place(patch.at, self.size), patch.radius, radius,
+                per_cent(most.utilisation), governs,
+            ))  # fmt: skip
+        columns = self.units.headings(
+            "Corner|For|stress-free at x; y; z{length}|Radius{length}|Radius is|"
+            "Plain fabric there|Governs"
+        )
+        return Table("Reinforced corners of the membrane", columns, rows, "reinforcement")
+
+    def membrane(self) -> Table:
+        """Membrane forces of all cases, for the CSV file."""
+        rows: list[Row] = [
+            (case.name, part_name(part), label, low.value, *low.at, high.value, *high.at)
+            for case in self.cases
+            for part, _, label, low, high in self._extremes(case)
+        ]
+        columns = self.units.headings(
+            "Combination|Part|Result|Least|least at x{length}|least at y{length}|least at z{length}"
+            "|Largest|largest at x{length}|largest at y{length}|largest at z{length}"
+        )
+        return Table("Membrane", columns, rows, "membrane", headings=3)
+
+    def envelope(self) -> Table:
+        """Minima and maxima over all cases, with the governing case."""
+        rows: list[Row] = []
+        for part, name, label, _, _ in self._extremes(self.cases[0]):
+            parts = [(case.name, case.summary.parts[part]) for case in self.cases]
+            least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
+            largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
+            at, scale = place(high.at, self.size), in_per_cent(name)
+            small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
+            rows.append((part_name(part), label, small, least, most, largest, at))
+        columns = self.units.headings(
+            "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
+        )
+        table = Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
+        return _without_one_part(table)
+
+    def cables(self) -> Table:
+        """Tensions and lengths of all cables in all cases."""
+        most = max((one.contact_largest for *_, one in self.each("cables")), default=0.0)
+        rows: list[Row] = [
+            (
+                name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
+                one.length, one.L0, one.free,
+                *clean((one.contact_mean, one.contact_largest), most, FINE),
+            )
+            for name, case, one in self.each("cables")
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Cable|Combination|Least tension{force}|Mean{force}|Largest{force}|State|"
+            "Length{length}|Unstressed{length}|Off the membrane{length}|Contact, mean{stress}|"
+            "Contact, largest{stress}"
+        )
+        return Table("Cables", columns, rows, "cables", headings=2)
+
+    def cable_envelope(self) -> Table:
+        """Smallest and largest tension of each cable over all cases."""
+        rows: list[Row] = []
+        for name in self.names("cables"):
+            found = [(case, one) for own, case, one in self.each("cables") if own == name]
+            least, low = min(found, key=lambda one: one[1].least)
+            largest, high = max(found, key=lambda one: one[1].largest)
+            share = high.largest / self.strengths[name] if name in self.strengths else None
+            used = [None if share is None else per_cent(share)]
+            used = used if self.strengths else []
+            rows.append((name, low.least, least, high.largest, largest, *used))
+        columns = self.units.headings(
+            "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
+        )
+        columns += ["Utilisation"] if self.strengths else []
+        return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
+
+    def _bars(self, every: bool) -> Iterator[tuple[str, list[tuple[str, BarResults]]]]:
+        """Each bar, or family of bars, with (case, result) pairs."""
+        names = self.names("bars")
+        rows = {name: [name] for name in names} if every else families(names)
+        for label, own in rows.items():
+            yield label, [
+                (case.name, case.summary.bars[name])
+                for case in self.cases for name in own if name in case.summary.bars
+            ]  # fmt: skip
+
+    def bars(self, *, every: bool = True) -> Table:
+        """Forces and lengths in all cases, of each bar or of the most loaded bar of each family."""
+        rows: list[Row] = []
+        for label, found in self._bars(every):
+            for case in dict.fromkeys(case for case, _ in found):
+                own = (bar for name, bar in found if name == case)
+                one = max(own, key=lambda bar: abs(bar.force))
+                state = "slack" if one.slack else "tension" if one.force > 0.0 else "compression"
+                used = None if one.utilisation is None else per_cent(one.utilisation)
+                rows.append((label, case, one.force, state, one.length, one.L0, one.buckling, used))
+        columns = "Bar|Combination|Force{force}|State|Length{length}|Unstressed{length}"
+        columns += "|Buckling load{force}|Utilisation"
+        return Table("Bars", self.units.headings(columns), rows, "bars", headings=2)
+
+    def bar_envelope(self, *, every: bool = True) -> Table:
+        """Smallest and largest force of each bar, or family of bars, over all cases."""
+        rows: list[Row] = []
+        for label, found in self._bars(every):
+            least, low = min(found, key=lambda one: one[1].force)
+            largest, high = max(found, key=lambda one: one[1].force)
+            most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
+                       key=_share, default=None)  # fmt: skip
+            used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
+            rows.append((label, low.force, least, high.force, largest, *used))
+        columns = self.units.headings(
+            "Bar|Least force{force}|Governs least|Largest force{force}|Governs largest"
+            "|Utilisation|Governs utilisation"
+        )
+        return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
+
+    def hollows(self) -> Table:
+        """Ponding: the deepest hollow of each case."""
+        rows: list[Row] = [
+            (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
+            for case in self.cases for found in [case.summary.hollows] for one in found[:1]
+        ]  # fmt: skip
+        columns = self.units.headings(
+            "Combination|Hollows|Deepest{length}|at x; y; z{length}|Volume{volume}|Area{area}"
+        )
+        return Table("Hollows in which rain would stand", columns, rows, "hollows")
+
+    def ponds(self) -> Table:
+        """Levels, volumes and factored weights of ponds."""
+        rows: list[Row] = [
+            (name, case, x.factor, x.level, x.volume, x.factor * x.weight * x.volume)
+            for name, case, x in self.each("ponds")
+        ]
+        columns = self.units.headings(
+            "Pond|Combination|Factor|Level z{length}|Volume{volume}|Weight with the factor{force}"
+        )
+        return Table("Ponds", columns, rows, "ponds", headings=2)
+
+    def supports(self, *, every: bool = True) -> Table:
+        """Support reactions and their sum; `every` also splits those of lines into parts."""
+        rows: list[Row] = []
+        names = self.names("supports")
+        lists = [case.summary.supports for case in self.cases]
+        if len(names) == 2 and all(  # a single group equals the sum
+            set(one[names[0]].parts) == set(one[ALL_SUPPORTS].parts) for one in lists
+        ):
+            names = names[:1]
+        for name, case, one in self.each("supports"):
+            if name not in names:
+                continue
+            whole = name == ALL_SUPPORTS
+            label = BOTH if whole and one.parts else name
+            # relative to the summands of the total
+            scale = max(*map(abs, (*one.total, *one.membrane)), one.mean * one.length)
+            along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
+            rows.append((label, case, TOTAL, *clean(one.total, scale), *along))
+            if one.parts and not whole and (every or one.length == 0.0):
+                for part, force in {"membrane": one.membrane, **one.parts}.items():
+                    size = max(map(abs, (*one.total, *force)))
+                    rows.append((label, case, part, *clean(force, size), None, None))
+        columns = self.units.headings(
+            "Support|Combination|On|Rx{force}|Ry{force}|Rz{force}|Per length, mean{stress}|"
+            "Per length, largest{stress}"
+        )
+        return Table("Reactions: forces of the supports", columns, rows, "supports", headings=3)
+
+    def joints(self) -> Table:
+        """Support forces on joints, including anchors of bars."""
+        rows: list[Row] = [
+            (name, case, *with_size(force)) for name, case, force in self.each("joints")
+        ]
+        columns = "Joint|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}"
+        headings = self.units.headings(columns)
+        return Table("Held joints: forces on them", headings, rows, "joints", headings=2)
+
+    def verification(self) -> Table:
+        """Checks of all cases."""
+        rows: list[Row] = []
+        for case in self.cases:
+            if case.verification is None:
+                rows.append((case.name, _unchecked(case), None, None, None, ""))
+                continue
+            for one in case.verification.checks:
+                verdict = "passed" if one.passed else "failed" if one.binding else "doubtful"
+                rows.append((case.name, one.name, one.where or None, one.value, one.limit, verdict))
+        columns = ("Combination", "Check", "Cable", "Value", "Limit", "Verdict")
+        return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
+
+    def verdicts(self) -> Table:
+        """Verdicts, with the cases that share each."""
+        shared: dict[tuple[int | None, str], list[str]] = {}
+        for case in self.cases:
+            found = case.verification
+            if found is None:
+                shared.setdefault((None, _unchecked(case)), []).append(case.name)
+                continue
+            names = [check.name for check in found.failed]
+            verdict = "failed: " if found.failed else "verified"
+            if case.summary.warnings and not found.failed:
+                verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
+            key = len(found.checks), verdict + ", ".join(names)
+            shared.setdefault(key, []).append(case.name)
+        rows: list[Row] = [
+            (f"all {len(names)} combinations" if len(names) == len(self.cases) > 1
+             else ", ".join(names), *key)
+            for key, names in shared.items()
+        ]  # fmt: skip
+        return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
+
+    def nearest_to_limits(self) -> list[PagePart]:
+        """Each check at its largest utilisation, and the names of checks far below their limits."""
+        known = [(case, check) for case in self.cases if case.verification is not None
+                 for check in case.verification.checks]  # fmt: skip
+        rows, far = list[Row](), list[str]()
+        for name in dict.fromkeys(check.name for _, check in known):
+            case, check = max(
+                ((case, check) for case, check in known if check.name == name),
+                key=lambda one: (not one[1].passed, one[1].value / (one[1].limit or 1.0)),
+            )
+            part = check.value / check.limit if check.limit > 0.0 else 0.0
+            if check.passed and part < FINE:
+                far.append(name)
+            else:
+                rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
+        columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
+        found: list[PagePart] = []
+        if rows:
+            found.append(Table("Checks, where they are nearest to their limits", columns, rows))
+        if far:
+            found.append(Paragraph(f"Below {per_cent(FINE)} of their limits: {', '.join(far)}."))
+        return found
+
+
+def in_per_cent(name: str) -> float:
+    """Display factor of a membrane quantity: 100 (per cent) without a unit, else 1."""
+    return 1.0 if QUANTITIES[name].unit else 100.0
+
+
+def part_name(part: str) -> str:
+    """Display name of a part."""
+    return WHOLE if part == ALL else part
+
+
+def families(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names by row label: the name itself, or "belt 1 ... belt 26" for a large family."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
+    shared: dict[str, list[str]] = {}
+    for own in found.values():
+        many = len(own) >= FAMILY
+        shared |= {f"{own[0]} ... {own[-1]}": own} if many else {name: [name] for name in own}
+    return shared
+
+
+def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[float]:
+    """A force whose components below a fraction of a scale are set to zero."""
+    return [x if abs(x) > part * scale else 0.0 for x in force]
+
+
+def _value(one: tuple[str, Extreme]) -> float:
+    return one[1].value
+
+
+def _share(one: tuple[str, float | None]) -> float:
+    return one[1] or 0.0
+
+
+def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:
+    size = sum(x * x for x in force) ** 0.5
+    return [*clean(force, size, part), size]
+
+
+def _without_one_part(table: Table) -> Table:
+    """A table without its first column if that only names the whole membrane."""
+    if {row[0] for row in table.rows} != {WHOLE}:
+        return table
+    rows = [row[1:] for row in table.rows]
+    return replace(table, columns=table.columns[1:], rows=rows, headings=1)
+
+
+def _unchecked(case: Case) -> str:
+    """Reason for missing checks of a case."""
+    return "not verified in this run" if case.summary.in_equilibrium else UNBALANCED

@@ -1,0 +1,321 @@
+"""Sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.output.report import net_tables
+from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.results.output.report.model_tables import Model, in_families, versions
+from crms_fenicsx.results.output.report.page import (
+    LARGEST,
+    BarChart,
+    Figure,
+    Figures,
+    KeyFigures,
+    Link,
+    Notes,
+    PagePart,
+    PageSection,
+    Paragraph,
+    Table,
+    number,
+    page,
+    per_cent,
+)
+from crms_fenicsx.results.output.report.results_tables import ResultTables
+from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
+
+FORCES_ON = (
+    "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
+    "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
+    "points that meet at one place are summed up; forces of a foundation with several such places "
+    "act at their mean, together with the moments Mx, My and Mz about it. Lines of held edges bear "
+    "the membrane's forces "
+    "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
+    "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
+    "of them have one scale. Orange is uplift, blue is downward."
+)
+HOLLOWS = (
+    "From these places rain has no way out over an edge of the roof. Depth, volume and area are "
+    "those of the water that fits in, up to where it runs over, in the shape of the combination; "
+    "under the water's weight the roof sinks further."
+)
+PATCHES = (
+    "At these corners forces enter the membrane at a point, and its forces grow without limit as "
+    "triangles become smaller. Within the radius the strength of the plain fabric does not judge: "
+    "the fabric is to be reinforced by further layers, belts or a plate, for the forces of the "
+    "supports, cables and bars there. The utilisation of plain fabric there depends on the mesh."
+)
+NOTES = (
+    "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
+    "and smaller ones are principal values; warp and weft are along the current warp and square to "
+    "it, shear belongs to these two. Each triangle has one value, so that largest values at "
+    "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
+    "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
+    "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
+    "given for them, in isotropic material that of the larger principal force to the strength. It "
+    "is that of the vertices, means of the triangles around of the same material and strengths, "
+    "outside of the reinforced corners, where forces grow without limit as triangles become "
+    "smaller. Triangles around the largest value differ from the means at their corners by the "
+    "part by which smaller ones may change it. "
+    "Strengths must contain all partial factors; they are divided by the largest factor of the "
+    "loads that act where such factors are given. Shear is not part of it. That of bars in "
+    "compression is by their strength times the reduction factor of their buckling curve (EN "
+    "1993-1-1, 6.3.1, between hinges) or the one given; without these there is none.",
+    "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
+    "tension in one direction only, a slack one in none.",
+    "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
+    "those of each vertex over the length of held edges that belongs to it; they contain what "
+    "cables hand on there that pass over.",
+    "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
+    "wind and inner pressure stay normal to the surface.",
+    "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
+    "over a few triangles.",
+    "Each equilibrium is checked independently of the solver: virtual work by differences of the "
+    "energy, balance of supports and loads, tensions and places of cables. A check that is "
+    "doubtful tells that the mesh is coarse there, or that forces of one part are too small beside "
+    "the others to be known well, not that the state is no equilibrium.",
+)
+"""Notes on reading the results."""
+PER_PICTURE = 1000
+"""Bytes of the page per picture, besides its data."""
+
+
+LONG = 28
+"""Length of a case name from which all cases are called by their codes."""
+
+
+def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
+    """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
+    codes = {str(row[1]): str(row[0]) for row in factors.rows}
+    if max(len(case.name) for case in cases) < LONG:
+        return list(cases)
+    order = list(codes)
+    return [
+        replace(case, name=codes[case.name], pictures=tuple(
+            replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
+            for one in case.pictures
+        ))
+        for case in sorted(cases, key=lambda case: order.index(case.name))
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Report:
+    """Contents of a report."""
+
+    title: str  # title, about: heading, and entries below it
+    about: Sequence[tuple[str, str]]
+    model: Model  # with its pictures
+    factors: Table  # load factors, with the cases' codes and names
+    results: ResultTables
+    held: FoundationTables
+    limits: Limits
+    further: Sequence[PageSection] = ()  # additional sections
+    plans: Sequence[Figure] = ()  # of the foundation forces
+    left_out: int = 0  # number of pictures omitted for lack of room
+    order: Order | None = None  # lengths of the cables to be made
+    template: Path | None = None  # jinja2 template; None: the package's
+    stem: str = "report"  # stem of all file names
+
+    @property
+    def cases(self) -> Sequence[Case]:
+        """The load cases, one or more."""
+        return self.results.cases
+
+    @property
+    def views(self) -> dict[str, str]:
+        """Interactive pages by file name."""
+        named = zip(self._files, self.cases, strict=True)
+        return {file: case.view for file, case in named if case.view}
+
+    @property
+    def _files(self) -> list[str]:
+        return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
+
+    def html(self) -> str:
+        """The HTML page, with as many pictures as fit."""
+        room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
+        cases = []
+        for case in self.cases:
+            need = np.cumsum([PER_PICTURE + len(one.png) * 4 // 3 for one in case.pictures])
+            fitting = case.pictures[: int(np.count_nonzero(need <= room))]
+            room -= int(need[len(fitting) - 1]) if fitting else 0
+            cases.append(replace(case, pictures=fitting))
+        left_out = sum(len(case.pictures) for case in self.cases)
+        left_out -= sum(len(case.pictures) for case in cases)
+        return replace(self, left_out=left_out)._with(cases).decode()
+
+    def _with(self, cases: Sequence[Case]) -> bytes:
+        """The page with other pictures of the cases."""
+        return replace(self, results=replace(self.results, cases=cases))._page().encode()
+
+    def _page(self) -> str:
+        results, units = self.results, self.results.units
+        about = list(self.about)
+        if units.length or units.force:
+            about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
+        about += versions(self.model.ranks)
+        verdict = verdict_on(self.cases, self.limits, results.size)
+        every = {case.name: case.summary.membrane.largest for case in self.cases}
+        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+                if "utilisation" in largest]  # fmt: skip
+        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
+        sections = [
+            PageSection("Summary", [verdict, KeyFigures(self._cards()), chart]),
+            *self._model(),
+            *self._results(),
+            *self._forces(),
+            *self.further,
+            PageSection("Verification", [results.verdicts(), *results.nearest_to_limits()]),
+            PageSection("Notes", [Notes(NOTES)]),
+        ]
+        return page(self.title, about, sections, self.template)
+
+    def tables(self) -> list[Table]:
+        """The tables for CSV files."""
+        of = self.results
+        found = [
+            self.factors,
+            of.overview(),
+            of.membrane(),
+            of.envelope(),
+            of.hollows(),
+            of.supports(),
+        ]
+        found += [self.held.lines(), self.held.balance()]
+        found.append(of.verification())
+        if of.names("cables"):
+            found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
+        if of.names("bars"):
+            found += [of.bars(), of.bar_envelope()]
+        more = [net_tables.clamps(of), of.joints(), of.ponds(), of.patches()]
+        more += [self.held.places(), self.held.forces(), self.held.envelope()]
+        if self.order is not None:
+            more.append(net_tables.order(self.order, of.units))
+        more += [part for one in self.further for part in one.body if isinstance(part, Table)]
+        return found + [table for table in more if table.rows]
+
+    def _cards(self) -> list[tuple[str, str, str]]:
+        """Key figures: title, value, and the governing case or cable."""
+        units, summaries = self.results.units, {case.name: case.summary for case in self.cases}
+        membranes = {name: one.membrane for name, one in summaries.items()}
+        cards = []
+
+        def card(what: str, unit: str | None, found: Mapping[str, float]) -> None:
+            name = max(found, key=lambda one: found[one], default="")
+            if name and found[name] != 0.0:
+                text = f"{number(found[name])} {unit}".rstrip()
+                cards.append((what, per_cent(found[name]) if unit is None else text, name))
+
+        used = {name: one.largest.get("utilisation") for name, one in membranes.items()}
+        if None not in used.values():
+            shares = {name: one.value for name, one in used.items() if one is not None}
+            card("Largest utilisation of the membrane", None, shares)
+        forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
+        card("Largest principal membrane force", units["stress"].strip(" []"), forces)
+        tensions = {
+            f"{cable}, {name}": one.largest
+            for name, summary in summaries.items()
+            for cable, one in summary.cables.items()
+        }
+        card("Largest tension of a cable", units.force, tensions)
+        moved = {name: one.displacement.value for name, one in summaries.items()}
+        card("Largest deflection", units.length, moved)
+        wrinkled = {name: one.wrinkled for name, one in membranes.items()}
+        card("Largest wrinkled area", None, wrinkled)
+        card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
+        return cards
+
+    def _tensions(self) -> BarChart:
+        """Chart of the cables' tensions over all combinations."""
+        found = []
+        for name in self.results.names("cables"):
+            one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
+            found.append((name, min(x.least for x in one), max(x.largest for x in one)))
+        where = " over all combinations" if len(self.cases) > 1 else ""
+        return BarChart(f"Least to largest tension{where}{self.results.units['force']}", found)
+
+    def _model(self) -> list[PageSection]:
+        model = self.model
+        tables = {name: one for name, one in model.tables.items() if one.rows}
+        if "bars" in tables:
+            tables["bars"] = in_families(tables["bars"])
+        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
+        below = [tables[x] for x in held if x in tables]
+        return [
+            PageSection("Model", [*model.pictures, tables["mesh"]]),
+            PageSection("Materials", [tables[x] for x in made if x in tables], 3),
+            PageSection("Supports, cables and bars", below, 3),
+            PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
+                                  Figures(model.loads), *self._combinations()]),
+        ]  # fmt: skip
+
+    def _combinations(self) -> list[PagePart]:
+        """Pressure and load factors of all cases."""
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
+        return [Paragraph(text), self.factors]
+
+    def _results(self) -> list[PageSection]:
+        found, same, several = [], "", len(self.cases) > 1
+        if several:
+            text = "Least and largest values over all combinations, and which of them governs."
+            body: list[PagePart] = [Paragraph(text), self.results.envelope()]
+            body.append(self.results.overview())
+            found.append(PageSection("Envelope of the membrane", body))
+            same = "Colours have the same scale in all combinations."
+        patches = self.results.patches()
+        if patches.rows:
+            found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
+        found += [PageSection("Rain", self._rain())]
+        if self.left_out:
+            same += f" {self.left_out} pictures are left out, as the page would be too large."
+        body = [
+            *([Paragraph(same)] if same else []),
+            *([] if several else [self.results.overview()]),
+        ]
+        found.append(PageSection("Membrane by combination", body))
+        titles = {name: f"{code}: {name}" for code, name, *_ in self.factors.rows}
+        titles |= {code: f"{code}: {name}" for code, name, *_ in self.factors.rows}
+        for case, file in zip(self.cases, self._files, strict=True):
+            body = [Figures(case.pictures), self.results.of_case(case)]
+            if case.view:
+                body.insert(0, Link("To be turned in a browser", file))
+            found.append(PageSection(titles[case.name], body, 3))
+        return found
+
+    def _rain(self) -> list[PagePart]:
+        """Hollows that do not drain."""
+        table = self.results.hollows()
+        if not table.rows:
+            return [Paragraph("In no state is there a hollow from which rain has no way out.")]
+        return [Paragraph(HOLLOWS), table]
+
+    def _forces(self) -> list[PageSection]:
+        of, several, found = self.results, len(self.cases) > 1, []
+        if of.names("cables"):
+            envelopes = [of.cable_envelope()] if several or of.strengths else []
+            tables = [*envelopes, of.cables(), net_tables.clamps(of)]
+            used = [table for table in tables if table.rows]
+            found.append(PageSection("Cables", [self._tensions(), *used]))
+        if of.names("bars"):
+            envelopes = [of.bar_envelope(every=False)] if several else []
+            found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
+        if of.names("ponds"):
+            found.append(PageSection("Ponds", [of.ponds()]))
+        held = self.held
+        tables = [held.forces(), held.lines(), held.places(), held.balance()]
+        body: list[PagePart] = [Paragraph(FORCES_ON)]
+        body += [table for table in [held.envelope()] if table.rows]
+        body += [Figures(self.plans), *(table for table in tables if table.rows)]
+        found.append(PageSection("Foundations and anchors", body))
+        if self.order is not None:
+            found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
+        return found

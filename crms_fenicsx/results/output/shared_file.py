@@ -1,0 +1,166 @@
+"""Files written by all ranks together, and arrays (.npy) whose rows have global ids.
+
+Any number of ranks can write an array's rows and any other number read them. The first rank holds
+the whole array meanwhile.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from crms_fenicsx.foundation.runtime.arrays import Integers
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.foundation.runtime.files import (
+    explained,
+    forget,
+    partial_of,
+    readable,
+    replaced,
+    size_of_file,
+)
+
+SLAB = 2**30
+"""Largest number of bytes per write call, as MPI counts in 32 bits."""
+
+Part = tuple[int, NDArray[Any]]
+"""Offset in a file (bytes) and the array written there."""
+
+
+def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[Part]) -> None:
+    """Write parts of a file from all ranks, then replace `path` by it. Collective."""
+    # Ranks write independently: collective MPI writes deadlock if a rank's disk is full.
+    partial = partial_of(path)
+    try:
+        with raised_together(comm), explained(path):
+            if comm.rank == 0:
+                with open(partial, "wb") as new:
+                    new.truncate(size)
+        with raised_together(comm), explained(path), _as_system_error(path):
+            file = MPI.File.Open(comm, os.fspath(partial), MPI.MODE_WRONLY)
+        try:
+            with raised_together(comm), explained(path), _as_system_error(path):
+                for offset, array in parts:
+                    _write(file, offset, array)
+            with raised_together(comm), explained(path), _as_system_error(path):
+                file.Sync()  # flushes to disk
+        finally:
+            file.Close()
+        with raised_together(comm), explained(path):
+            if comm.rank == 0:
+                os.replace(partial, path)
+    except BaseException:
+        if comm.rank == 0:
+            forget(partial)
+        raise
+
+
+def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
+    """Number of rows of the previous ranks, and of all ranks. Collective."""
+    before = comm.exscan(count)
+    return (0 if before is None else int(before)), int(comm.allreduce(count))
+
+
+def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
+    left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    while len(left):
+        now = min(len(left), SLAB)
+        file.Write_at(offset, [left[:now], MPI.BYTE])
+        left, offset = left[now:], offset + now
+
+
+@contextmanager
+def _as_system_error(path: Path) -> Iterator[None]:
+    """Raise MPI errors as OSError with the free disk space, as MPI gives no reason."""
+    try:
+        yield
+    except MPI.Exception as error:
+        disk = os.statvfs(path.parent)
+        free = disk.f_bavail * disk.f_frsize
+        raise OSError(f"{error}; the disk has {free} bytes left") from error
+
+
+Rows = npt.NDArray[Any]
+
+HEADER = 128
+"""Bytes before the values."""
+
+FACTOR = np.uint64(0x9E3779B97F4A7C15)
+"""Odd multiplier for hashing (golden ratio)."""
+
+
+def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
+    """Write an array from all ranks' rows `ids` (n,); returns its digest. Collective."""
+    parts, found = comm.gather((ids, values)), ""
+    with raised_together(comm):
+        if parts is not None:
+            whole = np.zeros((total, *values.shape[1:]), dtype=values.dtype.newbyteorder("<"))
+            for rows, own in parts:
+                np.add.at(whole, rows, own)
+            with replaced(path) as partial, open(partial, "wb") as file:
+                file.write(_header(whole.dtype, whole.shape))
+                file.write(whole.data if whole.size else b"")
+            found = digest(MPI.COMM_SELF, np.arange(total), whole)
+    return comm.bcast(found)
+
+
+def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    """Header of an .npy file of version 1.0: equal bytes for equal type and shape."""
+    text = repr({"descr": dtype.str, "fortran_order": False, "shape": shape})
+    return b"\x93NUMPY\x01\x00\x76\x00" + text.ljust(HEADER - 11).encode() + b"\n"
+
+
+def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
+    """Checksum of all ranks' rows (n, ...), independent of their distribution. Collective."""
+    columns = np.ascontiguousarray(values.reshape(len(values), int(np.prod(values.shape[1:]))))
+    words = columns.view(np.uint64) if columns.dtype.itemsize == 8 else columns.astype(np.uint64)
+    numbers = np.zeros(len(ids), dtype=np.uint64)
+    for column in (ids.astype(np.uint64), *words.T):
+        numbers = (numbers ^ column) * FACTOR
+        numbers ^= numbers >> np.uint64(29)
+    return f"{comm.allreduce(int(numbers.sum())) % 2**64:016x}"
+
+
+def read_rows(
+    path: Path,
+    comm: MPI.Intracomm,
+    ids: Integers | None,
+    dtype: npt.DTypeLike,
+    shape: tuple[int, ...],
+    due: str,
+) -> Rows:
+    """Read rows `ids` (n,) of an array, (n, ...), or all rows for None. Collective."""
+    wanted, parts = comm.gather(ids), None
+    with raised_together(comm):
+        if wanted is not None:
+            whole = _checked(path, np.dtype(dtype).newbyteorder("<"), shape, due).astype(dtype)
+            parts = [whole if rows is None else whole[rows] for rows in wanted]
+    return comm.scatter(parts)
+
+
+def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
+    """Read an array of given type, shape and digest; raises `InputError` otherwise."""
+    wrong, size = "", HEADER + dtype.itemsize * math.prod(shape)
+    with readable(path, "give a checkpoint that is complete"):
+        found = size_of_file(path)
+        with open(path, "rb") as file:
+            if file.read(HEADER) != _header(dtype, shape):
+                wrong = f"it does not begin like numbers of type {dtype} and shape {shape}"
+            elif found != size:
+                wrong = f"it has {found} bytes instead of {size}"
+            else:
+                values = np.fromfile(file, dtype).reshape(shape)
+    if not wrong and digest(MPI.COMM_SELF, np.arange(len(values)), values) != due:
+        wrong = "its numbers are not those that were written"
+    if wrong:
+        raise InputError(f"{path} is damaged: {wrong}; take another checkpoint")
+    return values

@@ -1,5 +1,0 @@
-"""The scene: a membrane with its supports, cables, bars and loads, in its current state."""
-
-from crms_fenicsx.scene.scene import Scene
-
-__all__ = ["Scene"]

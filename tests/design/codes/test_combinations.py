@@ -1,0 +1,142 @@
+"""Combinations by EN 1990 and ASCE 7: by hand, on a solver, and bad input."""
+
+from __future__ import annotations
+
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.design.codes import asce7, asce7_16, asce7_22, combinations, en1990
+
+
+def factors(table: dict[str, dict[str, object]]) -> set[tuple[tuple[str, object], ...]]:
+    return {tuple(sorted((k, v) for k, v in one.items() if v)) for one in table.values()}
+
+
+def test_the_ultimate_limit_state_by_hand() -> None:
+    """6.10 with g, snow (psi_0 = 0.5) and wind (0.6)."""
+    found = factors(combinations(en1990, ["g"], ["snow", "wind"]))
+    expected = set()
+    for g in (1.35, 1.0):
+        for rest in (
+            {}, {"snow": 1.5}, {"wind": 1.5}, {"snow": 1.5, "wind": 0.9},
+            {"snow": 0.75, "wind": 1.5},
+        ):  # fmt: skip
+            expected.add(tuple(sorted({"g": g, **rest}.items())))
+    assert found == expected
+
+
+def test_other_states_by_hand() -> None:
+    def of(state: str) -> set[tuple[tuple[str, object], ...]]:
+        return factors(combinations(en1990, ["g"], ["snow above 1000 m", "wind"], state=state))
+
+    snow = "snow above 1000 m"
+    assert (("g", 1.0), (snow, 1.0), ("wind", 0.6)) in of("characteristic")
+    assert (("g", 1.0), (snow, 0.7), ("wind", 1.0)) in of("characteristic")
+    assert of("frequent") == {
+        (("g", 1.0),), (("g", 1.0), (snow, 0.5)), (("g", 1.0), ("wind", 0.2)),
+        (("g", 1.0), (snow, 0.2), ("wind", 0.2)),
+    }  # fmt: skip
+    assert of("quasi-permanent") == {(("g", 1.0),), (("g", 1.0), (snow, 0.2))}
+    pairs = of("ULS 6.10a/b")
+    assert (("g", 1.35), (snow, 1.05), ("wind", 0.9)) in pairs  # a
+    assert (("g", 1.1475), (snow, 1.5), ("wind", 0.9)) in pairs  # b, 0.85 x 1.35
+    assert not any(("g", 1.35) in one and (snow, 1.5) in one for one in pairs)
+
+
+def test_loads_of_a_kind_exclude_each_other() -> None:
+    """And each combination names all loads, so that none stays on from before."""
+    table = combinations(
+        en1990,
+        ["g", "fabric"],
+        ["snow", "snow drifted", "wind x", "wind y"],
+        also={"pressure": 0.6},
+    )
+    for name, one in table.items():
+        assert not (one["wind x"] and one["wind y"])
+        assert not (one["snow"] and one["snow drifted"])
+        assert one["g"] == one["fabric"]
+        assert one["pressure"] == 0.6
+        assert set(one) == {
+            "g", "fabric", "snow", "snow drifted", "wind x", "wind y", "pressure"
+        }  # fmt: skip
+        assert name.startswith("ULS: ")
+    assert "ULS: 1.35 g + 1.35 fabric + 1.5 snow drifted + 0.9 wind y" in table
+    assert len(table) == 2 * (1 + 2 + 2 + 2 * 2 * 2)
+
+
+def test_american_combinations_by_hand() -> None:
+    """ASCE 7-16, 2.3.1, with D, S and W: 1.4 D; 1.2 D + .5 S; 1.2 D + 1.6 S (+ .5 W); 1.2 D + W +
+    .5 S; .9 D + W. ASCE 7-22 has .3 and 1.0 of S."""
+    assert asce7 is asce7_22
+    for rules, lead, by in ((asce7_16, 1.6, 0.5), (asce7_22, 1.0, 0.3)):
+        found = factors(combinations(rules, ["d"], ["snow", "wind"]))
+        fewer = {(("d", 1.2),), (("d", 1.2), ("wind", 0.5)), (("d", 1.2), ("wind", 1.0))}
+        # of rows with loads that there are not
+        assert found - fewer == {
+            (("d", 1.4),), (("d", 1.2), ("snow", by)), (("d", 1.2), ("snow", lead)),
+            (("d", 1.2), ("snow", lead), ("wind", 0.5)), (("d", 1.2), ("snow", by), ("wind", 1.0)),
+            (("d", 0.9), ("wind", 1.0)),
+        }  # fmt: skip
+    allowable = factors(combinations(asce7_16, ["d"], ["live", "snow"], state="allowable stress"))
+    assert (("d", 1.0), ("live", 0.75), ("snow", 0.75)) in allowable
+    assert (("d", 0.6),) in allowable
+    for rules, snow in ((asce7_16, 1.0), (asce7_22, 0.7)):  # 3: D + (Lr or S, .7 S or R); 4
+        found = factors(
+            combinations(rules, ["d"], ["live", "snow", "rain"], state="allowable stress")
+        )
+        for roof, factor in (("snow", snow), ("rain", 1.0)):
+            assert (("d", 1.0), (roof, factor)) in found
+            assert (("d", 1.0), ("live", 0.75), (roof, round(0.75 * factor, 12))) in found
+
+
+def test_the_combinations_of_a_building_code() -> None:
+    """New York City's code, 1605.2, with D, Lr, S and W, equations 16-1 to 16-4 and 16-6, which has
+    those of ASCE 7-16."""
+    found = factors(combinations(asce7_16, ["d"], ["roof live", "snow", "wind"]))
+    expected = {(("d", 1.4),), (("d", 0.9), ("wind", 1.0))}
+    for roof in ("roof live", "snow"):
+        for rest in ({roof: 0.5}, {roof: 1.6}, {roof: 1.6, "wind": 0.5}, {roof: 0.5, "wind": 1.0}):
+            expected.add(tuple(sorted({"d": 1.2, **rest}.items())))
+    assert expected <= found
+    fewer = {(("d", 1.2),), (("d", 1.2), ("wind", 0.5)), (("d", 1.2), ("wind", 1.0))}
+    assert found - expected <= fewer  # of rows with loads that there are not
+
+
+@pytest.mark.ranks
+def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
+    mesh = meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0))
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
+    scene.put_load((0.0, 0.0, -0.2), name="snow", per="plan")
+    solver = Solver(scene)
+    solver.advance(load={"weight": 1.0})
+    table = combinations(en1990, ["weight"], ["snow"])
+    found = solver.combine(table)
+    assert list(found) == list(table)
+    lift = {name: case.snapshot for name, case in found.items()}
+    for name, state in lift.items():
+        solver.restore(state)
+        total = 16 * (0.01 * table[name]["weight"] + 0.2 * table[name]["snow"])  # type: ignore[operator]
+        assert solver.reactions("boundary").total[2] == pytest.approx(total, rel=1e-3)
+
+
+def test_bad_input() -> None:
+    for arguments, message in (
+        ({"rules": "en1990"}, "rules is of type str"),
+        (
+            {"variable": ["tornado"]},
+            "load 'tornado' has the kind 'tornado', which EN 1990 does not",
+        ),
+        ({"variable": {"w": "storm"}}, "load 'w' has the kind 'storm'"),
+        ({"variable": "snow"}, "no list to use"),
+        ({"variable": ["snow", "g"]}, "the load 'g' comes twice"),
+        ({"permanent": [], "variable": []}, "there are no loads"),
+        ({"permanent": ["g", ""]}, "a load = '' is no text"),
+        ({"state": "SLS"}, "state of EN 1990 = 'SLS' is not known; use 'ULS', .*'frequent'"),
+        ({"also": 3}, "also = 3 is no mapping"),
+    ):
+        given = {"rules": en1990, "permanent": ["g"], "variable": ["snow"], **arguments}
+        with pytest.raises(InputError, match=message):
+            combinations(**given)

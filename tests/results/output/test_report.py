@@ -1,0 +1,340 @@
+"""Reports: what is in the page and its tables, and what is refused before anything is written."""
+
+from __future__ import annotations
+
+import base64
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from report_page import Page, read_csv
+from walled_roof import roof_mesh
+
+from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx.results.cable_order import CableOrder, Order
+from crms_fenicsx.results.output.report import net_tables, sections
+from crms_fenicsx.results.output.report.page import (
+    BarChart,
+    PagePart,
+    PageSection,
+    Paragraph,
+    Table,
+    number,
+    page,
+    per_cent,
+    place,
+)
+from crms_fenicsx.results.output.report.units import Units
+
+FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
+TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
+    return Path(comm.bcast(str(tmp_path)))
+
+
+def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
+    """A roof of two halves over a wall, a cable across it, snow and wind."""
+    ranks = (lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None
+    mesh = roof_mesh(comm, ranks, n=4, size=8.0, height=2.0, rise=1.0, levels=1)
+    scene = Scene(mesh, FABRIC, pressure_on=["roof"])
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -0.3), name="snow", per="plan")
+    scene.put_wind(0.5, -0.6)
+    solver = Solver(scene)
+    solver.advance(pressure=0.4)
+    scene.lay_cable(Cable(EA=2000.0), [(0.0, 5.0), (8.0, 5.5)], tension=8.0, name="ridge")
+    solver.advance()
+    scene.set_strengths({"roof": (30.0, 25.0)})
+    return solver
+
+
+@pytest.mark.ranks
+def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
+    solver = tent(comm)
+    scene = solver.scene
+    u, tension = scene.u.x.array.copy(), scene.cables[0].tension
+    found = solver.combine(TABLE)
+    solver.report(
+        folder / "out" / "tent.html", found, title="Tent <1> & roof", unit="m", force="kN",
+        about={"Project": "A & B"}, cable_strengths={"ridge": 40.0},
+        pictures=["tension", "utilisation"],
+    )  # fmt: skip
+    comm.barrier()
+    assert np.array_equal(scene.u.x.array, u)
+    assert scene.cables[0].tension == tension
+    # what the states say that the combinations led to
+    expected = {}
+    for name, one in found.items():
+        solver.restore(one.snapshot)
+        every = np.concatenate(comm.allgather(solver.results().warp_weft))
+        expected[name] = (every[:, 0].max(), scene.cables[0].tension, solver.summary())
+
+    text = (folder / "out" / "tent.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < 5e6
+    assert re.findall(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", text) == []
+    assert "@import" not in text
+    assert "url(" not in text
+    assert "<script" not in text
+    page = Page(text)
+    assert any("Tent <1> & roof" in word for word in page.words)
+    assert sum("snow <&> ice" in word for word in page.words) > 5
+    assert len(page.images) == 2 + 2 + 2 * 2 + 2  # model, loads, cases, foundations
+    for image in page.images:
+        assert image["alt"]
+        data = base64.b64decode((image["src"] or "").removeprefix("data:image/png;base64,"))
+        assert data.startswith(b"\x89PNG")
+
+    out = folder / "out"
+    names = {path.name for path in out.iterdir()}
+    assert names == {"tent.html"} | {
+        f"tent_{table}.csv"
+        for table in ("combinations", "overview", "membrane", "envelope", "hollows", "cables",
+                      "cable_envelope", "supports", "support_lines", "balance", "anchors",
+                      "foundation_points", "foundations", "foundation_envelope", "verification")
+    }  # fmt: skip
+    warp = "Membrane force along warp [kN/m]"
+    rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
+    for name, (largest, _, summary) in expected.items():
+        row = next(r for r in rows if (r["Combination"], r["Part"]) == (name, "whole membrane"))
+        assert float(row["Largest"]) == pytest.approx(largest, rel=1e-9)
+        where = [float(row[f"largest at {x} [m]"]) for x in "xyz"]
+        np.testing.assert_allclose(where, summary.membrane.largest["warp"].at, rtol=1e-9)
+    envelope = read_csv(out / "tent_envelope.csv")
+    worst = max(expected, key=lambda name: expected[name][0])
+    row = next(r for r in envelope if (r["Part"], r["Result"]) == ("whole membrane", warp))
+    assert float(row["Largest"]) == pytest.approx(expected[worst][0], rel=1e-9)
+    assert row["Governs largest"] == worst
+    tensions = {name: one[1] for name, one in expected.items()}
+    for cable in read_csv(out / "tent_cables.csv"):
+        assert float(cable["Mean [kN]"]) == pytest.approx(tensions[cable["Combination"]], rel=1e-9)
+    (cable,) = page.tables["Envelope of the cables' tensions"][1:]
+    assert cable[0] == "ridge"
+    assert cable[5] == per_cent(max(tensions.values()) / 40.0)
+    # the wall has no strengths, and no utilisation
+    used = {row["Part"] for row in envelope if row["Result"] == "Utilisation [%]"}
+    assert used == {"whole membrane", "roof"}
+    # the same utilisation in the summaries, the envelope, the card and the verdict
+    judged = max(one[2].membrane.largest["utilisation"].value for one in expected.values())
+    labels = ("whole membrane", "Utilisation [%]")
+    row = next(row for row in envelope if (row["Part"], row["Result"]) == labels)
+    assert float(row["Largest"]) == pytest.approx(100 * judged, rel=1e-9)
+    assert per_cent(judged) in page.words
+    assert any(f"is used to {per_cent(judged)} of its strength" in word for word in page.words)
+    for case in read_csv(out / "tent_verification.csv"):
+        assert case["Verdict"] == "passed", case
+    assert any("passed all checks" in word for word in page.words)
+    cases = [row[:2] for row in page.tables["Inner pressure and factors of the loads"][1:]]
+    assert cases == [["LC0", "base state"], ["LC1", "snow <&> ice"], ["LC2", "storm"]]
+    for row in read_csv(out / "tent_balance.csv"):
+        assert not row["Sum of"].startswith("all") or row["Sum of"].endswith("to 1e-08)")
+
+
+def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:
+    """Where the ranks but one have no cell."""
+    solver = tent(comm, on_one_rank=True)
+    solver.report(folder / "now.html", pictures=[])
+    comm.barrier()
+    page = Page((folder / "now.html").read_text(encoding="utf-8"))
+    assert "Current state" in page.tables["Inner pressure and factors of the loads"][1]
+    assert any("Verified: the state passed" in word for word in page.words)
+    solver.scene.u.x.array[:] *= 1.01
+    solver.report(folder / "now.html", pictures=[])
+    comm.barrier()
+    page = Page((folder / "now.html").read_text(encoding="utf-8"))
+    assert any("Not in equilibrium: Current state" in word for word in page.words)
+
+
+@pytest.mark.ranks
+def test_bad_reports_write_nothing(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CRMS_BROWSER", "no_such_browser")
+    solver, other = tent(comm), tent(comm)
+    found = other.combine({"snow": {"snow": 0.1}})
+    page = folder / "tent.html"
+    if comm.rank == 0:
+        page.write_text("as before")
+        (folder / "folder.html").mkdir()
+    comm.barrier()
+    for options, words in (
+        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is no page; give one with .html"),
+        ({"filename": folder / "folder.html"}, "folder.html is a folder"),
+        ({"filename": page / "below.html"}, "cannot be written"),
+        ({"filename": 3}, "filename = 3 is no path"),
+        ({"combinations": {}}, r"combinations = {} is no mapping to use; write solver.combine"),
+        ({"combinations": {"snow": 1.5}}, "combination 'snow' is 1.5"),
+        ({"combinations": found}, "'snow' is of another scene"),
+        ({"title": None}, "title is of type NoneType; give a str"),
+        ({"about": {"Project": 3}}, "3 in about is of type int"),
+        ({"cable_strengths": {"valley": 3.0}}, "no cable 'valley'; there are 'ridge'"),
+        ({"cable_strengths": {"ridge": 0.0}}, "strength of the cable 'ridge' = 0.0"),
+        ({"cable_strengths": 3.0}, "cable_strengths = 3.0"),
+        ({"pictures": ["colour"]}, "'colour' is not known"),
+        ({"pictures": "stress"}, "no list to use; write pictures="),
+        ({"strain_limit": 0.0}, "strain_limit = 0.0"),
+        ({"template": folder / "office.html"}, "no template .*office.html"),
+        ({"template": page}, r"tent.html' is a template's name; give the page another"),
+        ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
+        ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
+        ({"view": (1.0, 2.0, 3.0)}, "view"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solver.report(**{"filename": page} | options)  # type: ignore[arg-type]
+    solver.scene.membrane.strengths.clear()
+    with pytest.raises(InputError, match=r"no strengths; call scene.set_strengths"):
+        solver.report(page, pictures=["utilisation"])
+    comm.barrier()
+    assert page.read_text() == "as before"
+    assert {path.name for path in folder.iterdir()} == {"tent.html", "folder.html"}
+
+
+def test_what_cannot_be_completed_leaves_what_is_there(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = tent(comm)
+    page = folder / "tent.html"
+    solver.report(page, pictures=[])
+    comm.barrier()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(self: Table) -> str:
+        if self.name == "supports":
+            raise OSError(28, "No space left on device")
+        return "new"
+
+    monkeypatch.setattr(Table, "csv", full)
+    with pytest.raises((InputError, OSError), match="No space"):
+        solver.report(page, title="new", pictures=[])
+    comm.barrier()
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_pictures_that_do_not_fit_are_left_out(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = tent(comm)
+    monkeypatch.setattr(sections, "LARGEST", 260_000)
+    solver.report(folder / "now.html")
+    comm.barrier()
+    text = (folder / "now.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert len(text) < 260_000
+    assert any("pictures are left out" in word for word in page.words)
+
+
+def test_numbers_as_people_read_them() -> None:
+    shown = {
+        0.0: "0", 1234.56: "1235", 12.3456: "12.35", -0.012343: "\u22120.01234", 9.99996: "10.00",
+        1e-5: "1.000e\u22125", 1.23e9: "1.230e9", np.nan: "\u2013", 123456.7: "123457",
+    }  # fmt: skip
+    for value, text in shown.items():
+        assert number(value) == text
+    assert [per_cent(x) for x in (0.0, 1e-5, 0.1234)] == ["0.0 %", "< 0.1 %", "12.3 %"]
+    assert place((1.23456, -20.0, -1e-9), 40.0) == "1.2; \u221220.0; 0.0"
+
+
+def html(*parts: PagePart) -> str:
+    return page("T", [], [PageSection("S", parts)])
+
+
+def test_bars_are_as_long_as_their_values() -> None:
+    rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
+    text = html(BarChart("Utilisation", rows, limit=1.0))
+    Page(text)
+    widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
+    assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
+    assert text.count('class="over"') == 1
+    assert "0.5000 to 1.250</text>" in text
+    nothing = [BarChart("nothing", []), BarChart("slack", [("a", 0.0, 0.0)])]
+    assert "<svg" not in html(*nothing, BarChart("many", rows * 30))
+
+
+def test_tables_group_rows_of_one_heading() -> None:
+    rows = [("a", "x", 1.0, None), ("a", "y", None, ""), ("b", "x", 2, None)]
+    table = Table("T <1>", ("A", "B", "C", "of nothing"), rows, "t", headings=2)
+    assert Page(html(table)).tables["T <1>"] == [
+        ["A", "B", "C"], ["a", "x", "1.000"], ["y", "\u2013"], ["b", "x", "2"],
+    ]  # fmt: skip
+    assert 'rowspan="2"' in html(table)
+    assert table.csv() == "A,B,C,of nothing\na,x,1.0,\na,y,,\nb,x,2,\n"
+    assert "1000 rows" in html(Table("T", ("A",), [("a",)] * 1000, "t"))
+    many = Table("T", ("A", "B", "C"), [("a", k, 1.0) for k in range(20)], headings=2)
+    assert [len(group) for group in many.groups] == [6, 7, 7]  # each stays on one page
+    assert [row[1] for group in many.groups for row in group] == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("unit", "metre"),
+    [("m", 1.0), ("mm", 1e3), ("cm", 1e2), ("ft", 1 / 0.3048), ("in", 1 / 0.0254)],
+)
+def test_lengths_to_order_have_millimetres(comm: MPI.Intracomm, unit: str, metre: float) -> None:
+    """Each length on the page is less than half a millimetre off, whatever the unit; those of the
+    CSV file are the object's."""
+    spacings = (float(np.pi) * metre, 123.4567891 * metre, 0.0123456 * metre)
+    length, L0, cut = sum(spacings), 126.6 * metre / 1.001, 127.19876543 * metre
+    cable = CableOrder("A1", 2e4, L0, 10.0, length, ("A1 x B1", "A1 x B2"), spacings, cut)
+    order = Order({"A1": cable}, -15.0, 1.2e-5, (0.3, 0.3), comm)
+    table = net_tables.order(order, Units(unit, "kN"))
+    (heads, *rows) = Page(html(table)).tables[table.caption]
+    lengths = [k for k, name in enumerate(heads) if name.endswith(f"[{unit}]")]
+    assert len(lengths) == 5 and len(rows) == 3
+    for row, cells in zip(order.rows(), rows, strict=True):
+        for k in lengths:
+            assert abs(float(cells[k]) - float(row[k])) < 0.5e-3 * metre
+    written = table.csv().splitlines()[1:]
+    assert written == [",".join(map(str, row)) for row in order.rows()]
+
+
+def test_an_office_has_a_template_of_its_own(comm: MPI.Intracomm, folder: Path) -> None:
+    template = folder / "office.html"
+    if comm.rank == 0:
+        template.write_text(
+            '{% extends "report.html" %}{% block head %}<h1>Office & {{ title }}</h1>{% endblock %}'
+        )
+    comm.barrier()
+    tent(comm).report(folder / "now.html", pictures=[], template=template, title="<T>")
+    comm.barrier()
+    text = (folder / "now.html").read_text(encoding="utf-8")
+    assert "<h1>Office & &lt;T&gt;</h1>" in text
+    assert "<table" in text
+    assert 'class="about"' not in text.partition("</style>")[2]
+
+
+@pytest.mark.parametrize("name", ["office.html", "report.html"])
+def test_templates_beside_pages(tmp_path: Path, name: str) -> None:
+    """The package's page is extended, also by a template of its name or beside an old page; style
+    sheet and macros of the template's folder hold."""
+    (tmp_path / "report.html").write_text("an old page")
+    template = tmp_path / name
+    template.write_text('{% extends "report.html" %}{% block head %}Büro{% endblock %}', "utf-8")
+    sections = [PageSection("S", [Paragraph("as it is now")])]
+    text = page("T", [], sections, template)
+    assert "Büro" in text and "as it is now" in text and "an old page" not in text
+    (tmp_path / "report.css").write_text("own style")
+    (tmp_path / "parts.html").write_text(
+        "{% macro text(part) %}{{ part.text }} by own macros{% endmacro %}"
+    )
+    assert "own style" in page("T", [], sections, template)
+    assert "as it is now by own macros" in page("T", [], sections, template)
+
+
+def test_a_browser_prints_the_page(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that only says what it was asked for."""
+    browser = folder / "browser"
+    if comm.rank == 0:
+        browser.write_text(
+            '#!/bin/sh\nfor x; do case $x in --print-to-pdf=*) echo "$x" >"${x#*=}";; esac; done\n'
+        )
+        browser.chmod(0o755)
+    comm.barrier()
+    monkeypatch.setenv("CRMS_BROWSER", str(browser))
+    tent(comm).report(folder / "now.html", pictures=[], pdf=True)
+    comm.barrier()
+    assert (folder / "now.pdf").read_text().startswith("--print-to-pdf=")

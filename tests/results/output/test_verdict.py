@@ -1,0 +1,139 @@
+"""The verdict of a report: red with its reasons, or green."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.analysis.verification.report import Check
+from crms_fenicsx.model.versions import StateWarning
+from crms_fenicsx.results.output.report.case import Case, case_of
+from crms_fenicsx.results.output.report.page import Table, number
+from crms_fenicsx.results.output.report.results_tables import ResultTables
+from crms_fenicsx.results.output.report.sections import with_codes
+from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
+from crms_fenicsx.results.shape_change import ShapeChange, shape_of
+
+
+@pytest.fixture(scope="module")
+def case(comm: MPI.Intracomm) -> Case:
+    """A square under snow with a cable and a prop, both known by their strengths."""
+    mesh = meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
+    scene.fix("boundary")
+    scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (8.0, 4.0)], tension=3.0, name="ridge")
+    prop = Bar(EA=1e3, EI=1.0, strength=50.0, curve="a")
+    scene.add_bar(prop, scene.vertex_at((4.0, 6.0, 0.0)), (4.0, 6.0, -2.0), name="prop")
+    scene.put_load((0.0, 0.0, -0.5), name="snow", per="plan")
+    scene.set_strengths((40.0, 40.0))
+    solver = Solver(scene)
+    before = shape_of(scene)
+    solver.advance(load=1.0)
+    return case_of(solver, "snow", before)
+
+
+def reasons(case: Case, **limits: Any) -> str:
+    verdict = verdict_on([case], Limits(**limits), 8.0)
+    return " ".join(verdict.reasons)
+
+
+def test_reasons_in_plain_words(case: Case) -> None:
+    assert case.summary.bars["prop"].force < 0.0
+    good = replace(case, summary=replace(case.summary, bars={}, hollows=()))
+    verdict = verdict_on([good], Limits(), 8.0)
+    assert verdict.look == ""
+    assert [text.split(":")[0].split(" (")[0] for text in verdict.reasons] == [
+        "snow", "Corners to be reinforced"
+    ]  # fmt: skip
+    assert verdict.text.startswith("Verified: the state passed all checks")
+    for changed, words in (
+        (replace(good, change=ShapeChange(-0.9, 0.0)), "turned inside out"),
+        (replace(good, change=ShapeChange(0.3, 0.0)), "collapsed: of its inner volume 30.0 %"),
+        (replace(good, change=ShapeChange(None, 0.2)), "20.0 % of the membrane have turned over"),
+        (case, "the bar prop is used to"),
+    ):
+        assert words in reasons(changed)
+    bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
+    unknown = replace(good, summary=replace(good.summary, bars=bars))
+    assert "Buckling is not checked" in " ".join(verdict_on([unknown], Limits(), 8.0).reasons)
+    assert "limit 0.1 %" in reasons(good, strain=1e-3)
+    assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
+
+
+def test_rain_that_would_stand(case: Case) -> None:
+    """The square sags under its snow: it holds water, which is to be checked and no failure."""
+    wet = replace(case, summary=replace(case.summary, bars={}))
+    dry = replace(wet, name="dry", summary=replace(wet.summary, hollows=()))
+    verdict = verdict_on([dry, wet], Limits(), 8.0)
+    assert verdict.look == "doubtful"
+    reason = verdict.reasons[-1]
+    deepest = wet.summary.hollows[0]
+    assert reason.startswith(
+        f"Rain would stand in 1 of 2 combinations, up to {number(deepest.depth)} deep at"
+    )
+    assert "(snow)" in reason
+    assert "checked for ponding" in reason
+    red = verdict_on([wet], Limits(strain=1e-3), 8.0)
+    assert red.look == "failed" and "Rain would stand in 1 of 1" in red.reasons[-1]
+    unknown = verdict_on([replace(wet, verification=None)], Limits(), 8.0)
+    assert "Rain would stand" in " ".join(unknown.reasons)
+
+
+def test_utilisation_and_what_finer_cells_change(case: Case) -> None:
+    """Red above the strength; not verified where finer cells may bring it above."""
+    membrane = case.summary.membrane
+    used = membrane.largest["utilisation"]
+    for value, change, look in ((1.2, 0.1, "failed"), (0.95, 0.1, "doubtful"), (0.95, 0.04, "")):
+        largest = {**membrane.largest, "utilisation": replace(used, value=value)}
+        part = replace(membrane, largest=largest, change=change)
+        summary = replace(case.summary, bars={}, hollows=(), parts={"": part})
+        verdict = verdict_on([replace(case, summary=summary)], Limits(), 8.0)
+        text = " ".join(verdict.reasons)
+        assert verdict.look == look
+        assert f"the membrane is used to {100 * value:.1f} % of its strength" in text
+        assert f"{100 * change:.1f} %" in text
+        assert ("are needed there to tell" in text) == (look == "doubtful")
+
+
+def test_reinforced_corners_are_told(case: Case) -> None:
+    """The prop's head: its place on the plain fabric, and whether the radius was given."""
+    ((name, one),) = case.summary.patches.items()
+    assert (name, one.patch.reason, one.patch.at) == ("corner 1", "bar", (4.0, 6.0, 0.0))
+    bare = replace(case.summary, bars={}, hollows=())
+    text = " ".join(verdict_on([replace(case, summary=bare)], Limits(), 8.0).reasons)
+    assert "Corners to be reinforced (corner 1): within a radius of 0.4" in text
+    assert "depends on the mesh" in text and "not given" in text
+    given = replace(bare, patches={name: replace(one, patch=replace(one.patch, given=True))})
+    text = " ".join(verdict_on([replace(case, summary=given)], Limits(), 8.0).reasons)
+    assert "Corners to be reinforced" in text and "not given" not in text
+    (row,) = ResultTables([case], Units(), 8.0, {}).patches().rows
+    assert row[:2] == ("corner 1", "bar")
+
+
+def test_doubtful_and_failed_checks(case: Case) -> None:
+    assert case.verification is not None
+    good = replace(case, summary=replace(case.summary, bars={}))
+    bad = replace(case.verification, checks=(Check("lean", 2.0, 1.0, "A1"),))
+    text = reasons(replace(good, verification=bad))
+    assert "no verified equilibrium: the check of lean at A1 is 2, its limit 1" in text
+    doubt = StateWarning("doubtful", "the tension of 'A1' is between 1 and 2")
+    told = replace(good, summary=replace(good.summary, warnings=(doubt,)))
+    assert "doubtful: the tension of 'A1' is between 1 and 2." in reasons(told)
+    moved = replace(good, summary=replace(good.summary, in_equilibrium=False))
+    assert "changed since its last load step" in reasons(moved)
+    unknown = verdict_on([replace(good, verification=None)], Limits(), 8.0)
+    assert (unknown.look, unknown.text) == ("doubtful", "Not verified in this run: snow")
+
+
+def test_long_names_give_way_to_codes(case: Case) -> None:
+    """In all cases together, in the order of the codes; short ones stay."""
+    long = replace(case, name="ULS: 1.35 weight + 1.5 snow + 0.9 wind")
+    factors = Table("F", ("Case", "Combination"), [("LC1", case.name), ("LC2", long.name)])
+    for cases in ([case, long], [long, case]):
+        assert [one.name for one in with_codes(cases, factors)] == ["LC1", "LC2"]
+    assert with_codes([case], factors) == [case]
