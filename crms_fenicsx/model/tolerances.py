@@ -34,4 +34,4 @@ STAYS = 0.1
 """Points with friction that a new path would move by at most this keep their position."""
 
 PAST = 0.25
-"""Reach beyond an edge's end within which a span is judged by the edge; see `contact.lift_off`."""
+"""Reach beyond an edge's end within which a span is judged by the edge."""

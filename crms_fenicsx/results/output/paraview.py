@@ -220,8 +220,8 @@ class Series:
             This rank's piece, which may be empty, with data of the same names on all ranks. Points
             are written by the ranks they belong to (`Surface.homes`), once.
         lines : sequence of Line
-            All lines, on rank 0; those of other ranks are ignored. The file has them joined as by
-            `views.view_data.joined`, and their names as texts "names"; without lines it is empty.
+            All lines, on rank 0; those of other ranks are ignored. The file has them joined, with
+            their names as texts "names"; without lines it is empty.
         case : str
             Load case of the step, a text in both files.
 
