@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
-from crms_fenicsx.energy.minimization.membrane_multigrid import exact_matrix
+from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge_sliders
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.reactions import nodal_forces
 
@@ -95,7 +98,37 @@ def tangent(system: System) -> Tangent:
     system.update()
     potential = system.potential
     potential.evaluate()
-    whole, sparse = exact_matrix(potential)
+    whole, sparse = _exact_matrix(potential)
     inexact = {term.name: None for term in potential.terms if not term.exact_hessian}
     inexact |= {load.name: None for load in system.scene.loads if load.is_active_wind}
     return Tangent(whole, sparse, tuple(inexact))
+
+
+def _exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Second derivatives at the potential's current state, which must be evaluated, as
+    `Tangent.matrix` and `Tangent.sparse`. Rows and columns of held components, of those across edge
+    sliders and of points that no term touches are the identity's."""
+    unknowns = potential.unknowns
+    n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
+    stiffness = StiffnessMatrix(unknowns, potential.patterns())
+    potential.add_stiffness(stiffness, exact=True)
+    stiffness.assemble()
+    A = stiffness.petsc
+    if unknowns.comm.allreduce(unknowns.n_edge_sliders):
+        stiffen_across_edge_sliders(A, unknowns, 1.0)
+    diagonal = A.getDiagonal()
+    idle = ~diagonal.array.reshape(-1, 3).any(axis=1)
+    idle[: unknowns.n_vertices] = False
+    diagonal.destroy()
+    rows = np.flatnonzero(held | idle[:, None]) + 3 * unknowns.start
+    A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
+    stiffnesses, columns = potential.dyad_columns(held, exact=True)
+    if not len(stiffnesses):
+        return A, A
+    size = ((3 * n, 3 * unknowns.n_global), (None, len(stiffnesses)))
+    U = PETSc.Mat().createDense(size, array=columns, comm=unknowns.comm)
+    values = PETSc.Vec().createWithArray(stiffnesses, comm=PETSc.COMM_SELF)
+    whole = PETSc.Mat().createLRC(A, U, values, U)
+    U.destroy()
+    values.destroy()
+    return whole, A

@@ -35,11 +35,8 @@ def ridged(comm: MPI.Intracomm, size: float = 20.0) -> Scene:
     return scene
 
 
-def preconditioners(comm: MPI.Intracomm) -> tuple[Solver, list[str]]:
-    """A solver of that square under a cable, and how its H0 was solved before the cable and then.
-
-    The kinds are those of PETSc's preconditioners.
-    """
+def preconditioners(comm: MPI.Intracomm) -> list[str]:
+    """PETSc's preconditioners of H0 for that square, before it has a cable and then."""
     scene, kinds = ridged(comm), []
     solver = Solver(scene)
     for cables in (0, 1):
@@ -47,4 +44,4 @@ def preconditioners(comm: MPI.Intracomm) -> tuple[Solver, list[str]]:
             scene.lay_cable(Cable(EA=3200.0), path=OBLIQUE)
         solver.advance(pressure=0.01)
         kinds.append(solver.system.minimizer.h0.pc.getType())
-    return solver, kinds
+    return kinds

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from crms_fenicsx.energy.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
+from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT
 from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, ColumnPattern, scatter_blocks
 from crms_fenicsx.foundation.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers, pointers

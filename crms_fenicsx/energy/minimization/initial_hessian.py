@@ -9,8 +9,8 @@ of G per taut cable, and C = diag(EA/L0). It is solved by Sherman-Morrison-Woodb
 On several processes the solves for Z dominate, so H0 is factorised with the tensions as unknowns
 (`augmented_stiffness.py`); so it is on one process where K alone is indefinite.
 
-With very many unknowns, or by PETSc options, a preconditioner B replaces K^-1, and the formula
-preconditions conjugate gradients on K + G C G^T: multigrid, see `membrane_multigrid.py`.
+With very many unknowns and no cables, or by PETSc options, algebraic multigrid replaces K^-1, and
+the formula preconditions conjugate gradients on K + G C G^T.
 """
 
 from __future__ import annotations
@@ -23,18 +23,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
-from crms_fenicsx.energy.minimization.membrane_multigrid import (
-    EXACT_SHIFT,
-    MULTIGRID,
-    SHIFT,
-    MembraneMultigrid,
-    block_traces,
-    set_defaults,
-    set_near_null_space,
-    shift_diagonal,
-    stiffen_across_edge_sliders,
-)
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime.arrays import Array
 
@@ -45,13 +35,27 @@ INDEFINITE = 76, 81
 WORKSPACE = 100
 """Extra memory for MUMPS beyond its estimate (per cent)."""
 DIRECT = 1_000_000
-"""Unknowns up to which K is factorised without cables. Relative to multigrid a load step takes 0.4
-to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6."""
-DIRECT_WITH_CABLES = 10_000_000
-"""The same with cables (extrapolated): with 1e5 unknowns and 28 cables multigrid takes 65 times as
-long per solve and 2.5 times per new H0 (docs/benchmarks/parallel.md)."""
+"""Unknowns up to which K is factorised without cables; with cables it always is, as multigrid does
+not resolve the stiff springs that tie cable points to soft fabric. Relative to multigrid a load
+step takes 0.4 to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 1.2 with 1e6."""
 ACCURACY = 1e-2
 """Relative residual of conjugate gradients on H0; a looser one costs BLMVM more iterations."""
+SHIFT = 1e-9
+"""Shift of a stiffness's diagonal, relative to the sum of its block's trace and the geometric mean
+of all traces. The largest trace, of a cable segment much shorter than a cell, would slow down the
+soft sideways motion of whole cables."""
+
+EXACT_SHIFT = 1e-12
+"""The same for second derivatives, just above their rounding: they must be definite without it. A
+cable on a stiff membrane has less lateral stiffness than `SHIFT` of the edges that it folds, and
+Newton's method would take a hundredth of its steps."""
+
+MULTIGRID = {
+    "mg_levels_pc_type": "bjacobi",
+    "mg_levels_sub_pc_type": "icc",
+    "mg_levels_sub_pc_factor_shift_type": "positive_definite",
+}
+"""Smoother of the multigrid: Jacobi's does not resolve cables, long chains of stiff links."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
@@ -71,6 +75,67 @@ def direct_solver(comm: MPI.Comm) -> str:
     return "mumps" if has("mumps") else "petsc"
 
 
+def set_defaults(prefix: str, values: dict[str, str]) -> None:
+    """Set options in PETSc's database unless present."""
+    options = PETSc.Options(prefix)
+    for name, value in values.items():
+        if not options.hasName(name):
+            options[name] = value
+
+
+def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
+    """Traces (n,) of owned diagonal blocks without `held` components (n, 3); rotation invariant."""
+    diagonal = matrix.getDiagonal()
+    traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
+    diagonal.destroy()
+    return traces
+
+
+def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
+    """Shift a matrix's diagonal by a small part of the owned blocks' traces (n,) plus their
+    geometric mean, and return the shift of each block, (n,)."""
+    some = np.log(traces[traces > 0.0])
+    total = np.array([some.sum(), len(some)])
+    matrix.getComm().tompi4py().Allreduce(MPI.IN_PLACE, total)
+    mean = float(np.exp(total[0] / total[1])) if total[1] else 1.0
+    added = matrix.createVecLeft()
+    shift: Array = part * (np.maximum(traces, 0.0) + mean)
+    added.array[:] = np.repeat(shift, 3)
+    matrix.setDiagonal(added, PETSc.InsertMode.ADD_VALUES)
+    added.destroy()
+    return shift
+
+
+def set_near_null_space(matrix: PETSc.Mat, potential: Potential) -> None:
+    """Attach the rigid body modes as near null space for the coarse levels."""
+    unknowns, comm = potential.unknowns, potential.comm
+    motions = [matrix.createVecLeft() for _ in range(6)]
+    n = motions[0].getLocalSize() // 3
+    places = unknowns.X[:n] + potential.x[:n]
+    places = places - comm.allreduce(places.sum(axis=0)) / (motions[0].getSize() // 3)
+    for k, axis in enumerate(np.eye(3)):
+        motions[k].array[:] = np.tile(axis, n)
+        motions[3 + k].array[:] = np.cross(axis, places).ravel()
+    for k, motion in enumerate(motions):
+        for other in motions[:k]:
+            motion.axpy(-motion.dot(other), other)
+        motion.normalize()
+    space = PETSc.NullSpace().create(vectors=motions, comm=comm)
+    matrix.setNearNullSpace(space)
+    for kept in (space, *motions):
+        kept.destroy()
+
+
+def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
+    """Add this stiffness across the edge sliders, which have none there. Collective."""
+    own = unknowns.edge_sliders < unknowns.n_owned
+    d = unknowns.directions[own]
+    across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
+    blocks = unknowns.edge_sliders[own, None].astype(PETSc.IntType)
+    A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
+    A.assemble()
+
+
 class InitialHessian:
     """Positive definite H0 of a potential, decoupled from held and across-slider components.
 
@@ -87,18 +152,12 @@ class InitialHessian:
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
         cables = any(term.of_cables for term in potential.terms)
-        if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
+        if cables or 3 * unknowns.n_global <= DIRECT:
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
             self.pc.setFactorSolverType(direct_solver(unknowns.comm))
         else:
-            self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
+            self.pc.setType(PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
-        self._membrane: MembraneMultigrid | None = None
-        if self.pc.getType() == PETSc.PC.Type.FIELDSPLIT:
-            if unknowns.n_global > unknowns.V.dofmap.index_map.size_global:
-                self._membrane = MembraneMultigrid(potential, self.pc)
-            else:
-                self.pc.setType(PETSc.PC.Type.GAMG)
         if self.pc.getType() == PETSc.PC.Type.GAMG:
             set_defaults(prefix, MULTIGRID)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
@@ -121,8 +180,6 @@ class InitialHessian:
         if self._outer is not None:
             self._outer.getOperators()[0].destroy()
             self._outer.destroy()
-        if self._membrane is not None:
-            self._membrane.destroy()
         if self._augmented is not None:
             self._augmented.destroy()
         self.pc.destroy()
@@ -133,9 +190,7 @@ class InitialHessian:
         up to date. Returns whether H0 is definite, as far as is known; otherwise it is unusable."""
         exact &= self._exact
         held = self.assemble(exact)
-        if self._membrane is not None:
-            self._membrane.assemble(held)
-        elif not self._exact:
+        if not self._exact:
             set_near_null_space(self.matrix, self.potential)
         self._dyads, columns = self.potential.dyad_columns(held, exact)
         self.slackened = exact and len(self._dyads) < sum(1 for _ in self.potential.dyads())

@@ -136,11 +136,10 @@ class Potential:
         np.copyto(self.g[:owned], 0.0, where=self.unknowns.held[:owned])
         self.g_vector.copy(G)
 
-    def patterns(self, cables: bool = True) -> list[BlockPattern]:
-        """Block patterns of the stiffness, with or without cables."""
-        springs = [] if self.damping is None or not cables else self.damping.patterns
-        terms = [term for term in self.terms if cables or not term.of_cables]
-        return [*springs, *(pattern for term in terms for pattern in term.patterns)]
+    def patterns(self) -> list[BlockPattern]:
+        """Block patterns of the stiffness."""
+        springs = [] if self.damping is None else self.damping.patterns
+        return [*springs, *(pattern for term in self.terms for pattern in term.patterns)]
 
     def add_stiffness(self, A: BlockSink, exact: bool = False) -> None:
         """Add stiffness and damping at the evaluated state; if `exact`, second derivatives only."""
@@ -150,11 +149,6 @@ class Potential:
         for term, part in zip(self.terms, self._slices, strict=True):
             add = term.add_hessian if exact else term.add_stiffness
             add(self.x, self._sums[part], A)
-
-    def add_stiffness_without_cables(self, A: BlockSink) -> None:
-        """Add the stiffness of the scene without cables to a matrix of the vertices."""
-        for term, part in zip(self.terms, self._slices, strict=True):
-            term.add_stiffness_without_cables(self.x, self._sums[part], A)
 
     def dyads(self, exact: bool = False) -> Iterator[tuple[EnergyTerm, int, float]]:
         """Positive dyads of all terms from the last sums: term, number, value. `exact`: those of

@@ -85,8 +85,7 @@ class MembraneEnergy(EnergyTerm):
             tag: fem.Constant(mesh, material.parameters) for tag, material in materials.items()
         }
         self.renew_materials()
-        self._all_stiffness = self._bound_stiffness()
-        self._pattern = FormPattern(self._all_stiffness, V)
+        self._pattern = FormPattern(self._bound_stiffness(), V)
         self.patterns = (self._pattern,)
         prepare = None if self.tension_field is None else self.tension_field.update
         self.integral = Integral(V, self._variation, prepare, cell_tags, self._inputs("energy"))
@@ -258,16 +257,6 @@ class MembraneEnergy(EnergyTerm):
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         with self.stiffening.none():
             self.add_stiffness(x, sums, A)
-
-    def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness of all of this rank's cells, folded ones treated as plain."""
-        plain, form = self.plain.x.array.copy(), self._pattern.form
-        self.plain.x.array[:] = 1.0
-        try:
-            self._pattern.form = self._all_stiffness
-            self.add_stiffness(x, sums, A)
-        finally:
-            self.plain.x.array[:], self._pattern.form = plain, form
 
     @property
     def links(self) -> Indices:  # type: ignore[override]

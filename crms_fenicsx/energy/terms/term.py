@@ -158,15 +158,6 @@ class EnergyTerm(ABC):
         """
         self.add_stiffness(x, sums, A)
 
-    def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness without cables to a matrix of the vertices only, used by multigrid.
-
-        By default that of `add_stiffness`, of which such a matrix drops the entries of cable
-        points, and nothing for terms of cables.
-        """
-        if not self.of_cables:
-            self.add_stiffness(x, sums, A)
-
     def dyads(self, sums: Array, exact: bool) -> Sequence[float] | Array:
         """Values (force/length) of the stiffness ``value * column column^T`` that couples many
         points, to be added to `add_hessian` if `exact`, else to `add_stiffness`.

@@ -201,16 +201,6 @@ class Unknowns(LocalBlocks):
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
         return np.concatenate([owned, self.ghosts])
 
-    def vertex_numbers(self) -> Integers:
-        """DOLFINx's global vertex numbers of local blocks, or -1, (n_local,). Collective."""
-        vector, numbers = self.vector()
-        first = self.V.dofmap.index_map.local_range[0]
-        numbers[: self.n_vertices, 0] = first + np.arange(self.n_vertices)
-        numbers[self.n_vertices : self.n_owned, 0] = -1
-        self.update_ghosts(vector)
-        vector.destroy()
-        return numbers[:, 0].astype(np.int64)
-
     def update_ghosts(self, vector: PETSc.Vec) -> None:
         """Copy owned values to the ghosts on other ranks."""
         if self.comm.size > 1:

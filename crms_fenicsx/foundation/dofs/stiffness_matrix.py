@@ -16,26 +16,21 @@ from petsc4py import PETSc
 
 from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, scatter_blocks
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 
 Places = tuple[Indices, Array, Indices, Indices]
 """Of a pattern: indices of its values, weights, positions in the matrix, row strides there."""
 
 
 class StiffnessMatrix:
-    """Sparse matrix of all blocks of a layout, or of its vertices only. Collective.
+    """Sparse matrix of all blocks of a layout. Collective.
 
     Attributes: `petsc`: the matrix, complete after `assemble`.
     """
 
-    def __init__(
-        self, unknowns: Unknowns, patterns: Sequence[BlockPattern], of_vertices: bool = False
-    ) -> None:
+    def __init__(self, unknowns: Unknowns, patterns: Sequence[BlockPattern]) -> None:
         self.unknowns = unknowns
-        numbers = unknowns.vertex_numbers() if of_vertices else unknowns.numbers()
-        self._kept: Booleans = numbers >= 0
-        n_owned = unknowns.n_vertices if of_vertices else unknowns.n_owned
-        owned = np.arange(n_owned, dtype=np.int32)
+        owned = np.arange(unknowns.n_owned, dtype=np.int32)
         self._rides = np.full(unknowns.n_local, -1, dtype=np.int32)
         self._rides[unknowns.tied_points] = np.arange(unknowns.n_tied_points)
         found = [self._spread(pattern) for pattern in patterns]
@@ -54,34 +49,34 @@ class StiffnessMatrix:
         sliding = np.zeros(unknowns.n_local, dtype=bool)
         sliding[unknowns.edge_sliders] = True
         self._sliding = np.flatnonzero(sliding[self._rows] | sliding[self._cols])
-        self.petsc = self._create(numbers, len(owned), 3 * np.diff(begins))
+        self.petsc = self._create(3 * np.diff(begins))
 
-    def _create(self, numbers: Integers, n_owned: int, widths: Integers) -> PETSc.Mat:
+    def _create(self, widths: Integers) -> PETSc.Mat:
         """Create the PETSc matrix; on one process it uses `_values` as its memory."""
-        unknowns = self.unknowns
+        unknowns, n = self.unknowns, 3 * self.unknowns.n_owned
         self._pointers = np.append(0, np.cumsum(np.repeat(widths, 3))).astype(PETSc.IntType)
         self._columns = np.empty(len(self._values), dtype=PETSc.IntType)
         _expand(self._cols, self._starts[0], self._strides[0], self._columns)
         _expand(self._rows, self._starts[1], self._strides[1], self._columns)
         if unknowns.comm.size == 1:
-            n = 3 * n_owned
             csr = (self._pointers[: n + 1], self._columns, self._values)
             A = PETSc.Mat().createAIJWithArrays((n, n), csr, comm=unknowns.comm)
             A.setBlockSize(3)
         else:
             A = PETSc.Mat().create(unknowns.comm)
-            A.setSizes(((3 * n_owned, 3 * unknowns.comm.allreduce(n_owned)),) * 2)
+            A.setSizes(((n, 3 * unknowns.n_global),) * 2)
             A.setBlockSize(3)
             A.setType(PETSc.Mat.Type.AIJ)
-        lgmap = PETSc.LGMap().create(numbers.astype(PETSc.IntType), bsize=3, comm=unknowns.comm)
+        numbers = unknowns.numbers().astype(PETSc.IntType)
+        lgmap = PETSc.LGMap().create(numbers, bsize=3, comm=unknowns.comm)
         A.setLGMap(lgmap, lgmap)
         lgmap.destroy()
         if unknowns.comm.size > 1:
-            self._allocate(A, n_owned)
+            self._allocate(A)
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return A
 
-    def _allocate(self, A: PETSc.Mat, n_owned: int) -> None:
+    def _allocate(self, A: PETSc.Mat) -> None:
         """Preallocate a matrix on several processes."""
         n = self.unknowns.n_owned
         vector, counts = self.unknowns.vector()
@@ -92,9 +87,8 @@ class StiffnessMatrix:
         counts[:, 1] = np.bincount(rows, foreign, len(counts))
         counts[:, 1] += np.bincount(cols, foreign & (rows != cols), len(counts))
         self.unknowns.add_ghosts(vector)
-        own, others = counts[:n_owned, :2].astype(PETSc.IntType).T
-        all_blocks = A.getSize()[0] // 3
-        own, others = np.minimum(own, n_owned), np.minimum(others, all_blocks - n_owned)
+        own, others = counts[:n, :2].astype(PETSc.IntType).T
+        own, others = np.minimum(own, n), np.minimum(others, self.unknowns.n_global - n)
         A.setPreallocationNNZ((np.repeat(3 * own, 3), np.repeat(3 * others, 3)))
         # PETSc does this by itself, but not on ranks without rows, which would hang the others.
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
@@ -115,8 +109,7 @@ class StiffnessMatrix:
         """Rows and columns (m,) of a pattern's blocks in this matrix, their values and weights."""
         unknowns = self.unknowns
         rows, cols, blocks, weights = _spread(
-            pattern.rows, pattern.cols, self._kept, self._rides, unknowns.interpolation,
-            unknowns.weights,
+            pattern.rows, pattern.cols, self._rides, unknowns.interpolation, unknowns.weights
         )  # fmt: skip
         return rows, cols, *pattern.parts(blocks, weights)
 
@@ -153,9 +146,9 @@ def _expand(cols, starts, strides, columns):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no-untyped-def]
-    """`LocalBlocks.spread` for the `kept` blocks, on and above the diagonal; `rides`: indices of
-    tied points, or -1."""
+def _spread(rows, cols, rides, interpolation, weights):  # type: ignore[no-untyped-def]
+    """`LocalBlocks.spread` for the blocks on and above the diagonal; `rides`: indices of tied
+    points, or -1."""
     m = 0
     for k in range(len(rows)):
         tied = (rides[rows[k]] >= 0) + (rides[cols[k]] >= 0)
@@ -169,7 +162,7 @@ def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no
             for j in range(1 if b < 0 else 3):
                 row, row_share = (rows[k], 1.0) if a < 0 else (interpolation[a, i], weights[a, i])
                 col, col_share = (cols[k], 1.0) if b < 0 else (interpolation[b, j], weights[b, j])
-                if row <= col and kept[row] and kept[col] and row_share * col_share != 0.0:
+                if row <= col and row_share * col_share != 0.0:
                     places[0, m], places[1, m] = row, col
                     sources[m], shares[m] = k, row_share * col_share
                     m += 1

@@ -11,8 +11,7 @@ from taylor import OnMesh, dense, gradient_order, is_semidefinite, noise, stiffn
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian
-from crms_fenicsx.energy.minimization.membrane_multigrid import SHIFT
+from crms_fenicsx.energy.minimization.initial_hessian import SHIFT, InitialHessian
 from crms_fenicsx.energy.minimization.minimizer import Minimizer
 from crms_fenicsx.energy.terms.cable_tension import CableTension
 from crms_fenicsx.foundation.dofs.layout import Unknowns

@@ -17,11 +17,11 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.energy.minimization import newton
 from crms_fenicsx.energy.minimization.initial_hessian import (
+    SHIFT,
     WORKSPACE,
     InitialHessian,
     direct_solver,
 )
-from crms_fenicsx.energy.minimization.membrane_multigrid import SHIFT
 from crms_fenicsx.model.laid_cable import polyline_length
 
 
@@ -151,24 +151,19 @@ def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | 
             database.delValue(name)
 
 
-@pytest.fixture(params=["gamg", "fieldsplit"])
-def multigrid(request):
-    """Multigrid by an option, on the whole or after an elimination of the cables' points."""
+@pytest.fixture
+def multigrid():
+    """Multigrid by an option."""
     database = PETSc.Options("crms_h0_")
-    database["pc_type"] = request.param
-    yield request.param
+    database["pc_type"] = "gamg"
+    yield "gamg"
     database.delValue("pc_type")
 
 
 def test_multigrid_is_for_many_unknowns(comm, monkeypatch) -> None:
-    """Under cables for more."""
+    """But not under cables."""
     monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.DIRECT", 0)
-    solver, kinds = preconditioners(comm)
-    assert kinds == ["gamg", "cholesky"]
-    monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.DIRECT_WITH_CABLES", 0)
-    solver.system.invalidate()
-    solver.advance(pressure=0.012)
-    assert solver.system.minimizer.h0.pc.getType() == "fieldsplit"
+    assert preconditioners(comm) == ["gamg", "cholesky"]
 
 
 @pytest.mark.ranks

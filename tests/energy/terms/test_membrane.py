@@ -302,15 +302,12 @@ def test_axes_of_folded_cells_are_those_of_the_form(comm):
 
 
 def test_a_failed_assembly_leaves_no_trace(comm):
-    """What is changed while second derivatives or a stiffness without cables are assembled."""
+    """What is changed while second derivatives are assembled."""
     scene = Scene(irregular_square(comm), IsotropicMembrane(300.0, 0.25, 0.08))
     term = MembraneEnergy(scene.u, scene.materials)
     term.stiffening.set(0.3)
-    term.plain.x.array[:1] = 0.0
     parts = term.stiffening.prestress, term.stiffening.floor, term.stiffening.compression
-    before, plain = [float(part.value) for part in parts], term.plain.x.array.copy()
-    for assemble in (term.add_hessian, term.add_stiffness_without_cables):
-        with pytest.raises(AttributeError):
-            assemble(np.zeros((0, 3)), np.zeros(1), None)
-        assert [float(part.value) for part in parts] == before
-        np.testing.assert_array_equal(term.plain.x.array, plain)
+    before = [float(part.value) for part in parts]
+    with pytest.raises(AttributeError):
+        term.add_hessian(np.zeros((0, 3)), np.zeros(1), None)
+    assert [float(part.value) for part in parts] == before

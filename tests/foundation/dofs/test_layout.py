@@ -69,18 +69,6 @@ def test_numbers_are_rank_by_rank_vertices_first(comm):
     assert unknowns.ghosts[vertices.num_ghosts :].tolist() == twin
 
 
-def test_vertex_numbers_are_those_of_dolfinx(comm):
-    """Ghosts too; points have none."""
-    scene, unknowns, _ = with_points(comm)
-    numbers, index_map = unknowns.vertex_numbers(), scene.V.dofmap.index_map
-    dofs = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    np.testing.assert_array_equal(
-        numbers[unknowns.vertex_blocks()], index_map.local_to_global(dofs)
-    )
-    points = np.concatenate([unknowns.owned_point_blocks(), unknowns.ghost_point_blocks()])
-    assert (numbers[points] == -1).all()
-
-
 def test_vertices_are_where_the_mesh_has_them(comm):
     scene, unknowns, _ = with_points(comm)
     X, mesh = unknowns.X[unknowns.vertex_blocks()], scene.V.mesh
