@@ -282,7 +282,7 @@ def resume(folder: Path) -> None:
         solver = run_of_two_calls(folder, True)
         scene = solver.scene
         assert np.isfinite(scene.u.x.array).all()
-        assert all(np.isfinite(cable.positions).all() for cable in scene.cables)
+        assert all(np.isfinite(cable.state.positions).all() for cable in scene.cables)
         solver.advance(pressure=0.012)
     except ConvergenceError:  # from a state that somebody has made up, or said to be noted
         return

@@ -219,7 +219,7 @@ def ends_table() -> None:
         laid = Scene(mesh, IsotropicMembrane(E=800e3, nu=NU, thickness=1e-3)).lay_cable(
             Cable(EA), route
         )
-        a, b = laid.positions[[0, -1]] - (0.0, 0.0, HEIGHT - R)
+        a, b = laid.state.positions[[0, -1]] - (0.0, 0.0, HEIGHT - R)
         between = R * np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
         cases = [Case(route, length, 800.0, lambda s: s.fix("boundary"))
                  for length in (whole, between)]  # fmt: skip

@@ -77,7 +77,7 @@ def threshold(way: Curve, mesh: Mesh, h: float) -> float:
     while high - low > 0.005:
         middle = (low + high) / 2
         found = tightened(way, mesh, middle * way.ratio)
-        slid = found is not None and way.sideways(found[0].positions).mean() > SLID * h
+        slid = found is not None and way.sideways(found[0].state.positions).mean() > SLID * h
         low, high = (middle, high) if slid else (low, middle)
     return (low + high) / 2 / float(np.interp(-SLID, -np.array(exact), shares))
 
@@ -93,7 +93,7 @@ def row(label: str, way: Curve, h: float, meshes: int, kind: str, bisect: bool) 
             failed += 1
             continue
         cable, done = found
-        coefficients.append(way.coefficient_of(cable.positions) / mu)
+        coefficients.append(way.coefficient_of(cable.state.positions) / mu)
         work.append((done.passes, done.solves, done.flips, done.evaluations))
         if bisect:
             thresholds.append(threshold(way, mesh, h))
@@ -136,8 +136,8 @@ def ways(sizes: Sequence[int], meshes: int) -> None:
                     solver, L = Solver(scene), cable.length
                     for k in range(steps):
                         solver.advance(L0={cable: L * (1 - STRAIN * (k + 1) / steps)})
-                    found.append(way.sideways(cable.positions).mean() / aim)
-                    told.append(way.coefficient_of(cable.positions) / mu)
+                    found.append(way.sideways(cable.state.positions).mean() / aim)
+                    told.append(way.coefficient_of(cable.state.positions) / mu)
                 text += f"{min(found):9.3f}-{max(found):.3f} ({min(told):.3f}-{max(told):.3f})"
             say(text)
 
@@ -152,7 +152,7 @@ def drum(n: int, meshes: int) -> None:
             for seed in range(1, meshes + 1):
                 friction = Friction(0.3, along=0.3, cone=cone)
                 scene, cable, ln_T = dragged(COMM, friction, turn, n, seed)
-                on = [k for k in cable.contacts() if cable.nodes[k].slides]
+                on = [k for k in cable.contacts() if cable.state.nodes[k].slides]
                 press = contact_forces(cable, scene.net.strip_shape())
                 aside = abs(press.lateral[on].sum()) / press.bearing[on].sum()
                 found.append((np.log(cable.tensions[-1] / cable.tensions[0]), aside))

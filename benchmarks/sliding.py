@@ -230,7 +230,7 @@ def anchors(count: int) -> None:
             say(f"  anchors {number}: n = {n}, {kind}, {path}, L0 = {L0}: {error}")
             continue
         outcomes["halved"] += step.halvings > 0
-        touching = [k for k in cable.contacts() if cable.nodes[k].kind in ("fold", "vertex")]
+        touching = [k for k in cable.contacts() if cable.state.nodes[k].kind in ("fold", "vertex")]
         outcomes["slack" if not cable.taut else "touching" if touching else "free"] += 1
         work.append((step.outcome.solves, step.outcome.factorizations, step.outcome.evaluations))
         if cable.taut:

@@ -378,7 +378,7 @@ def run(number: int, ways: Sequence[str] = WAYS, n: int | None = None) -> Result
                     S = float(np.max(solver.results().second_piola, initial=0.0))
                     S = scene.comm.allreduce(S, op=MPI.MAX)
                     result.tense = min(result.tense, min(T) / (S * given.h))
-                    lifted = [int(cable.lifted.sum()) for cable in scene.cables if cable.taut]
+                    lifted = [int(cable.state.lifted.sum()) for cable in scene.cables if cable.taut]
                     result.lifted = max(result.lifted, *lifted, 0)
                     state = f"{way}, again"
                     done = solver.advance(pressure=given.pressure)

@@ -112,7 +112,7 @@ draw_paths(scene, f"{RESULTS}/paths.png", path + moved, unit="m", title="The net
 # ----------
 way = scene.comm.allreduce(np.linalg.norm(scene.positions() - shape, axis=1).max(), MPI.MAX)
 slid = farthest(moved, path)
-lifted = sum(bool(cable.lifted.any()) for cable in scene.cables)
+lifted = sum(bool(cable.free_spans.any()) for cable in scene.cables)
 if scene.comm.rank == 0:
     join_pictures(
         f"{RESULTS}/both.png", [f"{RESULTS}/calm.png", f"{RESULTS}/wind.png"], upright=True

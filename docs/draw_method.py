@@ -554,9 +554,9 @@ def draw_contacts() -> Figure:
             polygon(right, cell, FOLDED, lw=0.8)
     for cable, colour in zip(cables, (CABLE, SLIP), strict=True):
         line(right, cable.line[:, :2], colour, lw=3)
-        kinds = np.array([node.kind for node in cable.nodes])
-        dots(right, cable.positions[kinds == "fold", :2], FOLD)
-        dots(right, cable.positions[kinds == "crossing", :2], "black", marker="D", ms=9)
+        kinds = np.array([node.kind for node in cable.state.nodes])
+        dots(right, cable.state.positions[kinds == "fold", :2], FOLD)
+        dots(right, cable.state.positions[kinds == "crossing", :2], "black", marker="D", ms=9)
     right.set_title("two cables cross", fontsize=12)
     return figure
 

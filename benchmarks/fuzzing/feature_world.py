@@ -350,7 +350,7 @@ class World:
             if what["move"] in ("boundary", "west") and group:
                 return {"move": {what["move"]: d}}
             ends = [e for c in cables for e in (c.start, c.end)
-                    if e.cable.nodes[c.node_of(e.which)].kind == "anchor"
+                    if e.cable.state.nodes[c.node_of(e.which)].kind == "anchor"
                     and c.joints[0 if e.which == "start" else 1] is None]  # fmt: skip
             if what["move"] == "cable" and ends:
                 return {"move": {ends[what["of"] % len(ends)]: d}}

@@ -265,7 +265,10 @@ def advance(solver: Solver, loads: dict[str, Any]) -> None:
     for (c, which), way in loads.get("move", {}).items():
         cable = cables[c]
         for end in (cable.start, cable.end):
-            if which in ("both", end.which) and cable.nodes[cable.node_of(end.which)].point is None:
+            if (
+                which in ("both", end.which)
+                and cable.state.nodes[cable.node_of(end.which)].point is None
+            ):
                 move[end] = way
     if "boundary" in loads:
         if all(solver.scene.held[solver.scene.vertices("boundary")].ravel()):
@@ -294,7 +297,7 @@ def inspect(solver: Solver, result: Result) -> None:
         if cable.cable.law == "total" and min(cable.tension, *cable.tensions) < 0.0:
             result.problems.append(f"{cable.name} is compressed")
         coulomb = cable.cable.sideways is None or cable.has_coulomb
-        grips = [grip for grip in (cable.lateral, cable.axial) if grip is not None]
+        grips = [grip for grip in (cable.state.lateral, cable.state.axial) if grip is not None]
         if coulomb and any(grip.dissipated < 0.0 for grip in grips):
             result.problems.append(f"negative dissipation of {cable.name}")
 

@@ -109,7 +109,7 @@ def smoothing() -> Iterator[Point]:
         usual = smoothed(SMOOTHING, y, end)
         for each in solver, usual[0]:
             judge.must("not finite", bool(np.isfinite(each.scene.energy)))
-        near = sum(min(f, 1 - f) < 2 * max(size, SMOOTHING) for f in cable.fractions[1:-1])
+        near = sum(min(f, 1 - f) < 2 * max(size, SMOOTHING) for f in cable.state.fractions[1:-1])
         lengthened = 0.4 * (size + SMOOTHING) * SIDE / n * (near + 1)
         # A membrane that gives way takes most of what the cable is too long by.
         judge.drift(

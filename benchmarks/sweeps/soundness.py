@@ -85,7 +85,7 @@ def _unbalanced(system: System) -> float:
 def _finite(scene: Scene) -> bool:
     numbers = [scene.u.x.array, np.array(list(scene.energies.values()))]
     for cable in scene.cables:
-        numbers += [cable.positions.ravel(), np.array([cable.tension, cable.length])]
+        numbers += [cable.state.positions.ravel(), np.array([cable.tension, cable.length])]
     return all(bool(np.isfinite(values).all()) for values in numbers)
 
 
@@ -102,7 +102,7 @@ def _cables(scene: Scene, lying: bool) -> Iterator[Test]:
     for cable in scene.cables:
         length = polyline_length(cable.line)
         size = np.sqrt(np.linalg.norm(area_vectors(scene.mesh.mesh), axis=1).max() * 2)
-        smoothed = 0.4 * SMOOTHING * size * len(cable.nodes)
+        smoothed = 0.4 * SMOOTHING * size * len(cable.state.nodes)
         yield "tension is negative", max(-cable.tension, 0.0), 0.0
         if not cable.taut:
             yield "slack cable too short", length / cable.L0 - 1, 1e-9
@@ -128,7 +128,7 @@ def _balance(solver: Solver, system: System, least: float) -> Iterator[Test]:
     add(supports.positions, supports.forces)
     for cable in scene.cables:
         for end, at in ((cable.start, cable.line[0]), (cable.end, cable.line[-1])):
-            if cable.taut and cable.nodes[cable.node_of(end.which)].kind == "anchor":
+            if cable.taut and cable.state.nodes[cable.node_of(end.which)].kind == "anchor":
                 add(at, end.reaction)
     # A closed surface under uniform pressure is in equilibrium: the roof has that of its plan.
     triangles = scene.V.dofmap.list

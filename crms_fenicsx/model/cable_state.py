@@ -86,9 +86,22 @@ class StepStart:
 
 @dataclass(frozen=True)
 class CableState:
-    """State of a laid cable, as one value; see the attributes of `LaidCable`."""
+    """State of a laid cable, as one value: what was laid, its path, its law, and what searches of
+    an equilibrium remember. Checkpoints are checked against the shapes in the type hints.
 
-    # Checkpoints are checked against the shapes in the type hints.
+    Attributes: `nodes`: points of its path over the mesh, with anchors and crossings, also where it
+    spans straight above the membrane; `positions`: where they are, on all ranks; `fractions`: of
+    fold points on their unfolded edges, and of edge sliders on their held edges, outside 0 ... 1 if
+    pulled beyond an end, NaN for other nodes; `lifted`: nodes that the cable passes off the
+    membrane, in a straight line; `reference_positions`: of the nodes on the stress-free membrane,
+    the cable's material curve, NaN where it is off the membrane; `taut`: whether it has tension, as
+    sliding points of a slack cable are not solved for; `joints`: names of those to which its ends
+    are fixed; `parts`: those between clamps and bonds; `path_is_geodesic`: whether its path has
+    been straightened once, under tension and free to slide; `ends_before`: positions of its ends in
+    the last equilibrium; `blocked`: nodes that have run into a mesh vertex; `lateral`, `axial`:
+    friction sideways, None before the first load step, and along it; `smoothing_length`: excess of
+    the smoothed lengths of its segments over their true lengths in the last equilibrium.
+    """
 
     cable: Cable
     nodes: Annotated[tuple[CableNode, ...], "n"]

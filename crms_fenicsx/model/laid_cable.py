@@ -14,10 +14,8 @@ from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
-from crms_fenicsx.model.clamp import ClampedParts
-from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
-from crms_fenicsx.model.hold import HOLDS, Bonds, Hold
+from crms_fenicsx.model.cable_state import CableNode, CableState, End
+from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.tolerances import SAME_PLACE
 
 FOUND = "it follows from the loads, call solver.advance(...)"
@@ -50,12 +48,12 @@ class CableEnd:
         At a held edge the anchor of the cable carries this force, not the membrane's support.
         """
         cable = self.cable
-        if cable.nodes[cable.node_of(self.which)].kind != "anchor":
+        if cable.state.nodes[cable.node_of(self.which)].kind != "anchor":
             raise InputError(
                 f"reaction: the {self.which} of {cable.name!r} is tied to the membrane, which is "
                 "not held there, and so has no reaction; lay the cable to a held edge or an anchor."
             )
-        points = cable.positions if self.which == "start" else cable.positions[::-1]
+        points = cable.state.positions if self.which == "start" else cable.state.positions[::-1]
         outward = points[0] - points[1:]
         away = np.linalg.norm(outward, axis=1)
         first = int(np.argmax(away > SAME_PLACE * cable.length))
@@ -72,27 +70,15 @@ class LaidCable(Handle[CableState]):
         Name in tables and pictures.
     cable
         Its stiffness, law and friction.
-    nodes
-        Internal: points of its path over the mesh, with anchors and crossings, also where the cable
-        spans straight above the membrane. The cable itself is `line`.
-    positions : (n, 3)
-        Internal: current positions of the nodes, on all ranks; lifted nodes only mark the path.
-    fractions : (n,)
-        Internal: current positions of fold points on their unfolded edges, and of edge sliders on
-        their held edges, outside 0 ... 1 if pulled beyond an end; NaN for nodes off edges.
-    lifted : (n,) bool
-        Internal: nodes at which the cable is off the membrane; it passes them in a straight line.
-    reference_positions : (n, 3)
-        Positions of the nodes on the stress-free membrane: the cable's material curve (length). NaN
-        where the cable is off the membrane.
     L0
         Unstressed length (length).
+    reference_positions : (n, 3)
+        Positions of its points on the stress-free membrane: the cable's material curve (length).
+        NaN where the cable is off the membrane.
     length, tension
         Current length, that of `line`, and tension (force): ``EA (length - L0)/L0`` for a taut
         cable with the total law. With friction along the cable, the mean tension by unstressed
         length; see `tensions`.
-    step_start
-        State at the start of a step, for the step-wise law.
     taut
         Whether it has tension; sliding points of a slack cable are not solved for.
     hold
@@ -101,25 +87,8 @@ class LaidCable(Handle[CableState]):
     layer
         Of two crossing cables the one with the higher layer lies on top; with equal layers, the one
         laid later.
-    joints
-        Names of the joints of bars to which its first and last end are fixed; None elsewhere.
-    parts
-        Internal: its parts between clamps and bonds; None without any.
-    bonds
-        Internal: its bonds to the fabric; None if not bonded.
-    path_is_geodesic
-        Whether its path has been straightened once, under tension and free to slide.
-    ends_before : (2, 3)
-        Positions of its ends in the last equilibrium; None before the first.
-    blocked
-        Nodes that have run into a mesh vertex.
-    lateral
-        State of sideways friction; None before the first load step, or without friction.
-    axial
-        State of friction along the axis; None without friction.
-    smoothing_length
-        Internal: excess of the smoothed lengths of its segments over their true lengths in the last
-        equilibrium (length).
+    state
+        Internal: all that load steps change, as one value.
     """
 
     cable: ReadOnly[Cable] = ReadOnly(
@@ -127,25 +96,11 @@ class LaidCable(Handle[CableState]):
     )
     hold: ReadOnly[Hold] = ReadOnly("state.hold", RELAY)
     layer: ReadOnly[int] = ReadOnly("state.layer", RELAY)
-    joints: ReadOnly[tuple[str | None, str | None]] = ReadOnly("state.joints", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
-    nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
-    positions: ReadOnly[Array] = ReadOnly("state.positions", FOUND)
-    fractions: ReadOnly[Array] = ReadOnly("state.fractions", FOUND)
-    lifted: ReadOnly[Booleans] = ReadOnly("state.lifted", FOUND)
     reference_positions: ReadOnly[Array] = ReadOnly("state.reference_positions", FOUND)
     length: ReadOnly[float] = ReadOnly("state.length", FOUND)
     tension: ReadOnly[float] = ReadOnly("state.tension", FOUND)
-    step_start: ReadOnly[StepStart | None] = ReadOnly("state.step_start", FOUND)
     taut: ReadOnly[bool] = ReadOnly("state.taut", FOUND)
-    path_is_geodesic: ReadOnly[bool] = ReadOnly("state.path_is_geodesic", FOUND)
-    ends_before: ReadOnly[Array | None] = ReadOnly("state.ends_before", FOUND)
-    blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
-    lateral: ReadOnly[LateralFrictionState | None] = ReadOnly("state.lateral", FOUND)
-    axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
-    parts: ReadOnly[ClampedParts | None] = ReadOnly("state.parts", "call scene.clamp(...)")
-    bonds: ReadOnly[Bonds | None] = ReadOnly("state.bonds", RELAY)
-    smoothing_length: ReadOnly[float] = ReadOnly("state.smoothing_length", FOUND)
 
     @property
     def lifts_off(self) -> bool:
@@ -171,7 +126,7 @@ class LaidCable(Handle[CableState]):
     @property
     def dissipated(self) -> float:
         """Energy dissipated by friction and by slip through clamps (force x length)."""
-        grips = (self.lateral, self.axial, self.parts)
+        grips = (self.state.lateral, self.state.axial, self.state.parts)
         return sum(grip.dissipated for grip in grips if grip is not None)
 
     @property
@@ -180,13 +135,13 @@ class LaidCable(Handle[CableState]):
 
         Its length is `length`. As a path of `Scene.lay_cable`, it gives a cable on the same line.
         """
-        return np.asarray(self.positions[self.line_nodes()])
+        return np.asarray(self.state.positions[self.line_nodes()])
 
     @property
     def free_spans(self) -> Booleans:
         """Which of the n - 1 segments of its `line` are off the membrane."""
         nodes = self.line_nodes()
-        anchors = [self.nodes[k].kind == "anchor" for k in nodes]
+        anchors = [self.state.nodes[k].kind == "anchor" for k in nodes]
         return (np.diff(nodes) > 1) | np.logical_or(anchors[1:], anchors[:-1])
 
     @property
@@ -198,42 +153,42 @@ class LaidCable(Handle[CableState]):
     @property
     def part_tensions(self) -> Array:
         """Internal: tensions between consecutive `contacts` (force)."""
-        parts = int(np.count_nonzero(~self.lifted)) - 1
-        if self.axial is not None and self.taut and len(self.axial.tensions) == parts:
-            return self.axial.tensions
-        if self.parts is not None and self.parts.nodes and self.taut:
-            return np.asarray(self.parts.tensions[self.parts_of(self.contacts()[:-1])])
+        parts = int(np.count_nonzero(~self.state.lifted)) - 1
+        if self.state.axial is not None and self.taut and len(self.state.axial.tensions) == parts:
+            return self.state.axial.tensions
+        if self.state.parts is not None and self.state.parts.nodes and self.taut:
+            return np.asarray(self.state.parts.tensions[self.parts_of(self.contacts()[:-1])])
         return np.full(parts, self.tension)
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
         """Internal: numbers of the parts between clamps that begin at or contain the nodes."""
-        clamps = () if self.parts is None else self.parts.nodes
+        clamps = () if self.state.parts is None else self.state.parts.nodes
         return np.searchsorted(np.array(clamps, dtype=np.int64), nodes, side="right")
 
     @property
     def is_divided(self) -> bool:
         """Internal: whether friction or clamps let its tension vary along it."""
-        return self.axial is not None or self.parts is not None
+        return self.state.axial is not None or self.state.parts is not None
 
     @property
     def may_slip(self) -> bool:
         """Internal: whether it can slip through a clamp."""
-        return self.parts is not None and bool(self.parts.grips.any())
+        return self.state.parts is not None and bool(self.state.parts.grips.any())
 
     @property
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` held by clamps, 0 elsewhere."""
-        bonds = () if self.bonds is None else self.bonds.supports
-        ends = () if self.parts is None else self.parts.nodes
-        nodes = [k for k in ends if self.nodes[k].support not in bonds]
+        bonds = () if self.state.bonds is None else self.state.bonds.supports
+        ends = () if self.state.parts is None else self.state.parts.nodes
+        nodes = [k for k in ends if self.state.nodes[k].support not in bonds]
         return np.isin(self.line_nodes(), nodes).astype(float)
 
     @property
     def part_lengths(self) -> Array:
         """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
-        if self.parts is None:
+        if self.state.parts is None:
             return np.array([self.L0])
-        return np.diff([0.0, *(self.L0 * self.parts.at + self.parts.slips), self.L0])
+        return np.diff([0.0, *(self.L0 * self.state.parts.at + self.state.parts.slips), self.L0])
 
     @property
     def start(self) -> CableEnd:
@@ -250,7 +205,9 @@ class LaidCable(Handle[CableState]):
         """Its current path over the mesh; where it is lifted, over the cells below it."""
         points = self.points(self.path_nodes())
         first, last = (
-            tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
+            tuple(self.state.positions[k].tolist())
+            if self.state.nodes[k].kind == "anchor"
+            else None
             for k in (0, -1)
         )
         return Path(tuple(points), start_anchor=first, end_anchor=last)
@@ -262,7 +219,7 @@ class LaidCable(Handle[CableState]):
     def points(self, nodes: Sequence[int]) -> list[SurfacePoint]:
         """Current points of nodes on the mesh; not for anchors."""
         found: list[SurfacePoint] = []
-        all_nodes, fractions = self.nodes, floats(self.fractions)
+        all_nodes, fractions = self.state.nodes, floats(self.state.fractions)
         for k in nodes:
             point = all_nodes[k].point
             assert point is not None
@@ -278,7 +235,7 @@ class LaidCable(Handle[CableState]):
         self.update(
             nodes=tuple(nodes), positions=positions, fractions=fractions, lifted=lifted,
             reference_positions=np.full_like(positions, np.nan), blocked=(),
-            parts=None if self.parts is None else replace(self.parts, nodes=()),
+            parts=None if self.state.parts is None else replace(self.state.parts, nodes=()),
         )  # fmt: skip
 
     @property
@@ -286,40 +243,42 @@ class LaidCable(Handle[CableState]):
         """Supports of its two ends; an anchor next to a tied or coinciding node counts as held."""
 
         def end(anchor: int, beside: int) -> End:
-            if self.nodes[anchor].kind != "anchor":
+            if self.state.nodes[anchor].kind != "anchor":
                 return "tied"
-            away = np.linalg.norm(self.positions[anchor] - self.positions[beside])
-            held = self.nodes[beside].kind == "tied" or away <= SAME_PLACE * self.length
+            away = np.linalg.norm(self.state.positions[anchor] - self.state.positions[beside])
+            held = self.state.nodes[beside].kind == "tied" or away <= SAME_PLACE * self.length
             return "held" if held else "off"
 
         return end(0, 1), end(-1, -2)
 
     def interpolation(self, k: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertex ids and weights that give node k's position; see `CableNode.interpolation`."""
-        fraction = float(self.fractions[k])
-        return self.nodes[k].interpolation(None if np.isnan(fraction) else fraction)
+        fraction = float(self.state.fractions[k])
+        return self.state.nodes[k].interpolation(None if np.isnan(fraction) else fraction)
 
     def path_nodes(self) -> list[int]:
         """Nodes of its `path` over the mesh, in order: no anchors, no crossings."""
         off = ("anchor", "crossing")
-        return [k for k, node in enumerate(self.nodes) if node.kind not in off]
+        return [k for k, node in enumerate(self.state.nodes) if node.kind not in off]
 
     def contacts(self) -> list[int]:
         """Nodes where the cable is not lifted, ends included, in order."""
-        return [k for k, lifted in enumerate(flags(self.lifted)) if not lifted]
+        return [k for k, lifted in enumerate(flags(self.state.lifted)) if not lifted]
 
     def line_nodes(self) -> list[int]:
         """Nodes of its line: its contacts, without an anchor that coincides with the next one."""
         nodes = self.contacts()
         for at, beside in ((0, 1), (-1, -2)):
-            away = np.linalg.norm(self.positions[nodes[at]] - self.positions[nodes[beside]])
+            away = np.linalg.norm(
+                self.state.positions[nodes[at]] - self.state.positions[nodes[beside]]
+            )
             if len(nodes) > 2 and away <= SAME_PLACE * self.length:
                 del nodes[at]
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
         """Internal: whether it is short enough to be taut, or `nearly`, as folds bulge."""
-        steps = np.diff(self.positions[self.contacts()], axis=0)
+        steps = np.diff(self.state.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -ROUNDED
         if nearly:
@@ -339,11 +298,11 @@ class LaidCable(Handle[CableState]):
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""
-        return 0 if which == "start" else len(self.nodes) - 1
+        return 0 if which == "start" else len(self.state.nodes) - 1
 
     def __repr__(self) -> str:
         state = f"tension {self.tension:.6g}" if self.taut else "slack"
-        return f"LaidCable({self.name!r}, {len(self.nodes)} points, {state})"
+        return f"LaidCable({self.name!r}, {len(self.state.nodes)} points, {state})"
 
 
 def polyline_length(positions: Array) -> float:

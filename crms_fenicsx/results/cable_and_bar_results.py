@@ -109,7 +109,7 @@ def _contact(line: Array, sizes: Array) -> tuple[float, float]:
 def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
     """Anchor force at an end; None without an anchor."""
     k = cable.node_of(end.which)
-    if cable.nodes[k].kind != "anchor" or cable.joints[min(k, 1)] is not None:
+    if cable.state.nodes[k].kind != "anchor" or cable.state.joints[min(k, 1)] is not None:
         return None
     return triple(end.reaction)
 

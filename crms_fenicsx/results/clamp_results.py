@@ -71,11 +71,11 @@ def _results(scene: Scene, clamp: Clamp) -> ClampResults:
 
 def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:
     """Tensions before and after a clamp, and the cable's directions there, (2, 3)."""
-    if cable.parts is None or not cable.parts.nodes:
+    if cable.state.parts is None or not cable.state.parts.nodes:
         return (0.0, 0.0), np.zeros((2, 3))
-    i = int(np.argmin(np.abs(cable.parts.at - at)))
+    i = int(np.argmin(np.abs(cable.state.parts.at - at)))
     contacts = cable.contacts()
-    k = contacts.index(cable.parts.nodes[i])
-    ways = np.diff(cable.positions[contacts[k - 1 : k + 2]], axis=0)
+    k = contacts.index(cable.state.parts.nodes[i])
+    ways = np.diff(cable.state.positions[contacts[k - 1 : k + 2]], axis=0)
     before, after = floats(cable.part_tensions[k - 1 : k + 1])
     return (before, after), np.asarray(ways / np.maximum(norm(ways), 1e-300)[:, None])

@@ -139,7 +139,7 @@ class ErrorEstimator:
         points = {
             node.point.vertex
             for cable in self._scene.cables
-            for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
+            for node, lifted in zip(cable.state.nodes, cable.state.lifted, strict=True)
             if cable.taut and not lifted and isinstance(node.point, VertexPoint)
         }
         ids = cell_vertex_ids(self._scene.mesh.mesh)

@@ -39,9 +39,9 @@ def held_ends(scene: Scene) -> list[HeldEnd]:
     found = []
     for cable in scene.cables:
         for k, end in enumerate((cable.start, cable.end)):
-            if cable.nodes[-k].kind == "anchor" and cable.joints[k] is None:
+            if cable.state.nodes[-k].kind == "anchor" and cable.state.joints[k] is None:
                 beside = -2 if k else 1
-                place = cable.positions[beside if cable.ends[k] == "held" else -k]
+                place = cable.state.positions[beside if cable.ends[k] == "held" else -k]
                 found.append(HeldEnd(f"{cable.name} {end.which}", place, end.reaction))
     for joint in scene.joints:
         if joint.held.any():
@@ -53,7 +53,7 @@ def _at_joint(scene: Scene, joint: Joint) -> list[HeldEnd]:
     """Ends and loads at a held joint; their sum is its reaction."""
     forces = {bar.name: -bar.pull(joint) for bar in scene.bars if joint in (bar.start, bar.end)}
     for cable in scene.cables:
-        for end, name in zip((cable.start, cable.end), cable.joints, strict=True):
+        for end, name in zip((cable.start, cable.end), cable.state.joints, strict=True):
             if name == joint.name and cable.taut:
                 forces[f"{cable.name} {end.which}"] = end.reaction
     for load in scene.loads:
@@ -269,11 +269,11 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
     for c, cable in enumerate(numbering.cables):
         for end in (cable.start, cable.end):
             k = cable.node_of(end.which)
-            if cable.nodes[k].kind != "anchor" or not cable.taut:
+            if cable.state.nodes[k].kind != "anchor" or not cable.taut:
                 continue
             anchor = numbering.numbers[c, k]
             near = 1 if k == 0 else k - 1  # a lifted end's span has a direction
-            if numbering.owners[anchor] == numbering.rank and not cable.lifted[near]:
+            if numbering.owners[anchor] == numbering.rank and not cable.state.lifted[near]:
                 block, beside = numbering.block(c, k), numbering.block(c, near)
                 g[beside] += g[block] - end.reaction
                 g[block] = end.reaction

@@ -79,8 +79,8 @@ def patches(scene: Scene) -> dict[str, Patch]:
     found = [*chain.from_iterable(scene.comm.allgather(mine))]
     for cable in scene.cables:
         for k in (0, -1):
-            if cable.hold != "bonded" and cable.nodes[k].kind != "anchor":  # on free fabric
-                place = triple(cable.reference_positions[k])
+            if cable.hold != "bonded" and cable.state.nodes[k].kind != "anchor":  # on free fabric
+                place = triple(cable.state.reference_positions[k])
                 away = [float(np.linalg.norm(np.subtract(place, at))) for at, _, _ in found]
                 if min(away, default=np.inf) > SAME_PLACE * membrane.size:
                     found.append((place, "", "cable"))

@@ -82,7 +82,9 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     scene = system.scene
     setters = [_parameter(scene, one) for one in by]
     system.update()
-    rubs = scene.net.has_friction or any(c.axial is not None or c.may_slip for c in scene.cables)
+    rubs = scene.net.has_friction or any(
+        c.state.axial is not None or c.may_slip for c in scene.cables
+    )
     if rubs or system.has_history:
         what = "friction" if rubs else "a step-wise law"
         raise InputError(
@@ -256,7 +258,7 @@ def _slope_of(changes: _Changes, one: object) -> Array:
     scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
     if isinstance(one, CableEnd | LaidCable):
         cable = one if isinstance(one, LaidCable) else one.cable
-        if cable.parts is not None:
+        if cable.state.parts is not None:
             end = one.which if isinstance(one, CableEnd) else None
             return changes.slope(_part_lengths(cable, end))[0]
         one = cable
@@ -280,8 +282,8 @@ def _slope_of(changes: _Changes, one: object) -> Array:
 def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
     """Setter of the unstressed lengths of a cable's parts between clamps or bonds whose gradient is
     that of the mean tension, or of the tension at an end."""
-    assert cable.parts is not None
-    lengths, parts = cable.part_lengths, cable.parts
+    assert cable.state.parts is not None
+    lengths, parts = cable.part_lengths, cable.state.parts
     weights = lengths / cable.L0
     if end is not None:
         weights = np.zeros(len(lengths))

@@ -138,7 +138,7 @@ def test_places_lie_on_the_folded_surface(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(in_plan.positions[:, 2], line[:, 2], atol=1e-6)
     back = results.at(found.stress_free, on="stress-free")
     np.testing.assert_allclose(back.positions, found.positions, atol=1e-9)
-    inner = np.isfinite(cable.reference_positions[:, 0])
+    inner = np.isfinite(cable.state.reference_positions[:, 0])
     assert inner.sum() >= len(line)
     np.testing.assert_allclose(found.displacement, found.positions - found.stress_free)
 
@@ -159,7 +159,7 @@ def test_places_under_a_cable_are_those_of_folded_cells(comm: MPI.Intracomm) -> 
     rng, points, due = np.random.default_rng(0), [], []
     nodes = [
         (node.point.edge, place)
-        for node, place in zip(cable.nodes, cable.positions, strict=True)
+        for node, place in zip(cable.state.nodes, cable.state.positions, strict=True)
         if isinstance(node.point, EdgePoint)
     ]
     for (one, p), (other, q) in pairwise(nodes):
@@ -204,7 +204,7 @@ def test_summary_knows_the_places_under_cables(comm: MPI.Intracomm) -> None:
     """The lowest one is on the cable; each value is that of the surface at its place."""
     solver = saddle(comm)
     found, results, cable = solver.summary(), solver.results(), solver.scene.cable("valley")
-    sunk = (cable.positions - cable.reference_positions)[:, 2]
+    sunk = (cable.state.positions - cable.state.reference_positions)[:, 2]
     own = solver.scene.u.x.array.reshape(-1, 3)[:, 2]
     vertex = comm.allreduce(float(own.min(initial=0.0)), op=MPI.MIN)
     assert found.lowest.value == pytest.approx(np.nanmin(sunk), rel=1e-9)

@@ -380,11 +380,13 @@ def test_surface_has_the_fold_lines_and_no_gaps() -> None:
             middle = (at[a] + at[b]) / 2
             assert np.min([middle[:2], 100 - middle[:2]]) < 1e-9, "a gap inside"
     for cable in scene.cables:
-        numbers = [int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in cable.positions]
+        numbers = [
+            int(np.argmin(np.linalg.norm(points - p, axis=1))) for p in cable.state.positions
+        ]
         places = same.reshape(-1)[numbers]
-        folds = [k for k, node in enumerate(cable.nodes) if node.kind == "fold"]
+        folds = [k for k, node in enumerate(cable.state.nodes) if node.kind == "fold"]
         for k in folds[:-1]:
-            np.testing.assert_allclose(points[numbers[k]], cable.positions[k], atol=1e-9)
+            np.testing.assert_allclose(points[numbers[k]], cable.state.positions[k], atol=1e-9)
             assert (places[k], places[k + 1]) in directed
     # Stress-free, the facets tile their cells.
     X = surface.stress_free[surface.triangles]

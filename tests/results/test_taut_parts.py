@@ -200,7 +200,7 @@ def test_a_tight_belt_and_a_cable_near_a_vertex_have_equal_sides(comm: MPI.Intra
     belt = scene.lay_cable(Cable(700.0), [(0.0, y), (6.0, y)], hold="bonded", tension=9.0)
     cable = scene.lay_cable(Cable(900.0), [(y, 0.0), (y, 6.0)], tension=4.0)
     solver.advance()
-    s = np.concatenate([c.fractions[~np.isnan(c.fractions)] for c in (belt, cable)])
+    s = np.concatenate([c.state.fractions[~np.isnan(c.state.fractions)] for c in (belt, cable)])
     assert np.minimum(s, 1 - s).min() < 0.02
     found = solver.sensitivities([belt, cable], [belt, cable])
     assert found.one_sided == () and np.array_equal(found.increasing, found.decreasing)

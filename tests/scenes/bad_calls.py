@@ -60,7 +60,7 @@ NO_PATHS: Values = (
 def snapshot(scene: Scene) -> list[Any]:
     """All that a refused call must not have changed."""
     cables = [
-        (c.name, c.L0, c.length, c.tension, c.taut, c.positions.tolist(), len(c.nodes))
+        (c.name, c.L0, c.length, c.tension, c.taut, c.state.positions.tolist(), len(c.state.nodes))
         for c in scene.cables
     ]
     strip = None if scene.net.strip is None else len(scene.net.strip.cells)

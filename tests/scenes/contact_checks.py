@@ -35,9 +35,9 @@ def fold_points(scene: Scene) -> dict[tuple[int, int], list[tuple[float, Floats]
     found: dict[tuple[int, int], list[tuple[float, Floats]]] = {}
     for cable in scene.cables:
         for k in cable.contacts() if cable.taut else []:
-            point = cable.nodes[k].point
-            if cable.nodes[k].kind == "fold" and isinstance(point, EdgePoint):
-                entry = (float(cable.fractions[k]), cable.positions[k])
+            point = cable.state.nodes[k].point
+            if cable.state.nodes[k].kind == "fold" and isinstance(point, EdgePoint):
+                entry = (float(cable.state.fractions[k]), cable.state.positions[k])
                 found.setdefault(point.edge, []).append(entry)
     return found
 
@@ -80,11 +80,11 @@ def strongest_pull(scene: Scene, cable: LaidCable) -> float:
     """
     _, cells = all_cells(scene)
     contacts = cable.contacts()
-    x = cable.positions[contacts]
+    x = cable.state.positions[contacts]
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
     worst = 0.0
     for i, k in enumerate(contacts[1:-1], 1):
-        if cable.nodes[k].kind not in ("fold", "vertex"):
+        if cable.state.nodes[k].kind not in ("fold", "vertex"):
             continue
         normal, h = normal_at(cells, x[i])
         stations = [max(run[i] - h, 0.0), min(run[i] + h, run[-1])]
@@ -107,9 +107,9 @@ def deepest(scene: Scene, cable: LaidCable) -> float:
     p, u = parts[:, 0], parts[:, 1] - parts[:, 0]
     worst = 0.0
     for a, b in pairwise(cable.contacts()):
-        if b - a == 1 and "anchor" not in (cable.nodes[a].kind, cable.nodes[b].kind):
+        if b - a == 1 and "anchor" not in (cable.state.nodes[a].kind, cable.state.nodes[b].kind):
             continue
-        way, w = cable.positions[b] - cable.positions[a], cable.positions[a] - p
+        way, w = cable.state.positions[b] - cable.state.positions[a], cable.state.positions[a] - p
         cross = u[:, 0] * way[1] - u[:, 1] * way[0]
         cross[np.abs(cross) < 1e-12] = np.nan
         on_edge = (w[:, 0] * way[1] - w[:, 1] * way[0]) / cross

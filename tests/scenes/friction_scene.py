@@ -49,9 +49,9 @@ def shaken_fractions(scene: Scene, size: float, seed: int = 0) -> None:
     """Move sliding nodes along their edges by up to `size` of them, and onto the membrane."""
     shape, rng = scene.net.strip_shape(), np.random.default_rng(seed)
     for cable in scene.cables:
-        for k, node in enumerate(cable.nodes):
-            if node.slides and not cable.lifted[k]:
+        for k, node in enumerate(cable.state.nodes):
+            if node.slides and not cable.state.lifted[k]:
                 shift = rng.uniform(-size, size)
-                put(cable, "fractions", k, min(max(cable.fractions[k] + shift, 0.05), 0.95))
+                put(cable, "fractions", k, min(max(cable.state.fractions[k] + shift, 0.05), 0.95))
                 ids, weights = cable.interpolation(k)
                 put(cable, "positions", k, np.dot(weights, [shape.at(i) for i in ids]))

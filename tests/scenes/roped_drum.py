@@ -69,7 +69,7 @@ def roped(
 
 def places(cable: LaidCable) -> Array:
     """Angle around the drum at the middle of each straight part of the rope, 0 ... pi."""
-    x = cable.positions[cable.contacts()]
+    x = cable.state.positions[cable.contacts()]
     middle = (x[1:] + x[:-1]) / 2
     angle = np.arctan2(middle[:, 1], middle[:, 2]) + WRAP / 2
     angle[0], angle[-1] = 0.0, WRAP

@@ -109,9 +109,13 @@ def moved(solver: Solver, block: int, way: np.ndarray) -> None:
 
 def pressing(cable: LaidCable) -> int:
     """A node with which a cable lies on an edge, in its middle."""
-    k = len(cable.nodes) // 2
+    k = len(cable.state.nodes) // 2
     return min(
-        (n for n, node in enumerate(cable.nodes) if node.kind == "fold" and not cable.lifted[n]),
+        (
+            n
+            for n, node in enumerate(cable.state.nodes)
+            if node.kind == "fold" and not cable.state.lifted[n]
+        ),
         key=lambda n: (abs(n - k), n),
     )
 

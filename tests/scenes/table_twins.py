@@ -28,10 +28,10 @@ def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, 
     last: places on the edge (fractions), and numbers of cables and nodes."""
     found: dict[Edge, list[tuple[float, int, int]]] = {}
     for c, cable in enumerate(cables):
-        for k, edge in on_edges(cable.nodes) if cable.taut else ():
+        for k, edge in on_edges(cable.state.nodes) if cable.taut else ():
             points = found.setdefault(edge, [])
-            if not cable.lifted[k]:
-                points.append((float(cable.fractions[k]), c, k))
+            if not cable.state.lifted[k]:
+                points.append((float(cable.state.fractions[k]), c, k))
     return {edge: sorted(points) for edge, points in found.items() if points}
 
 
@@ -50,7 +50,7 @@ class SlowTables:
     def _links_of(self, c: int) -> list[Link]:
         """Cable, two nodes one after the other that it touches, and the cell or edge of both."""
         links: list[Link] = []
-        nodes = self.cables[c].nodes
+        nodes = self.cables[c].state.nodes
         for k, m in pairwise(self.cables[c].contacts()) if self.cables[c].taut else ():
             a, b = nodes[k].point, nodes[m].point
             both = () if a is None or b is None else tuple(sorted({*a.support, *b.support}))
@@ -60,7 +60,7 @@ class SlowTables:
     def around(self, link: Link) -> tuple[int, ...]:
         """What a link lies on, or its first node, or the node beside that if it is an anchor."""
         c, k, _, on = link
-        nodes = self.cables[c].nodes
+        nodes = self.cables[c].state.nodes
         point = nodes[k].point or nodes[1 if k == 0 else k - 1].point
         assert point is not None
         return on or point.support
@@ -73,7 +73,7 @@ class SlowTables:
     def smoothing(self, link: Link, sizes: Array) -> float:
         """Smoothing of a link, with the sizes of the strip's cells."""
         c, k, m, on = link
-        kinds = {self.cables[c].nodes[n].kind for n in (k, m)}
+        kinds = {self.cables[c].state.nodes[n].kind for n in (k, m)}
         rows = [r for r in self.strip.rows(self.around(link)) if self.strip.owner[r] == self.rank]
         size = float(min(sizes[row] for row in rows))
         if kinds == {"tied"} or (on is None and not kinds & {"fold", "edge slider", "crossing"}):
@@ -117,7 +117,7 @@ class SlowTables:
         for n, row in enumerate(self.rows):
             for chord in self.chords[row]:
                 for (c, k), other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
-                    node = self.cables[c].nodes[k]
+                    node = self.cables[c].state.nodes[k]
                     if node.kind == "fold" and isinstance(node.point, EdgePoint):
                         line, block = self.line(node.point.edge), self.numbering.block(c, k)
                         at = line.index(block)
@@ -139,7 +139,7 @@ class SlowTables:
             ([self.numbering.block(c, k), *map(self.numbering.vertex, edge)], fraction)
             for edge, points in self.on_edge.items()
             for fraction, c, k in points
-            if self.cables[c].nodes[k].slides and self.numbering.is_mine(c, k)
+            if self.cables[c].state.nodes[k].slides and self.numbering.is_mine(c, k)
         ]
 
 
@@ -153,10 +153,10 @@ def meetings(cables: Sequence[LaidCable], strip: Strip) -> list[tuple[NodeId, No
     on_edge: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
     chords: dict[int, list[NodeId]] = defaultdict(list)
     for c, cable in enumerate(cables):
-        for k, node in enumerate(cable.nodes) if cable.taut else ():
+        for k, node in enumerate(cable.state.nodes) if cable.taut else ():
             if isinstance(node.point, EdgePoint):
-                on_edge[node.point.edge].append((float(cable.fractions[k]), c, k))
-        for k, (a, b) in enumerate(pairwise(cable.nodes)) if cable.taut else ():
+                on_edge[node.point.edge].append((float(cable.state.fractions[k]), c, k))
+        for k, (a, b) in enumerate(pairwise(cable.state.nodes)) if cable.taut else ():
             if a.point is not None and b.point is not None:
                 both = tuple(sorted({*a.support, *b.support}))
                 if len(both) == 3:
@@ -179,7 +179,7 @@ def meetings(cables: Sequence[LaidCable], strip: Strip) -> list[tuple[NodeId, No
 
 
 def _corner(cables: Sequence[LaidCable], end: NodeId) -> int | NodeId:
-    node = cables[end[0]].nodes[end[1]]
+    node = cables[end[0]].state.nodes[end[1]]
     return node.support[0] if node.kind == "vertex" else end
 
 

@@ -114,8 +114,8 @@ def straight(system: System) -> Array:
     x[vertices] = 3 * noise(unknowns.X[vertices], 1)
     for (c, k), number in numbering.numbers.items():
         block, cable = numbering.blocks[number], system.scene.cables[c]
-        if block >= 0 and cable.nodes[k].kind == "fold":
-            (a, b), (wa, wb) = cable.nodes[k].interpolation()
+        if block >= 0 and cable.state.nodes[k].kind == "fold":
+            (a, b), (wa, wb) = cable.state.nodes[k].interpolation()
             x[block] = wa * x[numbering.vertex(a)] + wb * x[numbering.vertex(b)]
     owned: Array = x[: unknowns.n_owned].copy()
     return owned

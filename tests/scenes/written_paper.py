@@ -120,7 +120,7 @@ class WrittenPaper:
         self.X = self.places()
         on = {
             frozenset(node.point.support): self.nv + k
-            for k, node in enumerate(cable.nodes)
+            for k, node in enumerate(cable.state.nodes)
             if node.point is not None and node.slides
         }
         rows: dict[int, list[tuple[int, ...]]] = {3: [], 5: []}
@@ -165,7 +165,7 @@ class WrittenPaper:
 
     def places(self) -> Array:
         """Current positions of all vertices, and of the cable's nodes."""
-        return np.vstack([self._of_all(self.scene.positions()), self.cable.positions])
+        return np.vstack([self._of_all(self.scene.positions()), self.cable.state.positions])
 
     def penalty(self, P: Array) -> Array:
         """(2.5-1) with mu = nu, of each folded element."""
@@ -193,7 +193,7 @@ class WrittenPaper:
     def friction_elements(self) -> list[FrictionElement]:
         """Size (3.2-1 ... 3.2-3) and direction of the forces, at step n."""
         found, line = [], self.X[self.nv :]
-        for k, node in enumerate(self.cable.nodes):
+        for k, node in enumerate(self.cable.state.nodes):
             if node.point is None or not node.slides:
                 continue
             t1, t2 = line[k] - line[k - 1], line[k + 1] - line[k]

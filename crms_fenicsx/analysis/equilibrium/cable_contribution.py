@@ -64,9 +64,11 @@ class CableContribution(Contribution):
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
-        self.slipping = [cable for cable in self.taut if cable.may_slip and cable.axial is None]
-        self.sliding = [c for c in self.taut if c.axial is None and c not in self.slipping]
-        self.gripped = [cable for cable in self.taut if cable.axial is not None]
+        self.slipping = [
+            cable for cable in self.taut if cable.may_slip and cable.state.axial is None
+        ]
+        self.sliding = [c for c in self.taut if c.state.axial is None and c not in self.slipping]
+        self.gripped = [cable for cable in self.taut if cable.state.axial is not None]
         # first part of each sliding cable among all parts, and the total number
         self.first_parts = pointers(
             np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
@@ -102,7 +104,7 @@ class CableContribution(Contribution):
             for cable in self.gripped:
                 remap_axial(cable)
             grips = grip_table(self.numbering, self.scene.net.strip_shape())
-            L0 = np.array([cable.L0 + cable.smoothing_length for cable in self.gripped])
+            L0 = np.array([cable.L0 + cable.state.smoothing_length for cable in self.gripped])
             self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
             terms.append(self.capstan)
         if self.tables is not None and self.slipping:
@@ -118,14 +120,14 @@ class CableContribution(Contribution):
     def _tension_term(self, tables: CableTables) -> CableTension:
         EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
-        starts = [own.step_start for own in self.sliding for _ in own.part_lengths]
+        starts = [own.state.step_start for own in self.sliding for _ in own.part_lengths]
         one = np.array([cable in self.sliding for cable in self.taut])
         mine, number = one[tables.cable], np.cumsum(one) - 1
         cable = number[tables.cable[mine]]
         part = self.first_parts[cable]
         node = self.numbering.nodes.place[tables.links[mine, 0]]
         for c, own in enumerate(self.sliding):
-            if own.parts is not None:
+            if own.state.parts is not None:
                 part[cable == c] += own.parts_of(node[cable == c])
         links = (tables.segments[mine], tables.eps[mine], part.astype(np.int32))
         if any(starts):
@@ -155,7 +157,7 @@ class CableContribution(Contribution):
                 [_smoothing(cable) for cable in self.sliding]
             )
         if self.capstan is not None:
-            self.capstan.L0[:] = [cable.L0 + cable.smoothing_length for cable in self.gripped]
+            self.capstan.L0[:] = [cable.L0 + cable.state.smoothing_length for cable in self.gripped]
         if self.clutches is not None:
             from crms_fenicsx.cabling.cables.slipping_clamps import clamp_grips, whole_lengths
 
@@ -175,12 +177,12 @@ class CableContribution(Contribution):
             own.update(self._write_slips(self.clutches, potential))
         for cable in self.scene.cables:
             tensions = own.get(cable, 0.0 * cable.part_lengths)
-            length = polyline_length(cable.positions[cable.contacts()])
-            if cable.parts is None:
+            length = polyline_length(cable.state.positions[cable.contacts()])
+            if cable.state.parts is None:
                 cable.update(length=length, tension=float(tensions[0]))
                 continue
             mean = float(tensions @ cable.part_lengths) / cable.L0
-            parts = replace(cable.parts, tensions=tensions.copy())
+            parts = replace(cable.state.parts, tensions=tensions.copy())
             cable.update(length=length, tension=mean, parts=parts)
 
         if self.scene.clamps:
@@ -192,9 +194,9 @@ class CableContribution(Contribution):
         tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
         found = {}
         for c, cable in enumerate(self.slipping):
-            assert cable.parts is not None
+            assert cable.state.parts is not None
             slips = term.slips[term.nodes_of(c)].copy()
-            cable.update(parts=replace(cable.parts, slips=slips, loss=float(lost[c])))
+            cable.update(parts=replace(cable.state.parts, slips=slips, loss=float(lost[c])))
             found[cable] = tensions[term.spans_of(c)]
         energies["cables"] -= term.friction_potential
         energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
@@ -219,12 +221,12 @@ class CableContribution(Contribution):
             sums = potential.sums_of(self.capstan)
             for c, cable in enumerate(self.gripped):
                 spans = sums[self.capstan.spans_of(c)]
-                lengths.append((cable, float(spans.sum()) - cable.smoothing_length))
+                lengths.append((cable, float(spans.sum()) - cable.state.smoothing_length))
         for cable, length in lengths:
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.update(smoothing_length=cable.smoothing_length + more)
+                cable.update(smoothing_length=cable.state.smoothing_length + more)
                 changed = True
         return changed
 
@@ -239,26 +241,30 @@ class CableContribution(Contribution):
             net = self.scene.net
             net.clamps = end_step(self.taut, net.clamps)
         for cable in self.scene.cables:
-            cable.update(ends_before=cable.positions[[0, -1]])
+            cable.update(ends_before=cable.state.positions[[0, -1]])
 
 
 def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
     """Correct the smoothing lengths of a cable's parts and return whether they changed."""
-    if cable.parts is None:
+    if cable.state.parts is None:
         return False
     added = lengths - current_lengths(cable)
-    cable.update(parts=replace(cable.parts, smoothing=cable.parts.smoothing + added))
+    cable.update(parts=replace(cable.state.parts, smoothing=cable.state.parts.smoothing + added))
     return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
 
 
 def _smoothing(cable: LaidCable) -> Array:
     """Length that smoothing adds to each part of a cable between clamps (length)."""
-    return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
+    return (
+        np.array([cable.state.smoothing_length])
+        if cable.state.parts is None
+        else cable.state.parts.smoothing
+    )
 
 
 def _parts_of_one_link(cable: LaidCable) -> Booleans:
     """Whether each part of a bonded cable runs straight between two consecutive contacts."""
-    if cable.bonds is None:
+    if cable.state.bonds is None:
         return np.zeros(len(cable.part_lengths), dtype=bool)
     return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 
@@ -266,7 +272,7 @@ def _parts_of_one_link(cable: LaidCable) -> Booleans:
 def current_lengths(cable: LaidCable) -> Array:
     """Current lengths of a cable's parts between clamps (length)."""
     contacts = cable.contacts()
-    sizes = norm(np.diff(cable.positions[contacts], axis=0))
+    sizes = norm(np.diff(cable.state.positions[contacts], axis=0))
     return np.bincount(cable.parts_of(contacts[:-1]), sizes, len(cable.part_lengths)).astype(
         np.float64
     )

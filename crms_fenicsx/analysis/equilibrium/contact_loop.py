@@ -113,7 +113,9 @@ class ContactLoop:
     def _weakest(self) -> float:
         """Least tension, or friction force, of the cables in tension (force)."""
         taut = [cable for cable in self.scene.cables if cable.taut]
-        grips = [float(c.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.lateral]
+        grips = [
+            float(c.state.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.state.lateral
+        ]
         return min((*(cable.tension for cable in taut), *filter(None, grips)), default=0.0)
 
     def _changes(self) -> list[str]:
@@ -142,9 +144,9 @@ def restore_positions(scene: Scene, state: SceneState) -> None:
     shape = scene.net.strip_shape()
     for cable, was in state.net.cables.items():
         known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
-        positions, fractions = cable.positions.copy(), cable.fractions.copy()
-        for k in range(len(cable.nodes)):
-            old = known.get(_key(cable.nodes, k))
+        positions, fractions = cable.state.positions.copy(), cable.state.fractions.copy()
+        for k in range(len(cable.state.nodes)):
+            old = known.get(_key(cable.state.nodes, k))
             if old is not None:
                 positions[k], fractions[k] = was.positions[old], was.fractions[old]
             else:

@@ -92,8 +92,8 @@ class FrictionContribution(Contribution):
         self.scene.record(energies=energies)
 
     def commit(self) -> None:
-        gripped = [cable for cable in self.scene.cables if cable.lateral is not None]
-        held_along = [cable for cable in self.scene.cables if cable.axial is not None]
+        gripped = [cable for cable in self.scene.cables if cable.state.lateral is not None]
+        held_along = [cable for cable in self.scene.cables if cable.state.axial is not None]
         if not gripped and not held_along:
             return
         shape = self.scene.net.strip_shape()

@@ -200,6 +200,6 @@ class PathLoop:
     def _sunk(self) -> set[int]:
         """Numbers of the cables that run below the membrane beside a vertex. Collective."""
         cables = self.scene.cables
-        if not any(cable.lifted.any() for cable in cables):
+        if not any(cable.state.lifted.any() for cable in cables):
             return set()
         return sunk(cables, self.scene.net.nodes, self.scene.net.strip_shape())

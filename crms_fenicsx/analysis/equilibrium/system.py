@@ -108,7 +108,9 @@ class System:
             self.cables = CableContribution(scene, self.membrane, self.pressure, frame)
             self.unknowns, damping = self.cables.unknowns, self.cables.damping()
             self.contributions += [self.cables, self.cables.folds]
-            if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
+            if scene.net.has_friction or any(
+                cable.state.axial is not None for cable in scene.cables
+            ):
                 from crms_fenicsx.analysis.equilibrium.friction_contribution import (
                     FrictionContribution,
                 )

@@ -58,21 +58,24 @@ def covered_ends(scene: Scene) -> Iterator[StateWarning]:
     over = [
         (cable, which, end, foot)
         for cable in scene.cables
-        for which, end, foot in (("start", 0, 1), ("end", -1, len(cable.nodes) - 2))
-        if len(cable.nodes) > 2 and cable.nodes[end].kind == "anchor" and is_foot(cable, foot)
+        for which, end, foot in (("start", 0, 1), ("end", -1, len(cable.state.nodes) - 2))
+        if len(cable.state.nodes) > 2
+        and cable.state.nodes[end].kind == "anchor"
+        and is_foot(cable, foot)
     ]
     if not over:
         return
     shape = scene.net.strip_shape()
     for cable, which, end, foot in over:
-        node = cable.nodes[foot]
-        above = cable.positions[end] - shape.mean(*node.interpolation())
+        node = cable.state.nodes[foot]
+        above = cable.state.positions[end] - shape.mean(*node.interpolation())
         gap = float(above @ shape.normal(node.support))
         if gap < -SUNK * size_at(shape, node.support):
             yield StateWarning(
                 "cable end",
-                f"the {which} of {cable.name!r} at {as_text(cable.positions[end])} lies {-gap:.3g} "
-                "under the membrane, which a cable cannot pass; move it up or off the membrane.",
+                f"the {which} of {cable.name!r} at {as_text(cable.state.positions[end])} lies "
+                f"{-gap:.3g} under the membrane, which a cable cannot pass; move it up or off the "
+                "membrane.",
             )
 
 

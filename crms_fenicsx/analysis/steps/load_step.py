@@ -110,7 +110,8 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         held, before_it = (
-            one.lateral.held if one.taut and one.lateral is not None else 0 for one in (cable, was)
+            one.lateral.held if one.taut and one.lateral is not None else 0
+            for one in (cable.state, was)
         )
         if held > 0 == before_it:
             text = (
@@ -124,10 +125,11 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
 def warn_of_blocked(number: int, scene: Scene) -> None:
     """Warn of cables stopped by vertices that they must not pass."""
     for cable in scene.cables:
-        if cable.blocked and scene.comm.rank == 0:
+        blocked = cable.state.blocked
+        if blocked and scene.comm.rank == 0:
             text = (
-                f"{cable.name!r} has run into {len(cable.blocked)} mesh vertices, the first at "
-                f"{cable.positions[cable.blocked[0]]}; it cannot slide on into other cells, so "
+                f"{cable.name!r} has run into {len(blocked)} mesh vertices, the first at "
+                f"{cable.state.positions[blocked[0]]}; it cannot slide on into other cells, so "
                 "that the result is that of a cable blocked there."
             )
             _warn(number, text, PathWarning)

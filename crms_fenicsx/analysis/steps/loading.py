@@ -124,9 +124,15 @@ class Target:
         self.movements.apply(scene, first, before, share)
         for one, start, end in self.lengths:
             length = start + share * (end - start)
-            if isinstance(one, LaidCable) and one.axial is not None and one.parts is not None:
-                rest = one.axial.rest * (length / one.L0)  # the parts between clamps scale alike
-                one.update(axial=replace(one.axial, rest=rest))
+            if (
+                isinstance(one, LaidCable)
+                and one.state.axial is not None
+                and one.state.parts is not None
+            ):
+                rest = one.state.axial.rest * (
+                    length / one.L0
+                )  # the parts between clamps scale alike
+                one.update(axial=replace(one.state.axial, rest=rest))
             one.update(L0=length)
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
@@ -163,7 +169,7 @@ def checked_target(
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
         checks.collection(f"advance: {name}", given, Mapping, f"{name}={{what: value}}")
-    scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
+    scene.frame.check_held(name for cable in scene.cables for name in cable.state.joints)
     movements = checked_movements(scene, move, steps)
     if inner.acts:
         _check_rim(scene)
@@ -270,7 +276,7 @@ def _check_rim(scene: Scene) -> None:
         edges = scene.membrane.open_edges
         sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}
         for cable in scene.cables:
-            for node in cable.nodes:
+            for node in cable.state.nodes:
                 ids = node.interpolation()[0] if node.kind == "fold" else ()
                 if tuple(sorted(ids)) in sliding:
                     raise InputError(

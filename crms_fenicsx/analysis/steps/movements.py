@@ -173,7 +173,7 @@ class Movements:
         further = (share - before) * self.rigid_translation
         u += further
         for cable in scene.cables:
-            cable.update(positions=cable.positions + further)
+            cable.update(positions=cable.state.positions + further)
         for joint in scene.joints:
             joint.update(position=joint.position + further)
         some, moved_by = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
@@ -183,11 +183,11 @@ class Movements:
         some &= scene.held
         u[some] = first.u.reshape(-1, 3)[some] + moved_by[some]
         displaced = u - first.u.reshape(-1, 3)
-        moved = {cable: cable.positions.copy() for cable, _, _ in self.cable_ends}
+        moved = {cable: cable.state.positions.copy() for cable, _, _ in self.cable_ends}
         sewn = np.zeros((len(self.sewn_ends), 3))
         for e, one in enumerate(self.sewn_ends):
             sewn[e] = one.weights @ displaced[one.dofs]
-            moved.setdefault(one.end.cable, one.end.cable.positions.copy())
+            moved.setdefault(one.end.cable, one.end.cable.state.positions.copy())
         scene.comm.Allreduce(MPI.IN_PLACE, sewn)
         for one, displacement in zip(self.sewn_ends, sewn, strict=True):
             cable = one.end.cable
@@ -216,7 +216,7 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
         if isinstance(key, LaidCable | CableEnd):
             for end in (key.start, key.end) if isinstance(key, LaidCable) else (key,):
                 k = _anchor(scene, end)
-                own.append(Motion.of(what, given, end.cable.positions[k][None], steps))
+                own.append(Motion.of(what, given, end.cable.state.positions[k][None], steps))
                 ends.append((end.cable, k, own[-1]))
         elif isinstance(key, Joint):
             check_own("joint", key, scene)
@@ -261,10 +261,10 @@ def _ends_at_moved_edges(
     named, found, moving = {(cable, k) for cable, k, _ in given}, [], []
     for cable in scene.cables:
         for end, k in ((cable.start, 0), (cable.end, -1)):
-            if cable.nodes[k].kind != "anchor" or cable.joints[k] is not None:
+            if cable.state.nodes[k].kind != "anchor" or cable.state.joints[k] is not None:
                 continue
             beside = cable.path_nodes()[k]
-            away = np.linalg.norm(cable.positions[k] - cable.positions[beside])
+            away = np.linalg.norm(cable.state.positions[k] - cable.state.positions[beside])
             support, weights = cable.interpolation(beside)
             if (cable, k) in named or len(support) > 2 or away > SAME_PLACE * cable.length:
                 continue
@@ -304,16 +304,16 @@ def _anchor(scene: Scene, end: CableEnd) -> int:
     """Node of a cable's end, 0 or -1, if it is an anchor."""
     check_own("cable", end.cable, scene)
     k = 0 if end.which == "start" else -1
-    if end.cable.nodes[k].kind != "anchor":
+    if end.cable.state.nodes[k].kind != "anchor":
         raise InputError(
             f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
             "which is not held there; hold it with scene.fix before laying the cable, "
             "or lay the cable to an anchor off the membrane."
         )
-    if end.cable.joints[k] is not None:
+    if end.cable.state.joints[k] is not None:
         raise InputError(
             f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
-            f"{end.cable.joints[k]!r}, which moves by its balance; move what holds that."
+            f"{end.cable.state.joints[k]!r}, which moves by its balance; move what holds that."
         )
     return k  # the last node's number changes with the path
 
@@ -376,7 +376,7 @@ def _carried(
         (cable, k): np.zeros(3)
         for cable in scene.cables
         for k in (0, -1)
-        if cable.nodes[k].kind == "anchor" and cable.joints[k] is None
+        if cable.state.nodes[k].kind == "anchor" and cable.state.joints[k] is None
     }
     for one in sewn:  # they move as their supports
         del travels[one.end.cable, one.k]

@@ -77,24 +77,24 @@ class _Nodes:
 
     @classmethod
     def of(cls, cable: LaidCable, strip: Strip, points: Mapping[Edge, int]) -> _Nodes:
-        n = len(cable.nodes)
+        n = len(cable.state.nodes)
         ids = np.full((n, 3), strip.vertices[0], dtype=np.int64)
         weights = np.zeros((n, 3))
         on_edge = np.zeros(n, dtype=np.int64)
-        for k, node in enumerate(cable.nodes):
+        for k, node in enumerate(cable.state.nodes):
             if node.point is not None:
                 own, share = node.interpolation()
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if isinstance(node.point, EdgePoint):
                 on_edge[k] = points.get(node.point.edge, 0)
         on_path = cable.path_nodes()
-        supports = [p.support for k in on_path if (p := cable.nodes[k].point) is not None]
+        supports = [p.support for k in on_path if (p := cable.state.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
             ids,
             weights,
-            np.array([k.point is not None and k.kind != "crossing" for k in cable.nodes]),
-            np.array([k.slides for k in cable.nodes]),
+            np.array([k.point is not None and k.kind != "crossing" for k in cable.state.nodes]),
+            np.array([k.slides for k in cable.state.nodes]),
             on_edge,
             sum(not strip.rows(pair) for pair in both),
         )
@@ -128,7 +128,7 @@ class CableVerifier:
         joints = {joint.name: joint.position for joint in scene.joints}
         self.doubts, self.others = {}, pulls_of_others(scene.cables)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
-            for k, name in enumerate(cable.joints):
+            for k, name in enumerate(cable.state.joints):
                 if name is not None:
                     ends[c, k] = joints[name]
             values = _places(cable, nodes, ends[c], shape)
@@ -140,7 +140,9 @@ class CableVerifier:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape)
                 values |= forces(cable, shape, free[c], self.others.get(cable))
             elif cable.cable.law == "total":
-                short = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
+                short = np.linalg.norm(
+                    np.diff(cable.state.positions[cable.contacts()], axis=0), axis=1
+                )
                 strain = float(short.sum()) / cable.L0 - 1
                 values["slack cable too short"] = max(strain, abs(cable.tension) / cable.cable.EA)
             for name, value in values.items():
@@ -151,7 +153,8 @@ class CableVerifier:
                 if value >= found.get(name, (0.0, ""))[0]:
                     found[name] = value, cable.name
         apart = [
-            float(np.linalg.norm(a.positions[i] - b.positions[k])) / min(a.length, b.length)
+            float(np.linalg.norm(a.state.positions[i] - b.state.positions[k]))
+            / min(a.length, b.length)
             for (a, i), (b, k) in _crossings(scene.cables, scene.net.crossings)
         ]
         if apart:
@@ -173,10 +176,10 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
     cables, tables = system.scene.cables, system.cables.tables
     numbering, g = system.cables.numbering, system.potential.g
     held = system.unknowns.held
-    starts = np.cumsum([0] + [len(cable.nodes) for cable in cables])
+    starts = np.cumsum([0] + [len(cable.state.nodes) for cable in cables])
     local = np.zeros(starts[-1] + 3 * len(cables))
     if tables is not None and len(tables.links):
-        x = np.concatenate([cable.positions for cable in cables])
+        x = np.concatenate([cable.state.positions for cable in cables])
         first, second = tables.links.T
         d, eps = np.linalg.norm(x[second] - x[first], axis=1), tables.eps
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -187,10 +190,10 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
         errors = local[starts[-1] + 3 * c :][:3]
         for i, end in enumerate((cable.start, cable.end)):
             k = cable.node_of(end.which)
-            given = cable.nodes[k].kind == "anchor" and cable.joints[i] is None
+            given = cable.state.nodes[k].kind == "anchor" and cable.state.joints[i] is None
             if cable.taut and given and numbering.is_mine(c, k):
-                beside = cable.positions[cable.contacts()[1 if i == 0 else -2]]
-                if np.linalg.norm(cable.positions[k] - beside) > 1e-6 * cable.length:
+                beside = cable.state.positions[cable.contacts()[1 if i == 0 else -2]]
+                if np.linalg.norm(cable.state.positions[k] - beside) > 1e-6 * cable.length:
                     force = g[numbering.block(c, k)]
                     error = np.linalg.norm(force - end.reaction)
                     errors[i] = error / max(cable.tension, 1e-300)
@@ -213,25 +216,27 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
 
 def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> dict[str, float]:
     """Distances of the nodes from their places in the cable's state."""
-    x, length = cable.positions, max(cable.length, 1e-300)
+    x, length = cable.state.positions, max(cable.length, 1e-300)
     away = [
-        float(np.linalg.norm(x[k] - ends[k])) for k in (0, -1) if cable.nodes[k].kind == "anchor"
+        float(np.linalg.norm(x[k] - ends[k]))
+        for k in (0, -1)
+        if cable.state.nodes[k].kind == "anchor"
     ]
-    touches = nodes.on & ~cable.lifted
+    touches = nodes.on & ~cable.state.lifted
     corners = shape.current[np.searchsorted(shape.strip.vertices, nodes.ids)]
-    s = cable.fractions
+    s = cable.state.fractions
     weights = np.where(nodes.slides[:, None], np.stack([1 - s, s, 0 * s], axis=1), nodes.weights)
     # Nodes on vertices take the size of the cells around: their edge may be much longer.
     edge = norm(corners[:, 1] - corners[:, 0])
     some = [k for k in np.flatnonzero(nodes.weights[:, 0] == 1.0) if touches[k]]
-    supports = [p.support for k in some if (p := cable.nodes[k].point) is not None]
+    supports = [p.support for k in some if (p := cable.state.nodes[k].point) is not None]
     if supports:
         edge[some] = shape.normals_and_sizes(supports)[1]
     edge = np.where(edge > 0.0, edge, cable.length)
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides
     if cable.taut:  # on an edge that folds, a node lies at a share of the edge's length
-        edge_sliders = folds & np.array([node.kind == "edge slider" for node in cable.nodes])
+        edge_sliders = folds & np.array([node.kind == "edge slider" for node in cable.state.nodes])
         straight |= edge_sliders
         folds &= ~edge_sliders
     else:
@@ -258,34 +263,34 @@ def _rounding(positions: Array) -> float:
 
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     """Errors of tensions against span lengths, relative to the elongation."""
-    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.smoothing_length
+    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.state.smoothing_length
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
-    if cable.axial is not None and len(cable.axial.spans):
+    if cable.state.axial is not None and len(cable.state.axial.spans):
         from crms_fenicsx.cabling.friction.axial import gripped_nodes
 
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
-    rounding = ROUNDED + _rounding(cable.positions) / L0
-    start = cable.step_start
+    rounding = ROUNDED + _rounding(cable.state.positions) / L0
+    start = cable.state.step_start
     if start is not None:
         force = start.tension + EA / start.length * (length - start.length)
         error = max(abs(cable.tension - force) / EA - rounding, 0.0)
         strain = max(abs(cable.tension), abs(force)) / EA
         return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.length - length) / L0]
-    if cable.parts is not None and cable.axial is None:
+    if cable.state.parts is not None and cable.state.axial is None:
         of_part = cable.parts_of(cable.contacts()[:-1]).astype(np.int64)
-        own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.parts.smoothing
+        own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.state.parts.smoothing
         longer = np.maximum(own - cable.part_lengths, 0.0)
         errors.append(
-            float(np.abs(cable.parts.tensions / EA * cable.part_lengths - longer).max()) / L0
+            float(np.abs(cable.state.parts.tensions / EA * cable.part_lengths - longer).max()) / L0
         )
     else:
         errors.append(abs(cable.tension / EA - max(length / L0 - 1, 0.0)))
-    if cable.axial is not None and len(spans):
-        unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.smoothing_length])
+    if cable.state.axial is not None and len(spans):
+        unstressed = np.diff([0.0, *cable.state.axial.arcs, L0 + cable.state.smoothing_length])
         # Compare elongations, as the strain of a short span is dominated by rounding.
         told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)
@@ -305,7 +310,7 @@ def _open_clamps(scene: Scene) -> int:
         if all(cable.taut for cable in cables):
             pairs = zip(cables, clamp.at, strict=True)
             count += any(
-                cable.parts is None or not np.any(np.abs(cable.parts.at - at) < 1e-9)
+                cable.state.parts is None or not np.any(np.abs(cable.state.parts.at - at) < 1e-9)
                 for cable, at in pairs
             )
     return count
@@ -317,10 +322,10 @@ def _crossings(
     """Pairs of nodes at which crossing cables touch each other."""
     nodes: dict[int, list[tuple[LaidCable, int]]] = {}
     for cable in cables:
-        for k, node in enumerate(cable.nodes):
+        for k, node in enumerate(cable.state.nodes):
             number = node.crossing
             if number is None or crossings[number].separated:
                 continue
-            if cable.taut and not cable.lifted[k]:
+            if cable.taut and not cable.state.lifted[k]:
                 nodes.setdefault(number, []).append((cable, k))
     return [pair for pair in nodes.values() if len(pair) == 2]

@@ -76,24 +76,28 @@ def contacts(
 ) -> dict[str, float]:
     """Outward pull of the cable on the membrane, and its depth below the membrane."""
     pull = depth = 0.0
-    on = [k for k in may_lift(cable) if not cable.lifted[k]]
-    supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
+    on = [k for k in may_lift(cable) if not cable.state.lifted[k]]
+    supports = [p.support for k in on if (p := cable.state.nodes[k].point) is not None]
     if on and is_tense(cable):
         pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
     touched = np.array(cable.contacts())
-    lifted = [k for k in np.flatnonzero(cable.lifted) if on_mesh[k] and not is_foot(cable, int(k))]
+    lifted = [
+        k for k in np.flatnonzero(cable.state.lifted) if on_mesh[k] and not is_foot(cable, int(k))
+    ]
     for k in lifted:
-        point, s = cable.nodes[k].point, float(cable.fractions[k])
+        point, s = cable.state.nodes[k].point, float(cable.state.fractions[k])
         assert point is not None
         if isinstance(point, EdgePoint) and (on_edge[k] or not INSIDE < s < 1 - INSIDE):
             continue
         after = int(np.searchsorted(touched, k))
-        span = norm(cable.positions[touched[after - 1 : after + 1]] - cable.positions[k])
+        span = norm(
+            cable.state.positions[touched[after - 1 : after + 1]] - cable.state.positions[k]
+        )
         if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
             continue
         place = shape.mean(*cable.interpolation(int(k)))
         normal, cell = shape.normals_and_sizes([point.support])
-        depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
+        depth = max(depth, -float((cable.state.positions[k] - place) @ normal[0]) / float(cell[0]))
     return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
 
 
@@ -102,7 +106,7 @@ def forces(
 ) -> dict[str, float]:
     """Force errors of a cable relative to its contact force; `others`: pulls of cables clamped to
     it."""
-    ways = np.diff(cable.positions[cable.contacts()], axis=0)
+    ways = np.diff(cable.state.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # shorter spans have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
     turns = norm(np.diff(ways, axis=0))
@@ -139,8 +143,8 @@ def _folds(cable: LaidCable) -> list[int]:
     return [
         k
         for k in held_nodes(cable)
-        if cable.nodes[k].kind == "fold" and not cable.nodes[k].touches_cable
-        if k not in cable.blocked
+        if cable.state.nodes[k].kind == "fold" and not cable.state.nodes[k].touches_cable
+        if k not in cable.state.blocked
     ]
 
 
@@ -148,12 +152,12 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     """Friction forces beyond their bounds, relative to the contact force; negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
-    if friction is None and cable.axial is None:
+    if friction is None and cable.state.axial is None:
         return values
     from crms_fenicsx.cabling.friction.axial import clamped_nodes, gripped_nodes
     from crms_fenicsx.cabling.friction.lateral import energies
 
-    if friction is not None and cable.has_coulomb and cable.lateral is not None:
+    if friction is not None and cable.has_coulomb and cable.state.lateral is not None:
         forces = contact_forces(cable, shape)
         bounds = friction.at_rest * forces.bearing
         if friction.cone:
@@ -166,7 +170,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         values["friction beyond its bound"] = float(beyond) / max(most, least)
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
-    if cable.axial is not None and len(cable.axial.spans):
+    if cable.state.axial is not None and len(cable.state.axial.spans):
         clamps = clamped_nodes(cable)
         nodes = [k for k in gripped_nodes(cable) if k not in clamps]
         tensions = cable.part_tensions
@@ -177,7 +181,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         beyond = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
         whole = max(float(bounds.sum()), least)
         values["friction along beyond its bound"] = float(beyond) / whole
-        heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
+        heat = -cable.state.axial.loss / max(cable.tension * cable.length, 1e-300)
         values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
     return values
 
@@ -186,7 +190,7 @@ def _left_sideways(cable: LaidCable, shape: StripShape) -> Array:
     """Part of the lateral friction bounds left by the axial friction in the cone."""
     nodes = held_nodes(cable)
     left = np.ones(len(nodes))
-    if cable.axial is None or not len(cable.axial.spans):
+    if cable.state.axial is None or not len(cable.state.axial.spans):
         return left
     at = np.searchsorted(cable.contacts(), nodes)
     most = cable.cable.along * wrap_angles(cable, shape)[nodes]

@@ -116,7 +116,7 @@ def tension_range(
     cable: LaidCable, shape: StripShape, others: Pulls | None = None
 ) -> tuple[float, float]:
     """Least and largest tension of a cable that the mesh holds sideways (force)."""
-    start = cable.step_start
+    start = cable.state.step_start
     rate = cable.cable.EA / (cable.L0 if start is None else start.length)
     longer = _longer_by_edges(cable, shape) + _longer_by_vertices(cable, shape, others)
     return max(cable.tension - rate * longer, 0.0), cable.tension
@@ -126,16 +126,16 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
     """Excess of a cable's length over that of the string over the same edges, drawn straight, less
     what friction carries."""
     contacts = np.array(cable.contacts())
-    places = cable.positions[contacts]
-    clamps = () if cable.parts is None else cable.parts.nodes
+    places = cable.state.positions[contacts]
+    clamps = () if cable.state.parts is None else cable.state.parts.nodes
     free = [
         i
         for i, k in enumerate(contacts)
-        if cable.nodes[k].kind == "fold" and k not in clamps and k not in cable.blocked
+        if cable.state.nodes[k].kind == "fold" and k not in clamps and k not in cable.state.blocked
     ]
     if not free:
         return 0.0
-    edges = np.array([cable.nodes[k].support for k in contacts[free]])
+    edges = np.array([cable.state.nodes[k].support for k in contacts[free]])
     ends = shape.current[np.searchsorted(shape.strip.vertices, edges)]
     now = float(arc_lengths(places)[-1])
     ways, string = ends[:, 1] - ends[:, 0], places.copy()
@@ -149,7 +149,7 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
         slopes = (slopes[:-1] - slopes[1:])[free]
         return float(sizes.sum()) / now, np.sum(slopes * ways, axis=1) / now
 
-    first = np.clip(cable.fractions[contacts[free]], 0.0, 1.0)
+    first = np.clip(cable.state.fractions[contacts[free]], 0.0, 1.0)
     bounds = [(0.0, 1.0)] * len(free)
     found = minimize(length, first, jac=True, method="L-BFGS-B", bounds=bounds, options=EXACT)
     excess = now * max(1.0 - float(found.fun), 0.0)
@@ -164,7 +164,7 @@ def _share_beyond_friction(cable: LaidCable, shape: StripShape, nodes: list[int]
     forces = contact_forces(cable, shape).at(nodes)
     bounds = cable.cable.sideways.at_rest * forces.bearing
     contacts = cable.contacts()
-    arc = arc_lengths(cable.positions[contacts])
+    arc = arc_lengths(cable.state.positions[contacts])
     places = np.concatenate([arc[:1], arc[np.searchsorted(contacts, nodes)], arc[-1:]])
     now, then = (
         float(pulls @ string_displacements(places, pulls))
@@ -179,7 +179,7 @@ def _longer_by_vertices(cable: LaidCable, shape: StripShape, others: Pulls | Non
     if not held:
         return 0.0
     contacts = cable.contacts()
-    arc = arc_lengths(cable.positions[contacts])
+    arc = arc_lengths(cable.state.positions[contacts])
     at = arc[np.searchsorted(contacts, [one.nodes[0] for one in held])]
     turns = np.array([one.pull for one in held]) / cable.tension
     moved = string_displacements(np.concatenate([arc[:1], at, arc[-1:]]), turns)

@@ -84,7 +84,7 @@ class Verifier:
         """Record a load step's prescribed positions, after its loads are set."""
         scene = self.scene
         u = scene.u.x.array.reshape(-1, 3)[scene.held]
-        ends = [cable.positions[[0, -1]] for cable in scene.cables]
+        ends = [cable.state.positions[[0, -1]] for cable in scene.cables]
         self._prescribed = u, np.array(ends).reshape(-1, 2, 3)
         self._joints = [joint.position for joint in scene.joints]
 
@@ -120,7 +120,7 @@ class Verifier:
 
     def _finite(self, system: System) -> Check:
         """Number of positions and energies that are not finite."""
-        state = system.potential.x, *(cable.positions for cable in self.scene.cables)
+        state = system.potential.x, *(cable.state.positions for cable in self.scene.cables)
         bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in state)
         bad += sum(not np.isfinite(energy) for energy in self.scene.energies.values())
         return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
@@ -136,7 +136,7 @@ class Verifier:
         size = force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
         step = VIRTUAL_DISPLACEMENT * size
         largest = LARGEST_DISPLACEMENT * scene.membrane.size / np.sqrt(cells)
-        for axial in (cable.axial for cable in scene.cables if cable.taut):
+        for axial in (cable.state.axial for cable in scene.cables if cable.taut):
             if axial is not None:
                 slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
                 largest = min(largest, SMALLEST_SLIP * slip)

@@ -14,34 +14,34 @@ from crms_fenicsx.model.tolerances import SAME_PLACE
 
 def bonds_of(cable: LaidCable) -> Bonds:
     """Bonds of a cable lying on the membrane, at uniform strain."""
-    last, x = len(cable.nodes) - 1, cable.positions
+    last, x = len(cable.state.nodes) - 1, cable.state.positions
     passed = arc_lengths(x)
     inside = [
         k
         for k in cable.path_nodes()
         if 0 < k < last and norm(x[[k, k]] - x[[0, last]]).min() > SAME_PLACE * passed[-1]
     ]
-    places = tuple(cable.nodes[k].support for k in inside)
+    places = tuple(cable.state.nodes[k].support for k in inside)
     return Bonds(places, passed[inside] / passed[-1])
 
 
 def bonded_parts(cable: LaidCable) -> ClampedParts:
     """Parts of a newly bonded cable."""
-    assert cable.bonds is not None
-    count = len(cable.bonds.at) + 1
+    assert cable.state.bonds is not None
+    count = len(cable.state.bonds.at) + 1
     force = np.full(count, cable.tension)
     inner = np.zeros(count - 1)
     return ClampedParts(
-        cable.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count), inner, inner
+        cable.state.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count), inner, inner
     )
 
 
 def bonded_nodes(cable: LaidCable) -> list[int]:
     """Nodes at which a cable is bonded to the fabric, in order."""
-    assert cable.bonds is not None
+    assert cable.state.bonds is not None
     on, found = iter(cable.path_nodes()), []
-    for support in cable.bonds.supports:
-        node = next((k for k in on if cable.nodes[k].support == support), None)
+    for support in cable.state.bonds.supports:
+        node = next((k for k in on if cable.state.nodes[k].support == support), None)
         if node is None:
             raise PathError(
                 f"{cable.name!r} has an end that has moved past places at which it is bonded to "

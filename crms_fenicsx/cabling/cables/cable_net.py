@@ -108,7 +108,7 @@ class CableNet:
             return
         known = with_clamps(self.crossings, self.clamps, self.cables)
         self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
-        if self.clamps or any(cable.parts is not None for cable in self.cables):
+        if self.clamps or any(cable.state.parts is not None for cable in self.cables):
             self.clamps = divide(self.cables, self.crossings, self.clamps)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
@@ -136,7 +136,7 @@ class CableNet:
         self.removed_dissipation += gone.dissipated
         self.cables = tuple(own for own in self.cables if own is not gone)
         self.clamps = tuple(clamp for clamp in self.clamps if gone.name not in clamp.cables)
-        points = (node.point for own in self.cables for node in own.nodes)
+        points = (node.point for own in self.cables for node in own.state.nodes)
         vertices = [vertex for point in points if point is not None for vertex in point.support]
         covers = EMPTY.cells if self.strip is None else self.strip.covers
         vertices += covers.ravel().tolist() if vertices else []

@@ -65,7 +65,7 @@ def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
 
 def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
     """Start points of a cable's segments between contacts, and segment vectors, (n, 3)."""
-    x = cable.positions[cable.contacts()]
+    x = cable.state.positions[cable.contacts()]
     return x[:-1], np.diff(x, axis=0)
 
 
@@ -75,7 +75,11 @@ def _share(cable: LaidCable, i: int, t: float) -> float:
     of = cable.parts_of(cable.contacts()[:-1])
     own = of == of[i]
     passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
-    clamps = floats(cable.parts.at) if cable.parts is not None and cable.parts.nodes else []
+    clamps = (
+        floats(cable.state.parts.at)
+        if cable.state.parts is not None and cable.state.parts.nodes
+        else []
+    )
     start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
     return start + passed * (end - start)
 
@@ -124,7 +128,7 @@ def divide(
     places; clamps of slack cables have no effect."""
     nodes: dict[str, dict[str, int]] = defaultdict(dict)
     for cable in cables:
-        for k, node in enumerate(cable.nodes):
+        for k, node in enumerate(cable.state.nodes):
             name = None if node.crossing is None else crossings[node.crossing].clamp
             if name is not None:
                 nodes[name][cable.name] = k
@@ -141,8 +145,8 @@ def divide(
             for clamp in clamps
             if cable.name in nodes[clamp.name]
         }
-        if cable.bonds is not None:
-            bonds = zip(bonded_nodes(cable), floats(cable.bonds.at), strict=True)
+        if cable.state.bonds is not None:
+            bonds = zip(bonded_nodes(cable), floats(cable.state.bonds.at), strict=True)
             shares |= {k: (at, 0.0) for k, at in bonds}
         own = sorted(shares.items())
         cable.update(parts=_parts(cable, own))
@@ -155,9 +159,9 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
     found = []
     for clamp in clamps:
         cable = by_name[clamp.cables[0]]
-        if cable.taut and cable.parts is not None and cable.parts.nodes:
-            k = cable.parts.nodes[int(np.argmin(np.abs(cable.parts.at - clamp.at[0])))]
-            clamp = replace(clamp, place=cable.positions[k].copy())
+        if cable.taut and cable.state.parts is not None and cable.state.parts.nodes:
+            k = cable.state.parts.nodes[int(np.argmin(np.abs(cable.state.parts.at - clamp.at[0])))]
+            clamp = replace(clamp, place=cable.state.positions[k].copy())
         found.append(clamp)
     return tuple(found)
 
@@ -168,10 +172,11 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
     if not (a.taut and b.taut):
         return {}
     of_a, of_b = (
-        {c.nodes[k].point: k for k in c.contacts() if c.nodes[k].kind == "vertex"} for c in (a, b)
+        {c.state.nodes[k].point: k for k in c.contacts() if c.state.nodes[k].kind == "vertex"}
+        for c in (a, b)
     )
     away = [
-        (float(norm(a.positions[k] - clamp.place)), k, of_b[point])
+        (float(norm(a.state.positions[k] - clamp.place)), k, of_b[point])
         for point, k in of_a.items()
         if point in of_b
     ]
@@ -180,7 +185,7 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
     """Parts of a cable between clamps (nodes, unstressed fractions, grips); None without any."""
-    old = cable.parts
+    old = cable.state.parts
     if not own:
         return None
     nodes = tuple(k for k, _ in own)
@@ -189,7 +194,7 @@ def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> 
     if old is not None and np.array_equal(old.at, shares) and np.array_equal(old.grips, grips):
         return replace(old, nodes=nodes)
     force = np.full(count, cable.tension)
-    smoothing = cable.smoothing_length * np.diff([0.0, *shares, 1.0])
+    smoothing = cable.state.smoothing_length * np.diff([0.0, *shares, 1.0])
     spent = 0.0 if old is None else old.dissipated
     return ClampedParts(
         shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent

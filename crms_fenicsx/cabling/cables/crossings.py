@@ -220,7 +220,7 @@ def arrange(
             solved = state.reference_positions
             cables[c].update(reference_positions=solved, blocked=state.blocked)
     on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
-    of_cables = [cable.nodes for cable in cables]
+    of_cables = [cable.state.nodes for cable in cables]
     return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
 
 
@@ -302,8 +302,8 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
 def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:
     """Crossings moved to a cable's nodes, before its nodes are replaced."""
     found = list(crossings)
-    for k, node in enumerate(cable.nodes):
+    for k, node in enumerate(cable.state.nodes):
         if node.crossing is not None:
-            place = cable.positions[k].copy()
+            place = cable.state.positions[k].copy()
             found[node.crossing] = replace(found[node.crossing], place=place)
     return tuple(found)

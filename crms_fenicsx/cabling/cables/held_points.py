@@ -19,7 +19,7 @@ HOLDING = 1e2
 
 def holds_points(cables: Iterable[LaidCable]) -> bool:
     """Whether some taut cable has points held on their edges."""
-    return any(c.taut and c.keeps_line and any(n.slides for n in c.nodes) for c in cables)
+    return any(c.taut and c.keeps_line and any(n.slides for n in c.state.nodes) for c in cables)
 
 
 def held_points(
@@ -29,7 +29,7 @@ def held_points(
     fabric = max(m.reference_modulus + float(np.abs(m.prestress_vector).max()) for m in materials)
     rows, rest, lengths = [], [], []
     for c, cable in enumerate(numbering.cables):
-        for k, node in enumerate(cable.nodes):
+        for k, node in enumerate(cable.state.nodes):
             point = node.point
             if cable.taut and cable.keeps_line and node.slides and isinstance(point, EdgePoint):
                 a, b = (shape.stress_free_at(vertex) for vertex in point.edge)

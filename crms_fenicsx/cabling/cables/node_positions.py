@@ -22,7 +22,7 @@ class NodePositions:
         self.numbering, self.unknowns = numbering, unknowns
         self._starts = [int(start) for start in numbering.nodes.starts]
         empty = np.zeros(0, dtype=bool)
-        self._lifted = np.concatenate([empty, *(cable.lifted for cable in numbering.cables)])
+        self._lifted = np.concatenate([empty, *(cable.state.lifted for cable in numbering.cables)])
         self._list_own_nodes()
         self._list_lines()
         self._list_links()
@@ -80,7 +80,7 @@ class NodePositions:
             found = numbering.edge_sliders.fractions(unknowns, x)
             fraction[self._edge_sliders[self._own_edge_sliders]] = found[self._own_edge_sliders]
         # the owner of a sliding point has also found its place on the edge
-        before = np.concatenate([cable.fractions for cable in numbering.cables])
+        before = np.concatenate([cable.state.fractions for cable in numbering.cables])
         sliders = self._own[self._sliders]
         s = np.where(self._free[sliders], fraction[sliders], before[sliders])
         self._weights[self._sliders, :2] = np.stack([1 - s, s], axis=1)
@@ -93,9 +93,9 @@ class NodePositions:
         unknowns.comm.Allreduce(local, total)
         self._set_material(total)
         for (start, end), cable in zip(pairwise(self._starts), numbering.cables, strict=True):
-            part, slides = total[start:end], self._slides[start:end] & ~cable.lifted
-            known = ~cable.lifted if cable.taut else slice(None)
-            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            part, slides = total[start:end], self._slides[start:end] & ~cable.state.lifted
+            known = ~cable.state.lifted if cable.taut else slice(None)
+            positions, fractions = cable.state.positions.copy(), cable.state.fractions.copy()
             positions[known] = part[known, :3]
             if cable.taut:
                 fractions[slides] = part[slides, 3]

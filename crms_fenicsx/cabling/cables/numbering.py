@@ -43,7 +43,7 @@ class EdgeSliders:
 
     def known_fractions(self) -> Array:
         """Fractions of the edge sliders on their edges, from the cables, (n,)."""
-        return np.array([self._cables[c].fractions[k] for c, k in self.members], dtype=float)
+        return np.array([self._cables[c].state.fractions[k] for c, k in self.members], dtype=float)
 
     def place(self, unknowns: Unknowns, x: Array) -> None:
         """Restore the edge sliders' fractions on their edges, which may have moved with x."""
@@ -306,7 +306,7 @@ class CableNumbering:
         """Local blocks of the joints to which nodes are fixed, (nodes,); -1 for others."""
         found = np.full(len(self.nodes.kind), -1)
         for c, cable in enumerate(self.cables):
-            for k, name in zip((0, len(cable.nodes) - 1), cable.joints, strict=True):
+            for k, name in zip((0, len(cable.state.nodes) - 1), cable.state.joints, strict=True):
                 if name is not None:
                     assert self._frame is not None
                     found[self.row(c, k)] = self._frame.block(name)

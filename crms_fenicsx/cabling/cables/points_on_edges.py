@@ -69,9 +69,9 @@ class NodeTable:
     @classmethod
     def of(cls, cables: Sequence[LaidCable], known: NodeTable | None = None) -> NodeTable:
         """Table of the cables' nodes; unchanged parts are taken from a known table."""
-        nodes = [cable.nodes for cable in cables]
+        nodes = [cable.state.nodes for cable in cables]
         taut = np.array([cable.taut for cable in cables], dtype=bool)
-        lifted = np.concatenate([taut[:0], *(cable.lifted for cable in cables)])
+        lifted = np.concatenate([taut[:0], *(cable.state.lifted for cable in cables)])
         if known is None or len(known.nodes) != len(nodes):
             return cls(nodes, node_rows(nodes), taut, lifted)
         changed = np.array(
@@ -109,19 +109,19 @@ def node_rows(nodes: Iterable[Sequence[CableNode]]) -> npt.NDArray[np.void]:
     rows["support"] = -1
     there = np.arange(3) < rows["size"][:, None]
     rows["support"][there] = np.fromiter(chain.from_iterable(supports), np.int64)
-    weights = (point.weights for point in points if point is not None)
+    weights = [point.weights for point in points if point is not None]
     rows["weights"][there] = np.fromiter(chain.from_iterable(weights), float)
     return rows
 
 
 def positions_of(cables: Sequence[LaidCable]) -> Array:
     """Positions of the cables' nodes, (n, 3) (length)."""
-    return np.concatenate([np.zeros((0, 3)), *(cable.positions for cable in cables)])
+    return np.concatenate([np.zeros((0, 3)), *(cable.state.positions for cable in cables)])
 
 
 def fractions_of(cables: Sequence[LaidCable]) -> Array:
     """Fractions of the cables' nodes on their edges, (n,)."""
-    return np.concatenate([np.zeros(0), *(cable.fractions for cable in cables)])
+    return np.concatenate([np.zeros(0), *(cable.state.fractions for cable in cables)])
 
 
 class PointsOnEdges:

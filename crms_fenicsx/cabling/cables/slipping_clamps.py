@@ -27,18 +27,18 @@ CLAMP_SLIP = 1e-6
 
 def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
     """Grips (m,) and elastic slips (m,) (length) of clamps; unlimited grips are EA."""
-    assert cable.parts is not None
-    EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.parts.at, 1.0])
-    bounds = np.where(cable.parts.grips > 0.0, np.minimum(cable.parts.grips, EA), EA)
+    assert cable.state.parts is not None
+    EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.state.parts.at, 1.0])
+    bounds = np.where(cable.state.parts.grips > 0.0, np.minimum(cable.state.parts.grips, EA), EA)
     return bounds, TOLERANCE * bounds / EA * np.minimum(lengths[1:], lengths[:-1])
 
 
 def held_by_clamps(cable: LaidCable) -> tuple[Array, Array]:
     """The same for a cable with axial friction: unlimited grips get a smaller elastic slip, since
     spans between its nodes are shorter than parts."""
-    assert cable.parts is not None
+    assert cable.state.parts is not None
     bounds, eps = bounds_and_slips(cable)
-    return bounds, np.where(cable.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
+    return bounds, np.where(cable.state.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
 
 
 def smallest_slip(cables: Sequence[LaidCable]) -> float:
@@ -71,14 +71,16 @@ def slipping_tension(
 
 def whole_lengths(cables: Sequence[LaidCable]) -> Array:
     """Unstressed lengths including smoothing (length)."""
-    return np.array([cable.L0 + float(c.smoothing.sum()) for cable in cables if (c := cable.parts)])
+    return np.array(
+        [cable.L0 + float(c.smoothing.sum()) for cable in cables if (c := cable.state.parts)]
+    )
 
 
 def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
     """Grips of such cables at their clamps."""
     rows: list[Array] = [np.zeros((4, 0))]
     for cable in cables:
-        parts = cable.parts
+        parts = cable.state.parts
         assert parts is not None
         bounds, eps = bounds_and_slips(cable)
         rest = cable.L0 * parts.at + np.cumsum(parts.smoothing)[:-1]
@@ -91,13 +93,13 @@ def end_step(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clam
     """End a load step: clamps adopt the slipped positions. Returns the clamps."""
     moved: dict[tuple[str, float], float] = {}
     for cable in cables:
-        parts = cable.parts
+        parts = cable.state.parts
         if parts is None or not parts.slips.any():
             continue
-        if cable.axial is None:
+        if cable.state.axial is None:
             (_, eps), length = bounds_and_slips(cable), cable.L0
         else:
-            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.smoothing_length
+            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.state.smoothing_length
         elastic = np.clip(parts.slips, -eps, eps)
         at = np.asarray(parts.at + (parts.slips - elastic) / length)
         moved |= {

@@ -415,7 +415,7 @@ class StripShape:
     def _means(self, counts: Integers, rows: Integers) -> tuple[Array, Array]:
         """Normals and sizes for consecutive lists of cells."""
         normals, first = self.normals[rows], np.cumsum(counts) - counts
-        totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
+        totals, areas = [np.add.reduceat(values, first) for values in (normals, norm(normals))]
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)
 
     def normal(self, support: tuple[int, ...]) -> Array:

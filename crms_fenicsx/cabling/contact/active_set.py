@@ -139,7 +139,7 @@ class ActiveSet:
                 contact.drape(cable, shape)
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved and cable.taut
-            if judged and cable.parts is None:
+            if judged and cable.state.parts is None:
                 taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
@@ -152,7 +152,7 @@ class ActiveSet:
             if taut or not tight:
                 self._tried.add(cable.name)
             # A cable that slackens recovers its folds from the straight path.
-            cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
+            cable.update(taut=taut, path_is_geodesic=taut and cable.state.path_is_geodesic)
             self._switches[cable.name] += 1
             self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
@@ -168,7 +168,9 @@ class ActiveSet:
         for c, k in nodes.ids(pulling):
             released[c].append(k)
         # Cables in sleeves span holes of the membrane.
-        spanning = np.array([cable.taut and cable.lifted.any() for cable in net.cables], dtype=bool)
+        spanning = np.array(
+            [cable.taut and cable.state.lifted.any() for cable in net.cables], dtype=bool
+        )
         held |= spanning
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
         changes: list[str] = []
@@ -185,11 +187,11 @@ class ActiveSet:
         cable = self.net.cables[c]
 
         def key(k: int) -> ContactKey:
-            return cable.name, cable.nodes[k].support
+            return cable.name, cable.state.nodes[k].support
 
         loose = [k for k in released if key(k) not in self._settled]
         places = {}
-        if cable.lifted.any():
+        if cable.state.lifted.any():
             free.move(c)
             places = free.captured(c, -DEPTH)
             unclear = cable.slides_freely and not self._rested(cable)
@@ -198,7 +200,9 @@ class ActiveSet:
                 # The folds around a vertex do not bulge up to the span where one was released.
                 keys = [key for key in self._released if key[0] == cable.name]
                 parted = {v for _, at in keys if not isinstance(at, str) for v in at}
-                places = {k: nearly[k] for k in nearly if parted.isdisjoint(cable.nodes[k].support)}
+                places = {
+                    k: nearly[k] for k in nearly if parted.isdisjoint(cable.state.nodes[k].support)
+                }
         if loose:
             contact.lift(cable, loose)
         if places:
@@ -206,15 +210,17 @@ class ActiveSet:
             self.only_lifted = False
         self._settled |= {key(k) for k in places} & self._released
         self._released |= {key(k) for k in loose}
-        texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in loose]
-        return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+        texts = [f"{cable.name} lifts off at {cable.state.nodes[k].point}" for k in loose]
+        return texts + [
+            f"{cable.name} touches down at {cable.state.nodes[k].point}" for k in places
+        ]
 
     def _clamped(self, nodes: NodeTable) -> Booleans:
         """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
-            if cable.parts is not None:
-                clamped[start + np.array(cable.parts.nodes, dtype=np.int64)] = True
+            if cable.state.parts is not None:
+                clamped[start + np.array(cable.state.parts.nodes, dtype=np.int64)] = True
         return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:

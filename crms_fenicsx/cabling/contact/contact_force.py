@@ -65,13 +65,14 @@ def held_nodes(cable: LaidCable) -> list[int]:
     return [
         k
         for k in cable.contacts()
-        if cable.nodes[k].kind in ("fold", "edge slider", "vertex") and 0 < k < len(cable.nodes) - 1
+        if cable.state.nodes[k].kind in ("fold", "edge slider", "vertex")
+        and 0 < k < len(cable.state.nodes) - 1
     ]
 
 
 def supports_of(cable: LaidCable) -> Sequence[Support]:
     """Supports on the mesh of the nodes where friction may act."""
-    return [cable.nodes[k].support for k in held_nodes(cable)]
+    return [cable.state.nodes[k].support for k in held_nodes(cable)]
 
 
 def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
@@ -82,7 +83,7 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     differ with axial friction. At a crossing the upper cable presses on the lower one, not on the
     membrane; the lower one transfers that force beside the crossing.
     """
-    n = len(cable.nodes)
+    n = len(cable.state.nodes)
     normal, lateral, bearing = np.zeros((3, n))
     line = np.full(n, np.nan)
     if not cable.taut:
@@ -108,10 +109,10 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     parts = np.array([dot(before - after, way) for way in ways])
     chord = np.linalg.norm(parts, axis=0)  # of the unit circle
     parts *= 2 * np.arcsin(np.minimum(chord / 2, 1.0)) / np.where(chord > 0.0, chord, 1.0)
-    angles = np.zeros((len(ways), len(cable.nodes)))
+    angles = np.zeros((len(ways), len(cable.state.nodes)))
     wrap = np.zeros_like(angles)
     angles[:, nodes] = parts
-    line = np.zeros(len(cable.nodes))
+    line = np.zeros(len(cable.state.nodes))
     for run in runs(cable):
         for way in range(len(ways)):
             smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
@@ -125,18 +126,18 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
 def paper_forces(cable: LaidCable) -> Array:
     """Equivalent contact force of the paper at each node, (n,) (force): (3.2-1) inside the
     membrane, (3.2-2) next to an anchor; zero at zero angle and finite up to, or just below, pi."""
-    forces = np.zeros(len(cable.nodes))
+    forces = np.zeros(len(cable.state.nodes))
     if not cable.taut:
         return forces
     contacts = cable.contacts()
     for k, (before, after) in turns(cable).items():
-        if cable.nodes[k].kind == "crossing":
+        if cable.state.nodes[k].kind == "crossing":
             continue
         # |t2 - t1| = 2 sin(theta/2) and |t2 + t1| = 2 cos(theta/2) avoid the angle and its sine.
         sine = float(np.linalg.norm(after - before)) / 2
         cosine = float(np.linalg.norm(after + before)) / 2
         i = contacts.index(k)
-        beside = {cable.nodes[contacts[i - 1]].kind, cable.nodes[contacts[i + 1]].kind}
+        beside = {cable.state.nodes[contacts[i - 1]].kind, cable.state.nodes[contacts[i + 1]].kind}
         if "anchor" in beside:
             forces[k] = cable.tension * sine / max(cosine, EPSILON)
         else:
@@ -176,14 +177,14 @@ def pull_of(cable: LaidCable, k: int) -> Array:
 def _turns_on_membrane(cable: LaidCable) -> tuple[Integers, Array, Array]:
     """Inner contacts with the membrane, and the cable's directions before and after, (m, 3)."""
     nodes, before, after = _turns(cable)
-    on = np.array([cable.nodes[k].kind != "crossing" for k in nodes], dtype=bool)
+    on = np.array([cable.state.nodes[k].kind != "crossing" for k in nodes], dtype=bool)
     return nodes[on], before[on], after[on]
 
 
 def _pulls(cable: LaidCable, nodes: Integers, before: Array, after: Array) -> Array:
     """Forces of the cable at nodes, with its directions before and after them, (m, 3)."""
     contacts = cable.contacts()
-    first, last = np.zeros((2, len(cable.nodes), 1))
+    first, last = np.zeros((2, len(cable.state.nodes), 1))
     first[contacts[1:], 0], last[contacts[:-1], 0] = cable.part_tensions, cable.part_tensions
     return np.asarray(last[nodes] * after - first[nodes] * before)
 
@@ -197,7 +198,7 @@ def turns(cable: LaidCable) -> dict[int, tuple[Array, Array]]:
 def _turns(cable: LaidCable) -> tuple[Integers, Array, Array]:
     """The nodes of `turns`, ascending, and the directions, (m, 3) and (m, 3)."""
     contacts = np.array(cable.contacts(), dtype=np.int64)
-    steps = np.diff(cable.positions[contacts], axis=0)
+    steps = np.diff(cable.state.positions[contacts], axis=0)
     # Coincident points have no direction between them; the next step has.
     (long,) = np.nonzero(norm(steps))
     ways = steps[long] / norm(steps[long])[:, None]
@@ -216,20 +217,20 @@ def directions(
     between the two sides of the membrane."""
     if len(nodes) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
-    points = [cable.nodes[k].point for k in nodes]
+    points = [cable.state.nodes[k].point for k in nodes]
     outside, _ = shape.normals_and_sizes([point.support for point in points if point is not None])
     along = before + after
     size = norm(along)[:, None]
     along = np.where(size > 0.0, along / np.where(size > 0.0, size, 1.0), before)
     up = outside - dot(outside, along)[:, None] * along
-    slides = np.array([cable.nodes[k].slides for k in nodes])
+    slides = np.array([cable.state.nodes[k].slides for k in nodes])
     if slides.any():
         square = cross(edge_directions(cable, np.asarray(nodes)[slides], shape), along[slides])
         square *= np.where(dot(square, outside[slides]) > 0.0, 1.0, -1.0)[:, None]
         up[slides] = np.where(norm(square)[:, None] > ACROSS, square, up[slides])
     up /= norm(up)[:, None]
     left = cross(up, along)
-    at_vertex = np.array([cable.nodes[k].kind == "vertex" for k in nodes])
+    at_vertex = np.array([cable.state.nodes[k].kind == "vertex" for k in nodes])
     if at_vertex.any():
         vertices = [p.vertex for p in points if isinstance(p, VertexPoint)]
         left[at_vertex] = _left_at_vertices(vertices, shape, along[at_vertex], left[at_vertex])
@@ -270,11 +271,13 @@ def _left_at_vertices(
 
 def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape) -> Array:
     """Directions of the edges of sliding nodes: means of their two halves, (m, 3)."""
-    edges = [point.edge for k in nodes if isinstance(point := cable.nodes[k].point, EdgePoint)]
+    edges = [
+        point.edge for k in nodes if isinstance(point := cable.state.nodes[k].point, EdgePoint)
+    ]
     ends = shape.current[np.searchsorted(shape.strip.vertices, np.array(edges))]
-    x = cable.positions[nodes]
+    x = cable.state.positions[nodes]
     # An edge slider's edge is straight, and the slider may lie beyond its end.
-    edge_sliders = np.array([cable.nodes[k].kind == "edge slider" for k in nodes])[:, None]
+    edge_sliders = np.array([cable.state.nodes[k].kind == "edge slider" for k in nodes])[:, None]
     halves = np.stack(
         [np.where(edge_sliders, ends[:, 1] - ends[:, 0], x - ends[:, 0]), ends[:, 1] - x]
     )
@@ -286,7 +289,7 @@ def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: St
 
 def runs(cable: LaidCable) -> list[list[int]]:
     """Nodes of each part of a cable on the membrane, without crossings."""
-    parts = itertools.groupby(cable.path_nodes(), key=lambda k: bool(cable.lifted[k]))
+    parts = itertools.groupby(cable.path_nodes(), key=lambda k: bool(cable.state.lifted[k]))
     return [list(part) for lifted, part in parts if not lifted]
 
 
@@ -327,12 +330,14 @@ def smooth_line_load(
     bearing[run] = normal[run]
     # The turn at a cable's ends is unknown, and the force next to an anchor is no line force.
     rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
-    arc = arc_lengths(cable.positions[run])
+    arc = arc_lengths(cable.state.positions[run])
     own = stretches(arc)[rows]
     inner = [run[i] for i in rows]
     if len(inner) < 2 or own[-1, 1] <= own[0, 0]:
         return
-    supports = [node.point.support for k in inner if (node := cable.nodes[k]).point is not None]
+    supports = [
+        node.point.support for k in inner if (node := cable.state.nodes[k]).point is not None
+    ]
     size = float(np.mean([size_at(shape, support) for support in supports]))
     ends = float(own[0, 0]), float(own[-1, 1])
     width = min(WIDTH * size, ends[1] - ends[0])
@@ -349,10 +354,10 @@ def smooth_line_load(
 
 def _may_slide(cable: LaidCable, k: int) -> bool:
     """Whether a node is neither an end of its cable nor tied to the membrane."""
-    return cable.nodes[k].kind != "tied" and 0 < k < len(cable.nodes) - 1
+    return cable.state.nodes[k].kind != "tied" and 0 < k < len(cable.state.nodes) - 1
 
 
 def _beside_anchor(cable: LaidCable, k: int) -> bool:
     """Whether a node is next to an anchor, off the membrane or at a held place."""
-    first, last = (cable.nodes[end].kind == "anchor" for end in (0, -1))
-    return (first and k == 1) or (last and k == len(cable.nodes) - 2)
+    first, last = (cable.state.nodes[end].kind == "anchor" for end in (0, -1))
+    return (first and k == 1) or (last and k == len(cable.state.nodes) - 2)

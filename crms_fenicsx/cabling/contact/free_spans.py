@@ -180,7 +180,7 @@ def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
     vertex = passed[k].past
 
     def around(n: int) -> bool:
-        point = cable.nodes[n].point
+        point = cable.state.nodes[n].point
         return isinstance(point, EdgePoint) and vertex in point.edge
 
     first = last = k

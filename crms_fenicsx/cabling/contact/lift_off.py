@@ -45,14 +45,14 @@ SUNK = 0.02
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
     """Nodes at which a cable may lift off: all but ends and crossings."""
-    for k, node in enumerate(cable.nodes[1:-1], start=1):
+    for k, node in enumerate(cable.state.nodes[1:-1], start=1):
         if not node.touches_cable:
             yield k
 
 
 def is_foot(cable: LaidCable, k: int) -> bool:
     """Whether a node is only the foot of an anchor, where no cable can touch."""
-    nodes = cable.nodes
+    nodes = cable.state.nodes
     in_cell = isinstance(nodes[k].point, CellPoint)
     return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
@@ -144,7 +144,7 @@ def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
     if not cable.lifts_off:
         return []
-    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
+    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.state.nodes), dtype=bool)))
 
 
 def captured(cable: LaidCable, shape: StripShape, height: float = -DEPTH) -> dict[int, Gap]:
@@ -175,7 +175,7 @@ def sunk(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> se
 
 def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
     """Release a cable's contacts at some nodes."""
-    lifted = cable.lifted.copy()
+    lifted = cable.state.lifted.copy()
     lifted[nodes] = True
     cable.update(lifted=lifted)
 
@@ -183,24 +183,24 @@ def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
 def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
     """Restore a cable's contacts at some nodes."""
     lifted, positions, fractions = (
-        array.copy() for array in (cable.lifted, cable.positions, cable.fractions)
+        array.copy() for array in (cable.state.lifted, cable.state.positions, cable.state.fractions)
     )
     for k, place in places.items():
         lifted[k] = False
         positions[k] = place.place
-        if cable.nodes[k].slides:
+        if cable.state.nodes[k].slides:
             fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
     cable.update(lifted=lifted, positions=positions, fractions=fractions)
 
 
 def drape(cable: LaidCable, shape: StripShape) -> None:
     """Find the contacts of a cable pulled over the membrane as a rigid surface."""
-    for _ in range(len(cable.nodes) + 1):
+    for _ in range(len(cable.state.nodes) + 1):
         free = released(cable, shape)
         lift(cable, free)
         places = {} if free else captured(cable, shape)
         touch(cable, places)
-        positions = cable.positions.copy()
+        positions = cable.state.positions.copy()
         for k in places:  # a slack cable is not solved: put the point where its fraction says
             positions[k] = shape.mean(*cable.interpolation(k))
         cable.update(positions=positions)

@@ -34,28 +34,32 @@ Cell = tuple[int, int, int]
 """Vertices of a cell of the membrane, by id."""
 
 
-class _Plane:
-    """The plane of a span, with the end where tracing starts."""
+class _Plane(dict[int, float]):
+    """The plane of a span, with the end where tracing starts: signed distances of vertices from it,
+    computed when they are asked for."""
 
     def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
+        super().__init__()
         self.shape, self.start = shape, start
         self.along = end - start
         across = cross(normal, self.along)
         self.across = across / max(float(np.linalg.norm(across)), 1e-300)
+        self._places, self._row_of = shape.current, shape.strip.row_of
 
-    def side(self, vertex: int) -> float:
-        """Signed distance of a vertex from the plane."""
-        return float((self.shape.at(vertex) - self.start) @ self.across)
+    def __missing__(self, vertex: int) -> float:
+        away = self._places[self._row_of[vertex]] - self.start
+        side = self[vertex] = float(away @ self.across)
+        return side
 
     def crosses(self, a: int, b: int) -> bool:
         """Whether an edge crosses the plane; a vertex in it counts as on the positive side."""
-        return (self.side(a) >= 0.0) != (self.side(b) >= 0.0)
+        return (self[a] >= 0.0) != (self[b] >= 0.0)
 
     def point(self, a: int, b: int) -> tuple[float, float]:
         """Intersection with the edge from a to b: fractions along the edge and along the span."""
-        p, q = self.side(a), self.side(b)
-        s = p / (p - q)
-        place = self.shape.at(a) + s * (self.shape.at(b) - self.shape.at(a))
+        s = self[a] / (self[a] - self[b])
+        first, last = self._places[self._row_of[a]], self._places[self._row_of[b]]
+        place = first + s * (last - first)
         return s, float((place - self.start) @ self.along / (self.along @ self.along))
 
 
@@ -108,8 +112,8 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[Cell]:
     missing = [v for v in support if v not in shape.strip.complete]
     if len(missing) == len(support):
         raise MissingCells(missing)
-    cells = (shape.strip.corners[row] for row in shape.strip.outer_rows(support))
-    return [(a, b, c) for a, b, c in cells]
+    corners = shape.strip.corners
+    return [(a, b, c) for a, b, c in [corners[k] for k in shape.strip.outer_rows(support)]]
 
 
 def anchor_foot(shape: StripShape, cell: Cell, place: Array) -> CellPoint:
@@ -136,24 +140,24 @@ def loose_crossings(cables: Sequence[LaidCable]) -> set[int]:
     return {
         node.crossing
         for cable in cables
-        if cable.taut and cable.lifted.any()
-        for k, node in enumerate(cable.nodes)
+        if cable.taut and cable.state.lifted.any()
+        for k, node in enumerate(cable.state.nodes)
         if node.kind == "crossing" and node.crossing is not None
-        if np.any(cable.lifted[k - 1 : k + 2])
+        if np.any(cable.state.lifted[k - 1 : k + 2])
     }
 
 
 def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) -> Projected | None:
     """Path of a cable with updated span projections; None if unchanged. Crossings that are `loose`,
     by number, may have slid into other cells."""
-    nodes, contacts = [*cable.nodes], cable.contacts()
+    nodes, contacts = [*cable.state.nodes], cable.contacts()
     moved = {k for k in contacts if nodes[k].kind == "crossing" and nodes[k].crossing in loose}
     for k in sorted(moved):
-        cell = cell_under(shape, nodes[k].support, cable.positions[k])
+        cell = cell_under(shape, nodes[k].support, cable.state.positions[k])
         if cell is None or set(cell) == set(nodes[k].support):
             moved.discard(k)
         else:
-            nodes[k] = replace(nodes[k], point=anchor_foot(shape, cell, cable.positions[k]))
+            nodes[k] = replace(nodes[k], point=anchor_foot(shape, cell, cable.state.positions[k]))
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):
@@ -214,17 +218,17 @@ def _over_edge(
 ) -> list[SurfacePoint] | None:
     """The edge that a crossing has slid over, between its old cell and the contact on that cell,
     which the section misses if the cable has pulled the contact's edge aside."""
-    (k, other), *more = [(k, a + b - k) for k in (a, b) if nodes[k] is not cable.nodes[k]]
+    (k, other), *more = [(k, a + b - k) for k in (a, b) if nodes[k] is not cable.state.nodes[k]]
     if more or nodes[other].point is None:
         return None
-    cell, last = set(nodes[k].support), set(cable.nodes[k].support)
+    cell, last = set(nodes[k].support), set(cable.state.nodes[k].support)
     edge = sorted(cell & last)
     if len(edge) != 2 or not set(nodes[other].support) <= last:
         return None
     u, v = edge
-    start, end = cable.positions[[a, b]]
+    start, end = cable.state.positions[[a, b]]
     plane = _Plane(shape, start, end, shape.normal((u, v)))
-    p, q = plane.side(u), plane.side(v)
+    p, q = plane[u], plane[v]
     s = p / (p - q) if p * q < 0.0 else float(abs(p) > abs(q))
     return [EdgePoint((u, v), min(max(s, 1e-9), 1 - 1e-9))]
 
@@ -233,7 +237,7 @@ def _renewed(
     cable: LaidCable, nodes: Sequence[CableNode], a: int, b: int, shape: StripShape
 ) -> list[SurfacePoint] | None:
     """Projection of the span between two contacts."""
-    ends = [(nodes[k], cable.positions[k]) for k in (a, b)]
+    ends = [(nodes[k], cable.state.positions[k]) for k in (a, b)]
     # From one end a section may pass a vertex on the side that misses the other end's support.
     for start, end in (ends, ends[::-1]):
         if start[0].point is not None:
@@ -243,13 +247,13 @@ def _renewed(
     if any(node.point is not None for node, _ in ends):
         return None
     # Neither end is on the membrane: trace both ways from the middle of the old projection.
-    own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
+    own = [k for k in range(a + 1, b) if cable.state.nodes[k].point is not None]
     middle = own[len(own) // 2]
-    node = cable.nodes[middle]
+    node = cable.state.nodes[middle]
     assert node.point is not None
     if isinstance(node.point, CellPoint):
         return None
-    at = cable.positions[middle]
+    at = cable.state.positions[middle]
     back = project_span(shape, node, at, *ends[0])
     onward = project_span(shape, node, at, *ends[1])
     if back is None or onward is None:

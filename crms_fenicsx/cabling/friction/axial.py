@@ -59,16 +59,20 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
     """Supports of the nodes with axial friction; negative numbers for clamps."""
-    last = len(cable.nodes) - 1
+    last = len(cable.state.nodes) - 1
     supports: list[Support] = []
     clamps = clamped_nodes(cable)
     for k in sorted({*held_nodes(cable), *clamps}):
         if k in clamps:
             supports.append((-1 - clamps.index(k),))  # no vertex has such a number
             continue
-        node, anchor = cable.nodes[k], {1: 0, last - 1: last}.get(k)
-        if anchor is not None and node.kind == "vertex" and cable.nodes[anchor].kind == "anchor":
-            away = np.linalg.norm(cable.positions[k] - cable.positions[anchor])
+        node, anchor = cable.state.nodes[k], {1: 0, last - 1: last}.get(k)
+        if (
+            anchor is not None
+            and node.kind == "vertex"
+            and cable.state.nodes[anchor].kind == "anchor"
+        ):
+            away = np.linalg.norm(cable.state.positions[k] - cable.state.positions[anchor])
             if away <= SAME_PLACE * cable.length:
                 continue
         assert node.point is not None
@@ -78,28 +82,33 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
 
 def clamped_nodes(cable: LaidCable) -> list[int]:
     """Numbers of the clamped nodes of a cable."""
-    return [] if cable.parts is None else list(cable.parts.nodes)
+    return [] if cable.state.parts is None else list(cable.state.parts.nodes)
 
 
 def is_aligned(cable: LaidCable) -> bool:
     """Whether the axial state refers to the current nodes with friction."""
-    return cable.axial is None or not cable.taut or cable.axial.supports == _supports(cable)
+    return (
+        cable.state.axial is None
+        or not cable.taut
+        or cable.state.axial.supports == _supports(cable)
+    )
 
 
 def gripped_nodes(cable: LaidCable) -> list[int]:
     """Node numbers of the axial state, which stay fixed during a minimisation."""
-    assert cable.axial is not None
-    own, clamps = set(cable.axial.supports), clamped_nodes(cable)
+    assert cable.state.axial is not None
+    own, clamps = set(cable.state.axial.supports), clamped_nodes(cable)
     return sorted(
         k
         for k in {*held_nodes(cable), *clamps}
-        if k in clamps or ((point := cable.nodes[k].point) is not None and point.support in own)
+        if k in clamps
+        or ((point := cable.state.nodes[k].point) is not None and point.support in own)
     )
 
 
 def remap_axial(cable: LaidCable) -> None:
     """Transfer the bounds to the cable's current nodes."""
-    grip = cable.axial
+    grip = cable.state.axial
     if grip is None or (now := _supports(cable)) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
@@ -132,28 +141,28 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     # of the directions before and after; divided by the stretch, this is the slope. Then tensions
     # T1, T2 and friction give the fold point the force (T1 + T2)/2 (t2 - t1) along the edge, which
     # vanishes on a geodesic, as without friction.
-    grip = cable.axial
+    grip = cable.state.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
     places = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
     slope, size = np.zeros((2, len(nodes)))
     for i, k in enumerate(nodes):
-        point = cable.nodes[k].point
+        point = cable.state.nodes[k].point
         assert point is not None
         size[i] = shape.stress_free_size(point.support)
-        if cable.nodes[k].slides and k in direction:
+        if cable.state.nodes[k].slides and k in direction:
             at = contacts.index(k)
             stretch = 1 + cable.part_tensions[at - 1 : at + 1].mean() / cable.cable.EA
-            parts = (np.linalg.norm(shape.at(v) - cable.positions[k]) for v in point.support)
+            parts = (np.linalg.norm(shape.at(v) - cable.state.positions[k]) for v in point.support)
             edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
     at_clamps = np.isin(nodes, clamped_nodes(cable))
     if at_clamps.any():
-        assert cable.parts is not None
+        assert cable.state.parts is not None
         slope[at_clamps] = 0.0
-        rest[at_clamps] = cable.parts.at * (cable.L0 + cable.smoothing_length)
-    fractions = np.where(np.isnan(cable.fractions[nodes]), 0.0, cable.fractions[nodes])
+        rest[at_clamps] = cable.state.parts.at * (cable.L0 + cable.state.smoothing_length)
+    fractions = np.where(np.isnan(cable.state.fractions[nodes]), 0.0, cable.state.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
 
 
@@ -173,14 +182,14 @@ def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
     """Store lengths and tensions (n + 1,) of the solved spans, and slips (n,) between them."""
-    grip = cable.axial
+    grip = cable.state.axial
     assert grip is not None
     axial = replace(
         grip, tensions=between_contacts(cable, tensions), spans=spans.copy(),
         arcs=np.cumsum(unstressed)[:-1], slips=slips.copy(), loss=loss,
     )  # fmt: skip
     tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    parts = cable.parts
+    parts = cable.state.parts
     if parts is not None and cable.may_slip:
         parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), clamped_nodes(cable))])
     cable.update(tension=tension, axial=axial, parts=parts)
@@ -194,7 +203,7 @@ def between_contacts(cable: LaidCable, of_spans: Array) -> Array:
 
 def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: the present state becomes the rest state of the next one."""
-    grip = cable.axial
+    grip = cable.state.axial
     if grip is None:
         return
     dissipated = grip.dissipated + grip.loss
@@ -217,21 +226,21 @@ def _curve(
 ) -> tuple[MaterialCurve, Array]:
     """A cable's curve on the stress-free membrane, and the rest arcs at its points."""
     # include the places below lifted parts, where the cable may touch down
-    last = len(cable.nodes) - 1
+    last = len(cable.state.nodes) - 1
     on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
     parts, none = np.zeros(len(on), dtype=np.int64), np.zeros(len(on))
     curve = MaterialCurve(points, arc_lengths(points), parts, none, none)
-    passed = arc_lengths(cable.positions)
+    passed = arc_lengths(cable.state.positions)
     rest = np.interp(
-        passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.smoothing_length]
+        passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.state.smoothing_length]
     )
     return curve, rest[on]
 
 
 def held_along(cable: LaidCable) -> bool:
     """Whether a cable is taut and has axial friction."""
-    return cable.taut and cable.axial is not None
+    return cable.taut and cable.state.axial is not None
 
 
 def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
@@ -261,7 +270,7 @@ def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
 def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
     """Current bounds and rest arcs of these cables."""
     places = {c: reference_arcs(k, shape) for c, k in enumerate(numbering.cables) if held_along(k)}
-    grips = [axial for c in places if (axial := numbering.cables[c].axial) is not None]
+    grips = [axial for c in places if (axial := numbering.cables[c].state.axial) is not None]
 
     def joined(parts: list[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -286,5 +295,5 @@ def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
         for n, c in enumerate(cables)
         for i, k in enumerate(gripped_nodes(numbering.cables[c]))
         if k not in clamped_nodes(numbering.cables[c])
-        if numbering.cables[c].nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
+        if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

@@ -101,7 +101,7 @@ def slips_sideways(
     assert friction is not None
     found = node_slips(cable, grip.curve, shape, grip.line)
     slip_of = dict(zip(found.nodes, found.slip, strict=True))
-    size = np.array([shape.stress_free_size(cable.nodes[k].support) for k in nodes])
+    size = np.array([shape.stress_free_size(cable.state.nodes[k].support) for k in nodes])
     slips = np.array([slip_of.get(k, 0.0) for k in nodes])
     return Slip.of(friction.mu, slips, friction.tolerance * size)
 
@@ -110,7 +110,7 @@ def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
 ) -> LateralLaw | None:
     """Lateral law reduced by axial friction at the nodes with friction; None if unchanged."""
-    friction, axial = cable.cable.sideways, cable.axial
+    friction, axial = cable.cable.sideways, cable.state.axial
     assert friction is not None
     if not cable.cable.cone or axial is None or not len(axial.spans):
         return None
@@ -125,7 +125,7 @@ def law_sideways(
     u, v = shares(sideways, along)
     law = np.array(sideways.law(u, along.plastic(v)))
     # A node on a vertex cannot slip sideways: it may use the remaining capacity.
-    fixed = np.array([not cable.nodes[k].slides for k in nodes], dtype=bool)
+    fixed = np.array([not cable.state.nodes[k].slides for k in nodes], dtype=bool)
     law[:, fixed] = 1.0
     law[0, fixed] = np.sqrt(1 - along.mobilised[fixed] ** 2)
     return LateralLaw(*law)

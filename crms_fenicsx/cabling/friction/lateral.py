@@ -60,14 +60,14 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     """Prepare a cable with friction for a load step."""
     if cable.cable.sideways is None:
         return
-    last = cable.lateral or LateralFrictionState(
+    last = cable.state.lateral or LateralFrictionState(
         material_curve(cable, shape), (), np.zeros(0), np.zeros(0)
     )
     if last.elements is not None:
         last = replace(last, bounds=last.elements.bound)
     cable.update(lateral=last)
     remap(cable)
-    grip = cable.lateral
+    grip = cable.state.lateral
     assert grip is not None
     if grip.elements is not None:
         return
@@ -86,10 +86,10 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
 def _tension_in_place(cable: LaidCable) -> float:
     """Tension (force) of a cable in its last place, with its ends at their current positions."""
     # from its old length, as new crossings are not in equilibrium yet
-    length, places = cable.length, cable.positions[cable.contacts()]
-    if cable.ends_before is not None:
+    length, places = cable.length, cable.state.positions[cable.contacts()]
+    if cable.state.ends_before is not None:
         beside = places[[1, -2]]
-        chords = norm(places[[0, -1]] - beside) - norm(cable.ends_before - beside)
+        chords = norm(places[[0, -1]] - beside) - norm(cable.state.ends_before - beside)
         length += float(chords.sum())
     return cable.cable.EA * (length / cable.L0 - 1)
 
@@ -112,7 +112,7 @@ def start_elements(
 def place_elements(cable: LaidCable, shape: StripShape) -> None:
     """Place the friction elements that nodes do not have yet: at the nearer end of the edge, in the
     direction to the cable's left. Their slip starts with that of the node."""
-    grip = cable.lateral
+    grip = cable.state.lateral
     if grip is None or grip.elements is None:
         return
     slips, old = node_slips(cable, grip.curve, shape, grip.line), grip.elements
@@ -123,12 +123,12 @@ def place_elements(cable: LaidCable, shape: StripShape) -> None:
     nodes, edges = np.array(slips.nodes, dtype=np.int64)[new], np.array(slips.supports)[new]
     rows = rows[new]
     vertices, left, offset = old.vertices.copy(), old.left.copy(), old.offset.copy()
-    vertices[rows] = np.where(cable.fractions[nodes] > 0.5, edges[:, 1], edges[:, 0])
+    vertices[rows] = np.where(cable.state.fractions[nodes] > 0.5, edges[:, 1], edges[:, 0])
     ways = turns(cable)
     turned = np.isin(nodes, list(ways))  # a point that coincides with others has no direction
     before, after = np.array([ways[k] for k in nodes[turned]]).reshape(-1, 2, 3).swapaxes(0, 1)
     left[rows[turned]] = directions(cable, nodes[turned], shape, before, after)[1]
-    to_node = cable.positions[nodes] - np.array([shape.at(v) for v in vertices[rows]])
+    to_node = cable.state.positions[nodes] - np.array([shape.at(v) for v in vertices[rows]])
     offset[rows] = slips.slip[new] - dot(left[rows], to_node)
     placed = replace(old, vertices=vertices, left=left, offset=offset)
     cable.update(lateral=replace(grip, elements=placed))
@@ -144,13 +144,13 @@ def slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -
     nodes, rows = np.array(slips.nodes, dtype=np.int64)[placed], rows[placed]
     slip = slips.slip.copy()
     vertices = np.array([shape.at(v) for v in own.vertices[rows]]).reshape(-1, 3)
-    slip[placed] = dot(own.left[rows], cable.positions[nodes] - vertices) + own.offset[rows]
+    slip[placed] = dot(own.left[rows], cable.state.positions[nodes] - vertices) + own.offset[rows]
     return replace(slips, slip=slip)
 
 
 def remap(cable: LaidCable) -> None:
     """Transfer the bounds to the cable's current nodes."""
-    grip = cable.lateral
+    grip = cable.state.lateral
     if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
@@ -184,7 +184,7 @@ def remap(cable: LaidCable) -> None:
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     """Energies that a cable's friction stores, and has dissipated in this step."""
-    friction, grip = cable.cable.sideways, cable.lateral
+    friction, grip = cable.cable.sideways, cable.state.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
     slips = slips_now(cable, grip, shape)
@@ -194,7 +194,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     """Friction force (n,) at nodes with friction, positive on a cable sliding left (force)."""
-    friction, grip = cable.cable.sideways, cable.lateral
+    friction, grip = cable.cable.sideways, cable.state.lateral
     assert friction is not None and grip is not None
     # a node on a vertex cannot slip: friction balances the pull, up to the bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
@@ -206,7 +206,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
 
 def note_sliding(cable: LaidCable, shape: StripShape) -> None:
     """Note in which directions the nodes of the paper's friction elements slide in this step."""
-    friction, grip = cable.cable.sideways, cable.lateral
+    friction, grip = cable.cable.sideways, cable.state.lateral
     if friction is None or grip is None or grip.elements is None or not cable.taut:
         return
     slips, moving = slips_now(cable, grip, shape), np.zeros(len(grip.supports))
@@ -218,7 +218,7 @@ def note_sliding(cable: LaidCable, shape: StripShape) -> None:
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: slips then count from the cable's current place."""
-    friction, grip = cable.cable.sideways, cable.lateral
+    friction, grip = cable.cable.sideways, cable.state.lateral
     if friction is None or grip is None:
         return
     dissipated = grip.dissipated + energies(cable, shape)[1]
@@ -291,6 +291,6 @@ def _slips(
 ) -> Iterator[tuple[int, LaidCable, Friction, LateralFrictionState, NodeSlips]]:
     """Slips of the nodes of taut cables with a given friction law."""
     for c, cable in enumerate(numbering.cables):
-        friction, grip = cable.cable.sideways, cable.lateral
+        friction, grip = cable.cable.sideways, cable.state.lateral
         if cable.taut and friction is not None and grip is not None and friction.law == law:
             yield c, cable, friction, grip, node_slips(cable, grip.curve, shape, grip.line)

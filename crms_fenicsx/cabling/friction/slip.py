@@ -108,12 +108,12 @@ def node_slips(
     line = line or curve
     nodes, supports = [], []
     for k in cable.contacts():
-        point = cable.nodes[k].point
-        if cable.nodes[k].slides and point is not None:
+        point = cable.state.nodes[k].point
+        if cable.state.nodes[k].slides and point is not None:
             nodes.append(k)
             supports.append(point.support)
     ends = np.array([[shape.stress_free_at(v) for v in s] for s in supports]).reshape(-1, 2, 3)
-    fractions, sides = cable.fractions[nodes], ends[:, 1] - ends[:, 0]
+    fractions, sides = cable.state.fractions[nodes], ends[:, 1] - ends[:, 0]
     places = ends[:, 0] + fractions[:, None] * sides
     at, _, parts = curve.nearest(places)
     size = np.array([shape.stress_free_size(s) for s in supports])

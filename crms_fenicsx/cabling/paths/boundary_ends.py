@@ -61,47 +61,47 @@ def renew_ends(change: PathChange) -> bool:
 def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     """Whether an anchor has left the vertical plane of its cable since the last equilibrium, so
     that the old path would draw the cable into the membrane sideways."""
-    if cable.nodes[k].kind != "anchor" or cable.ends_before is None:
+    if cable.state.nodes[k].kind != "anchor" or cable.state.ends_before is None:
         return False
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
-    chords = cable.positions[contacts] - cable.ends_before[k]
+    chords = cable.state.positions[contacts] - cable.state.ends_before[k]
     # An end on the boundary occurs twice, as an anchor and as the path's first point.
     apart = np.linalg.norm(chords, axis=1) > SAME_PLACE * cable.length
     beside, along = contacts[np.argmax(apart)], chords[np.argmax(apart)]
-    point = cable.nodes[beside].point or cable.nodes[1].point
+    point = cable.state.nodes[beside].point or cable.state.nodes[1].point
     assert point is not None
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
-    moved = float((cable.positions[k] - cable.ends_before[k]) @ aside)
+    moved = float((cable.state.positions[k] - cable.state.ends_before[k]) @ aside)
     return abs(moved) > ASIDE * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:
     anchor, beside = (-1, -2) if last else (0, 1)
-    node = cable.nodes[beside]
-    if cable.nodes[anchor].kind != "anchor":
+    node = cable.state.nodes[beside]
+    if cable.state.nodes[anchor].kind != "anchor":
         return False
     led = False
     if isinstance(node.point, CellPoint):
         led = _follow(change, cable, last)
-        node = cable.nodes[beside]
+        node = cable.state.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
         if led:
             shape = change.net.strip_shape()
-    there = cable.positions[beside]
-    if not cable.lifted[beside]:  # its edge may have moved since the last step
+    there = cable.state.positions[beside]
+    if not cable.state.lifted[beside]:  # its edge may have moved since the last step
         there = shape.mean(*node.interpolation())
-    away = float(np.linalg.norm(cable.positions[anchor] - there))
+    away = float(np.linalg.norm(cable.state.positions[anchor] - there))
     if away <= SAME_PLACE * cable.length and node.kind != "edge slider":
         return False
-    found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
+    found = _edge_at(change.net.membrane, cable.state.positions[anchor], SAME_PLACE * cable.length)
     if found is None:
         if node.kind == "tied" and _lead(change, cable, last, over=True):
             return True
         if node.kind != "tied":
             return led
-        nodes = list(cable.nodes)  # moved off, it now slides along its edge
+        nodes = list(cable.state.nodes)  # moved off, it now slides along its edge
         nodes[beside] = CableNode("edge slider", node.point)
         cable.update(nodes=tuple(nodes))
         return True
@@ -119,8 +119,8 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
 def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     """Extend or shorten a path to the cell below a moved anchor, or off the membrane: pulled taut
     to the old place it would go back and forth."""
-    anchor, before = -1 if last else 0, cable.ends_before
-    place = cable.positions[anchor]
+    anchor, before = -1 if last else 0, cable.state.ends_before
+    place = cable.state.positions[anchor]
     if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
         return False
     return _lead(change, cable, last)
@@ -130,13 +130,13 @@ def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) 
     """Extend or shorten a path to the cell below its anchor, or to where it leaves the membrane.
     With `over`, not to a cell above the anchor."""
     anchor, beside = (-1, -2) if last else (0, 1)
-    place, foot = cable.positions[anchor], cable.nodes[beside]
+    place, foot = cable.state.positions[anchor], cable.state.nodes[beside]
     ids, weights = foot.interpolation()
     for rings in itertools.count(1):
         shape = change.surface(ids).shape
         try:
             start = shape.mean(ids, weights)
-            way = project_span(shape, foot, start, cable.nodes[anchor], place)
+            way = project_span(shape, foot, start, cable.state.nodes[anchor], place)
             break
         except MissingCells as missing:
             change.net.grow_strip(missing.vertices, rings)

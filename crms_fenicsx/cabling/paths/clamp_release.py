@@ -32,7 +32,7 @@ def lift_clamps(change: PathChange) -> list[str]:
         return []
     changes, shape = [], change.net.strip_shape()
     for held in clamped_together(cables):
-        nodes = [cable.nodes[k] for cable, k in held]
+        nodes = [cable.state.nodes[k] for cable, k in held]
         on = next((node.support for node in nodes if node.kind != "crossing"), None)
         if on is None or not all(cable.lifts_off for cable, _ in held):
             continue
@@ -55,7 +55,7 @@ def beside_vertices(change: PathChange) -> Iterator[tuple[int, list[LaidCable]]]
         own = [cable for cable, _ in held]
         if not all(cable.slides_freely and not cable.keeps_line for cable in own):
             continue
-        places = [set(cable.nodes[k].support) for cable, k in held]
+        places = [set(cable.state.nodes[k].support) for cable, k in held]
         beside = set.intersection(*places, *(vertices_near(cable, PRESSED) for cable in own))
         if beside:
             holding = ({v.vertex for v in held_vertices(c, shape) if v.excess > 0.0} for c in own)
@@ -67,7 +67,7 @@ def put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
     surface, ways = change.surface([vertex]), []
     for cable in cables:
         on_path = cable.path_nodes()
-        points, lifted = cable.path.points, [bool(cable.lifted[k]) for k in on_path]
+        points, lifted = cable.path.points, [bool(cable.state.lifted[k]) for k in on_path]
         at = [i for i, point in enumerate(points) if vertex in point.support]
         if not at or at[0] == 0 or at[-1] == len(points) - 1 or any(lifted[at[0] : at[-1] + 1]):
             return False

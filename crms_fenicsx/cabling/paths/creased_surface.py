@@ -179,8 +179,8 @@ class CreasedSurface:
         if edge[1] in self.anchors:
             around = self.membrane_ring(edge[0]).neighbours
             return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
-        cells = (self.strip.corners[row] for row in self.strip.outer_rows(edge))
-        opposite = tuple(v for cell in cells for v in cell if v not in edge)
+        cells = [self.strip.corners[row] for row in self.strip.outer_rows(edge)]
+        opposite = tuple([v for cell in cells for v in cell if v not in edge])
         if self.anchors and self.is_boundary(edge):
             return (*opposite, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
         return opposite

@@ -123,12 +123,12 @@ class CrossingTrials:
         found = []
         for c in self._crossed():
             cable = self.net.cables[c]
-            fractions = np.where(cable.lifted, np.nan, cable.fractions)
+            fractions = np.where(cable.state.lifted, np.nan, cable.state.fractions)
             away = np.minimum(fractions, 1 - fractions)
             nearest: dict[int, float] = {}
             for k in np.flatnonzero(away < NEAR):
-                if cable.nodes[k].slides:
-                    vertex = cable.nodes[k].support[int(fractions[k] > 0.5)]
+                if cable.state.nodes[k].slides:
+                    vertex = cable.state.nodes[k].support[int(fractions[k] > 0.5)]
                     nearest[vertex] = min(nearest.get(vertex, NEAR), float(away[k]))
             found += [(near, c, vertex) for vertex, near in nearest.items()]
         for _, c, vertex in sorted(found):
@@ -143,7 +143,7 @@ class CrossingTrials:
     def _exchanges(self) -> Iterator[Way]:
         """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
         for crossing, edge, nodes in self._shared_edges():
-            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            first, second = (float(cable.state.fractions[k]) for cable, k in nodes)
             apart = BEYOND / 2 if first > second else -BEYOND / 2
             middle = (first + second) / 2
             take = partial(self._put, nodes, edge, (middle - apart, middle + apart))
@@ -154,7 +154,7 @@ class CrossingTrials:
         made straight again, with both points where straight cables would cross them."""
         shape = self.net.strip_shape()
         for crossing, edge, nodes in self._shared_edges():
-            first, second = (float(cable.fractions[k]) for cable, k in nodes)
+            first, second = (float(cable.state.fractions[k]) for cable, k in nodes)
             if crossing.clamp is None or abs(first - second) > NEAR:
                 continue
             pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
@@ -179,7 +179,7 @@ class CrossingTrials:
         """Fraction of an unkinked edge at which the cable would be straight."""
         first, last = (self.change.surface(edge).shape.at(vertex) for vertex in edge)
         along = last - first
-        sides = cable.positions[[k - 1, k + 1]] - first
+        sides = cable.state.positions[[k - 1, k + 1]] - first
         s = sides @ along / (along @ along)
         away = np.linalg.norm(sides - s[:, None] * along, axis=1)
         return float(np.clip(s @ away[::-1] / away.sum(), NEAR, 1 - NEAR))
@@ -190,7 +190,7 @@ class CrossingTrials:
         """Move nodes along their edge, to fractions."""
         surface = self.change.surface(edge)
         for (cable, k), fraction in zip(nodes, places, strict=True):
-            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            positions, fractions = cable.state.positions.copy(), cable.state.fractions.copy()
             positions[k], fractions[k] = surface.place(edge, fraction), fraction
             cable.update(positions=positions, fractions=fractions)
         return True
@@ -201,15 +201,15 @@ class CrossingTrials:
         found = []
         for c in self._crossed():
             cable = self.net.cables[c]
-            off = cable.lifted
+            off = cable.state.lifted
             on = [k for k in may_lift(cable) if not off[k] and (off[k - 1] or off[k + 1])]
             if on and cable.lifts_off:
-                around = shape.normals_and_sizes([cable.nodes[k].support for k in on])
+                around = shape.normals_and_sizes([cable.state.nodes[k].support for k in on])
                 presses = -outward_pulls(cable, on, *around)
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]
-            key = cable.name, cable.nodes[k].support
+            key = cable.name, cable.state.nodes[k].support
 
             def take(cable: LaidCable = cable, k: int = k, key: ContactKey = key) -> bool:
                 lift(cable, [k])
@@ -225,7 +225,7 @@ class CrossingTrials:
         found = []
         for c in self._crossed():
             cable = self.net.cables[c]
-            off = cable.lifted
+            off = cable.state.lifted
             if not off.any():
                 continue
             for k, gap in captured(cable, shape, LOW).items():
@@ -233,7 +233,7 @@ class CrossingTrials:
                     found.append((gap.gap, c, k, gap))
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):
             cable = self.net.cables[c]
-            key = cable.name, cable.nodes[k].support
+            key = cable.name, cable.state.nodes[k].support
 
             def take(
                 cable: LaidCable = cable, k: int = k, gap: Gap = gap, key: ContactKey = key
@@ -247,5 +247,5 @@ class CrossingTrials:
 
 def _node_on(cable: LaidCable, edge: Edge) -> int | None:
     """The only sliding contact of a cable on an edge; None if there is not exactly one."""
-    at = [k for k, node in enumerate(cable.nodes) if node.slides and node.support == edge]
-    return at[0] if len(at) == 1 and not cable.lifted[at[0]] else None
+    at = [k for k, node in enumerate(cable.state.nodes) if node.slides and node.support == edge]
+    return at[0] if len(at) == 1 and not cable.state.lifted[at[0]] else None

@@ -53,7 +53,7 @@ def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
     return {
         c: cable
         for c, cable in enumerate(cables)
-        if cable.taut and cable.lateral is not None and cable.lateral.known
+        if cable.taut and cable.state.lateral is not None and cable.state.lateral.known
     }
 
 
@@ -71,19 +71,22 @@ def straighten_kinks(
     shape, caught = change.net.strip_shape(), set(kinked)
     for c, cable in _held(change.net.cables).items():
         for one in _run_into(cable, shape):
-            caught |= {(c, k) for k in one.nodes if not cable.lifted[k]}
+            caught |= {(c, k) for k in one.nodes if not cable.state.lifted[k]}
     moved = _flatten_edges(change, tried, shape)
     for c, k in sorted(caught):
         cable = change.net.cables[c]
-        if cable.slides_freely or not cable.nodes[k].slides:
+        if cable.slides_freely or not cable.state.nodes[k].slides:
             continue
         on_path = cable.path_nodes()
         i = on_path.index(k)
-        way = cable.name, tuple(cable.nodes[m].support for m in on_path[max(i - 1, 0) : i + 2])
+        way = (
+            cable.name,
+            tuple(cable.state.nodes[m].support for m in on_path[max(i - 1, 0) : i + 2]),
+        )
         if way in tried.straightened:
             continue
         tried.straightened.add(way)
-        contacts = [j for j, m in enumerate(on_path) if not cable.lifted[m]]
+        contacts = [j for j, m in enumerate(on_path) if not cable.state.lifted[m]]
         at = contacts.index(i)
         first, last = contacts[max(at - 2, 0)], contacts[min(at + 2, len(contacts) - 1)]
         moved |= straighten(change, cable, on_path[first : last + 1])
@@ -97,13 +100,13 @@ def _flatten_edges(change: PathChange, tried: TriedPaths, shape: StripShape) -> 
     moved = False
     for cable in _held(change.net.cables).values():
         nodes = _pulled(cable, shape)
-        way = cable.name, tuple(cable.nodes[k].support for k in nodes)
+        way = cable.name, tuple(cable.state.nodes[k].support for k in nodes)
         if not nodes or way in tried.straightened:
             continue
         tried.straightened.add(way)
-        positions = cable.positions.copy()
+        positions = cable.state.positions.copy()
         for k in sorted({k + beside for k in nodes for beside in (-1, 0, 1)}):
-            if cable.nodes[k].slides and not cable.lifted[k]:
+            if cable.state.nodes[k].slides and not cable.state.lifted[k]:
                 positions[k] = shape.mean(*cable.interpolation(k))
         cable.update(positions=positions)
         moved = True
@@ -112,14 +115,14 @@ def _flatten_edges(change: PathChange, tried: TriedPaths, shape: StripShape) -> 
 
 def _pulled(cable: LaidCable, shape: StripShape) -> list[int]:
     """Fold points whose lateral pull is far from the friction force."""
-    assert cable.lateral is not None
-    if cable.lateral.elements is not None:  # their forces do not turn with the cable
+    assert cable.state.lateral is not None
+    if cable.state.lateral.elements is not None:  # their forces do not turn with the cable
         return []
     nodes = np.array(held_nodes(cable), dtype=np.int64)
     carried = friction_forces(cable, shape)
     excess = contact_forces(cable, shape).lateral[nodes] - carried
-    far = np.abs(excess) > PULLED * cable.lateral.bounds
-    return [k for k in ints(nodes[far]) if cable.nodes[k].slides]
+    far = np.abs(excess) > PULLED * cable.state.lateral.bounds
+    return [k for k in ints(nodes[far]) if cable.state.nodes[k].slides]
 
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:

@@ -76,14 +76,14 @@ class GeodesicSliding:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
-            if cable.parts is None  # clamps may hold it in bends
+            if cable.taut and not cable.state.path_is_geodesic and _leaves_cells(cable)
+            if cable.state.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
             return False
         others = [cable for cable in self.net.cables if cable not in fresh]
         for cable in fresh:
-            cable.update(lifted=cable.lifted & False)
+            cable.update(lifted=cable.state.lifted & False)
         self._slide(fresh, folded_by=others, fresh=True)
         shape = self.net.strip_shape()
         for cable in fresh:
@@ -108,7 +108,7 @@ class GeodesicSliding:
                 cable
                 for cable, (points, lifted, _) in renewed.items()
                 if corridor(points) != corridor(cable.path.points)
-                or lifted != cable.lifted[cable.path_nodes()].tolist()
+                or lifted != cable.state.lifted[cable.path_nodes()].tolist()
             }
             pairs = {n: self._crossed((n,)) for n in loose}
             # Only with both of its cables does a crossing move to another cell.
@@ -134,7 +134,7 @@ class GeodesicSliding:
         off = [
             cable
             for cable in self.net.cables
-            if cable in crossed or (cable.taut and cable.lifted.any())
+            if cable in crossed or (cable.taut and cable.state.lifted.any())
         ]
 
         def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:
@@ -161,9 +161,9 @@ class GeodesicSliding:
     def check_on_membrane(self) -> None:
         """Raise an error if a cable has slid off the membrane. Collective."""
         for cable in self.net.cables:
-            nodes = [cable.nodes[k] for k in cable.contacts()]
+            nodes = [cable.state.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
-            if not cable.taut or not places or len(cable.blocked) < len(places):
+            if not cable.taut or not places or len(cable.state.blocked) < len(places):
                 continue
             common = set.intersection(*places)
             surface = self.change.surface(sorted(common))
@@ -201,7 +201,7 @@ class GeodesicSliding:
                 self.change.replace(cable, new.points, new.lifted, surface)
                 most = max(most, new.flips)
         if most or fresh:
-            nodes = [node.point for cable in cables for node in cable.nodes]
+            nodes = [node.point for cable in cables for node in cable.state.nodes]
             self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
 
@@ -307,7 +307,7 @@ class GeodesicSliding:
                 points += pulled.get(run, own)()
                 lifted += [is_off] * (len(points) - len(lifted))
             if len(points) < 2 or any(max(point.support) >= n for point in points):
-                raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
+                raise slid_off(cable, cable.state.positions[cable.path_nodes()[0]])
         return _Pulled(points, lifted, passed, followed)
 
     def _may_lie(self, given: Corridor, surface: CreasedSurface) -> bool:
@@ -320,7 +320,7 @@ def _old_points(
 ) -> list[SurfacePoint]:
     """Points of a path, in their current places at the ends of its parts: elsewhere only their
     edges count."""
-    path = [point for k in on_path if (point := cable.nodes[k].point) is not None]
+    path = [point for k in on_path if (point := cable.state.nodes[k].point) is not None]
     ends = [i for part in parts for i in (part.start, part.stop - 1)]
     for i, point in zip(ends, cable.points([on_path[i] for i in ends]), strict=True):
         path[i] = point
@@ -343,18 +343,18 @@ Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """Lifted and other parts of a path between clamps."""
-    if cable.parts is None:
+    if cable.state.parts is None:
         return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
     # clamps by the index of the path's first point after them, except where the cable follows an
     # edge between two of its vertices: these cannot be ends
     at: dict[int, SurfacePoint] = {}
-    for k in cable.parts.nodes:
-        point, after = cable.nodes[k].point, int(np.searchsorted(on_path, k))
-        if cable.nodes[k].kind != "crossing":
+    for k in cable.state.parts.nodes:
+        point, after = cable.state.nodes[k].point, int(np.searchsorted(on_path, k))
+        if cable.state.nodes[k].kind != "crossing":
             at[after + 1] = cable.point(k)
         elif isinstance(point, CellPoint):
-            at[after] = _place_in_cell(point, cable.positions[k], shape)
+            at[after] = _place_in_cell(point, cable.state.positions[k], shape)
     found: list[tuple[bool, range, Ends]] = []
     for is_off, run in lifted_runs(cable):
         cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]

@@ -46,10 +46,10 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
     contacts: list[tuple[LaidCable, int]] = []
     positions: list[Array] = [np.zeros((0, 3))]
     for cable in net.cables:
-        on = [k for k, node in enumerate(cable.nodes) if node.point is not None]
-        here = [k for k, lifted in zip(on, cable.lifted[on], strict=True) if not lifted]
+        on = [k for k, node in enumerate(cable.state.nodes) if node.point is not None]
+        here = [k for k, lifted in zip(on, cable.state.lifted[on], strict=True) if not lifted]
         contacts += [(cable, k) for k in here]
-        positions.append(cable.positions[here])
+        positions.append(cable.state.positions[here])
     x, reach = np.concatenate(positions), SAME_PLACE * net.membrane.size
     target, contact = pairs_within(x, route, np.full(len(route), reach))
     same = norm(x[contact] - route[target]) <= reach
@@ -65,7 +65,7 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
     for i, place in enumerate(vectors(route)):
         if i in first_at:
             cable, k = contacts[first_at[i]]
-            if cable.nodes[k].kind == "crossing":
+            if cable.state.nodes[k].kind == "crossing":
                 continue
             known[len(rows)] = cable.point(k)
             folds.append(x[first_at[i]])
@@ -129,7 +129,7 @@ def lay(
     _refuse_folds(net.membrane, strip, laid)
     if laid.lifts_off:
         drape(laid, shape)
-    length = polyline_length(laid.positions[laid.contacts()])
+    length = polyline_length(laid.state.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     smooth = length
@@ -253,27 +253,29 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
     nodes = cable.contacts()
     on = np.array([
         node.point is not None and node.kind != "edge slider" and node.point not in folded
-        for node in (cable.nodes[k] for k in nodes)
+        for node in (cable.state.nodes[k] for k in nodes)
     ])  # fmt: skip
     found = [cable.interpolation(k) for k, is_on in zip(nodes, on, strict=True) if is_on]
     corners = np.array([(*(shape.strip.row_of[v] for v in ids), 0, 0)[:3] for ids, _ in found])
     weights = np.array([(*share, 0.0, 0.0)[:3] for _, share in found])
-    points, normals = cable.positions[nodes], np.zeros((len(nodes), 3))
+    points, normals = cable.state.positions[nodes], np.zeros((len(nodes), 3))
     if on.any():
         offsets, normals[on] = surface.raised(corners, weights)
         points[on] += offsets
-    ends_on = on | np.array([cable.nodes[k].kind == "edge slider" for k in nodes])
+    ends_on = on | np.array([cable.state.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
     for i in np.flatnonzero(~straight):
         straight[i] = strip.over_hole(
-            cell_between(cable.nodes[nodes[i]].support, cable.nodes[nodes[i + 1]].support)
+            cell_between(
+                cable.state.nodes[nodes[i]].support, cable.state.nodes[nodes[i + 1]].support
+            )
         )
     return float(arc_lengths_on(points, normals, straight).sum())
 
 
 def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
     """Reject a cable that would fold cells whose material has no compiled law. Collective."""
-    edges = {node.point.edge for node in cable.nodes if isinstance(node.point, EdgePoint)}
+    edges = {node.point.edge for node in cable.state.nodes if isinstance(node.point, EdgePoint)}
     rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
     mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
     membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")

@@ -64,12 +64,12 @@ def is_crossed(cable: LaidCable) -> bool:
     """Whether a cable is in contact with a crossing one. The surface for geodesics lacks the points
     inside cells where cables press each other in. So geodesics ignore the bends there, and on fine
     meshes propose paths that cables would not take."""
-    return any(node.crossing is not None for node in cable.nodes)
+    return any(node.crossing is not None for node in cable.state.nodes)
 
 
 def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
     """Lifted and other parts of a path: indices of their points."""
-    lifted = flags(cable.lifted)
+    lifted = flags(cable.state.lifted)
     off = [lifted[k] for k in cable.path_nodes()]
     starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
     return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
@@ -77,8 +77,8 @@ def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
 
 def vertices_near(cable: LaidCable, near: float) -> set[int]:
     """Vertices within the fraction `near` of an edge from a cable's sliding points."""
-    nodes, fractions = cable.nodes, cable.fractions
-    beside = np.flatnonzero((np.minimum(fractions, 1 - fractions) < near) & ~cable.lifted)
+    nodes, fractions = cable.state.nodes, cable.state.fractions
+    beside = np.flatnonzero((np.minimum(fractions, 1 - fractions) < near) & ~cable.state.lifted)
     at = [(nodes[k].support, int(fractions[k] > 0.5)) for k in beside if nodes[k].slides]
     return {support[end] for support, end in at}
 
@@ -129,7 +129,7 @@ class PathChange:
             return surface
         n, on_path = self.n_vertices, cable.path_nodes()
         # n is the first, n + 1 the last
-        ends = {k: cable.nodes[on_path[n - k]].support for k in anchors}
+        ends = {k: cable.state.nodes[on_path[n - k]].support for k in anchors}
         return surface.with_anchors(anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
@@ -140,7 +140,7 @@ class PathChange:
         for k in (0, 1):
             if ends[k] == "off":
                 if cable.lifts_off or not _is_corner(cable.path.points[-k], surface):
-                    off[self.n_vertices + k] = cable.positions[-k]
+                    off[self.n_vertices + k] = cable.state.positions[-k]
         return off
 
     def beyond(
@@ -167,7 +167,7 @@ class PathChange:
         surface = self.surface([v for point in points for v in point.support])
         off = {
             node.point.support
-            for node, is_off in zip(cable.nodes, cable.lifted, strict=True)
+            for node, is_off in zip(cable.state.nodes, cable.state.lifted, strict=True)
             if is_off and node.point is not None
         }
         way, lifted = shortened(points, off, surface.strip.outer_cells)
@@ -187,9 +187,9 @@ class PathChange:
         cable would not be taut."""
         before = {
             _key(node): k
-            for k, node in enumerate(cable.nodes)
+            for k, node in enumerate(cable.state.nodes)
             if node.kind != "crossing"
-            and (cable.path_is_geodesic or not cable.slides_freely or not node.slides)
+            and (cable.state.path_is_geodesic or not cable.slides_freely or not node.slides)
         }
         ends = cable.ends if ends is None else ends
         first, last = (int(end != "off") for end in ends)
@@ -206,9 +206,11 @@ class PathChange:
         for k, node in enumerate(nodes):
             old = before.get(_key(node))
             if node.kind == "anchor":
-                positions[k] = cable.positions[0 if k == 0 else -1]
-            elif old is not None and flags[k] <= cable.lifted[old] and _stays(cable, old, node):
-                positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
+                positions[k] = cable.state.positions[0 if k == 0 else -1]
+            elif (
+                old is not None and flags[k] <= cable.state.lifted[old] and _stays(cable, old, node)
+            ):
+                positions[k], fractions[k] = cable.state.positions[old], cable.state.fractions[old]
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)
             else:
@@ -262,6 +264,6 @@ def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
     """Whether an old point stays where equilibrium has put it."""
     if not node.slides or not isinstance(node.point, EdgePoint):
         return True
-    fraction = float(cable.fractions[old])
+    fraction = float(cable.state.fractions[old])
     moved = 0.0 if cable.slides_freely else abs(fraction - node.point.fraction)
     return moved <= STAYS and INSIDE <= fraction <= 1 - INSIDE

@@ -62,7 +62,7 @@ class TriedPaths:
         """Record positions and lengths of the cables."""
         for cable in cables:
             if self.has_moved(cable):
-                self.at[cable.name] = cable.positions.copy()
+                self.at[cable.name] = cable.state.positions.copy()
         self.L0 = {cable.name: cable.L0 for cable in cables}
 
     def forget(self, name: str) -> None:
@@ -92,7 +92,7 @@ class TriedPaths:
 
     def has_moved(self, cable: LaidCable) -> bool:
         """Whether a cable is no longer where earlier load steps left it."""
-        before, x = self.at.get(cable.name), cable.positions
+        before, x = self.at.get(cable.name), cable.state.positions
         if before is None or before.shape != x.shape:
             return True
         return bool(np.abs(before - x).max() > STILL * cable.length)

@@ -57,7 +57,7 @@ def way_past(
     change: PathChange, cable: LaidCable, run: VertexRun, shape: StripShape | None = None
 ) -> WayPast | None:
     """Find the path of a cable past a run; None if it can pass none of the vertices. Collective."""
-    string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
+    string: Corridor = tuple(cable.state.nodes[k].support for k in cable.path_nodes())
     shape = change.shape(run.vertices, like=shape)
     joined = change.with_anchors(cable, CreasedSurface(shape, NO_FOLDS))
     n = change.n_vertices
@@ -93,16 +93,16 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a path past vertices, with its remaining nodes unchanged."""
     supports, on_path = way.supports, cable.path_nodes()
     shape = change.shape([v for support in supports for v in support], like=way.shape)
-    old = {cable.nodes[k].support: k for k in on_path}
+    old = {cable.state.nodes[k].support: k for k in on_path}
     taken = [v for support in supports if support not in old for v in support]
     surface = CreasedSurface(shape, change.folds_near(taken))
     least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
-    first, last = on_path[0] > 0, on_path[-1] < len(cable.nodes) - 1  # anchors
+    first, last = on_path[0] > 0, on_path[-1] < len(cable.state.nodes) - 1  # anchors
     edges = [*[None] * first, *supports, *[None] * last]
     rows = [*[0] * first, *(old.get(support, -1) for support in supports), *[-1] * last]
-    nodes, lifted = [cable.nodes[k] for k in rows], cable.lifted[rows]
-    positions, fractions = cable.positions[rows], cable.fractions[rows]
+    nodes, lifted = [cable.state.nodes[k] for k in rows], cable.state.lifted[rows]
+    positions, fractions = cable.state.positions[rows], cable.state.fractions[rows]
     for i, edge in enumerate(edges):
         if edge is None or edge in old:
             continue
@@ -116,7 +116,7 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
         positions[i] = surface.place((a, b), fraction)
     cable.set_nodes(nodes, positions, fractions, lifted)
     on_path = cable.path_nodes()
-    added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
+    added = [i for i, k in enumerate(on_path) if cable.state.nodes[k].support not in old]
     if added:  # along the boundary nodes may only vanish
         part = on_path[max(added[0] - 1, 0) : added[-1] + 2]
         straighten(change, cable, part, shape)
@@ -133,9 +133,9 @@ def straighten(
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
         return False
     string = shorten(points, surface, max_flips=0).points
-    positions, fractions = cable.positions.copy(), cable.fractions.copy()
+    positions, fractions = cable.state.positions.copy(), cable.state.fractions.copy()
     for k, point in zip(part[1:-1], string[1:-1], strict=True):
-        if cable.nodes[k].slides and isinstance(point, EdgePoint):
+        if cable.state.nodes[k].slides and isinstance(point, EdgePoint):
             fraction = min(max(point.fraction, BEYOND), 1 - BEYOND)
             fractions[k] = fraction
             positions[k] = surface.place(point.edge, fraction)
@@ -219,7 +219,7 @@ class VertexTrials:
                 continue
             if cable.slides_freely:
                 least[c] = 1
-            elif cable.lateral is not None and cable.lateral.known:
+            elif cable.state.lateral is not None and cable.state.lateral.known:
                 from crms_fenicsx.cabling.friction.lateral import remap
 
                 remap(cable)

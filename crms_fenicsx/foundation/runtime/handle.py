@@ -4,31 +4,33 @@ from __future__ import annotations
 
 from dataclasses import replace
 from operator import attrgetter
-from typing import Any, Generic, NoReturn, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, overload
 
 Value = TypeVar("Value")
 
 
-class ReadOnly(Generic[Value]):
-    """Descriptor that shows a private attribute under a public name. Assigning to it raises an
+class ReadOnly(property, Generic[Value]):
+    """Property that shows a private attribute under a public name. Assigning to it raises an
     `AttributeError` with a remedy, as the value would be unchecked and on one rank only."""
 
     def __init__(self, source: str, remedy: str) -> None:
-        self._get, self._remedy = attrgetter(source), remedy
+        super().__init__(attrgetter(source), self._refuse)
+        self._remedy = remedy
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._owner, self._name = owner.__name__, name
 
-    @overload
-    def __get__(self, instance: None, owner: type) -> ReadOnly[Value]: ...
+    if TYPE_CHECKING:
 
-    @overload
-    def __get__(self, instance: object, owner: type) -> Value: ...
+        @overload
+        def __get__(self, instance: None, owner: type) -> ReadOnly[Value]: ...
 
-    def __get__(self, instance: object | None, owner: type) -> Any:
-        return self if instance is None else self._get(instance)
+        @overload
+        def __get__(self, instance: object, owner: type | None = None) -> Value: ...
 
-    def __set__(self, instance: object, value: NoReturn) -> None:
+        def __get__(self, instance: object | None, owner: type | None = None) -> Any: ...
+
+    def _refuse(self, instance: object, value: object) -> NoReturn:
         raise AttributeError(
             f"{self._owner}.{self._name} = {value!r}: it cannot be assigned; {self._remedy}."
         )

@@ -115,7 +115,7 @@ def result(kind: str, variant: Variant) -> Result:
     return Result(
         cable.tension / variant.force,
         {name: energy / work for name, energy in scene.energies.items()},
-        (cable.positions / variant.length - variant.shift) @ variant.turn,
+        (cable.state.positions / variant.length - variant.shift) @ variant.turn,
         [step.outcome.iterations for step in solver.steps],
         [step.outcome.factorizations for step in solver.steps],
     )
@@ -190,10 +190,12 @@ def test_ends_move_all_the_way(kind: str) -> None:
     """
     _, cable, _ = solved(kind, Variant())
     held = np.array(PATHS[kind])[[0, -1]]
-    np.testing.assert_allclose(cable.positions[[0, -1]], held - [0.0, 0.0, 1.5], atol=1e-12)
-    np.testing.assert_allclose(cable.positions[[1, -2]][:, [0, 2]], held[:, [0, 2]], atol=1e-12)
-    aside = np.abs(cable.positions[[1, -2], 1] - held[:, 1])
-    assert (aside < 0.3).all() and {cable.nodes[k].kind for k in (1, -2)} <= {
+    np.testing.assert_allclose(cable.state.positions[[0, -1]], held - [0.0, 0.0, 1.5], atol=1e-12)
+    np.testing.assert_allclose(
+        cable.state.positions[[1, -2]][:, [0, 2]], held[:, [0, 2]], atol=1e-12
+    )
+    aside = np.abs(cable.state.positions[[1, -2], 1] - held[:, 1])
+    assert (aside < 0.3).all() and {cable.state.nodes[k].kind for k in (1, -2)} <= {
         "edge slider",
         "vertex",
     }
@@ -275,7 +277,7 @@ def test_work_of_the_ends_is_the_energy_that_comes(kind: str) -> None:
     anchors = {}
     for end in (0, -1):
         numbering = system.cables.numbering
-        block = numbering.blocks[numbering.numbers[0, end % len(cable.nodes)]]
+        block = numbering.blocks[numbering.numbers[0, end % len(cable.state.nodes)]]
         mine = 0 <= block < system.unknowns.n_owned
         anchors[end] = total(reaction[block] if mine else np.zeros(3))
         assert np.linalg.norm(anchors[end]) == pytest.approx(cable.tension, rel=1e-6)

@@ -94,7 +94,7 @@ def tightened(comm: MPI.Intracomm, n: int, place: Map, ends: np.ndarray):
     route = ends[0] + along * (ends[1] - ends[0])
     route[1:-1, 1] += 0.3 * np.sin(np.pi * along[1:-1, 0])
     cable = scene.lay_cable(Cable(EA=1.0), place(*route.T), hold="sleeve")
-    chord = float(np.linalg.norm(cable.positions[0] - cable.positions[-1]))
+    chord = float(np.linalg.norm(cable.state.positions[0] - cable.state.positions[-1]))
     Solver(scene).advance(L0={cable: chord})
     assert cable.taut
     return scene, cable
@@ -109,11 +109,11 @@ def test_cable_on_a_rigid_surface_is_a_geodesic(comm, name: str) -> None:
     sizes, errors = (4, 8, 16), []
     for n in sizes:
         _, cable = tightened(comm, n, place, ends)
-        exact = geodesic_length(cable.positions, gradient, hessian)
+        exact = geodesic_length(cable.state.positions, gradient, hessian)
         errors.append(cable.length / exact - 1)
     assert order([1 / n for n in sizes], errors) > 1.75
     assert abs(errors[-1]) < 4e-4
-    x = cable.positions
+    x = cable.state.positions
     if name == "sphere":  # on the great circle through its ends
         plane = np.cross(x[0], x[-1]) / np.linalg.norm(np.cross(x[0], x[-1]))
         assert np.abs(x @ plane).max() < 0.1 / 16
@@ -132,7 +132,7 @@ def test_cable_on_a_rigid_surface_is_the_geodesic_of_its_cells(comm, name: str) 
     points, cells = patch(n, place)
     _, cable = tightened(comm, n, place, np.array([(-0.5, -0.5), (0.5, 0.5)]))
     first, last = (int(np.argmin(np.linalg.norm(points - x, axis=1)))
-                   for x in cable.positions[[0, -1]])  # fmt: skip
+                   for x in cable.state.positions[[0, -1]])  # fmt: skip
     solver = potpourri3d.EdgeFlipGeodesicSolver(points, cells)
     way = solver.find_geodesic_path(first, last)
     length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
@@ -154,7 +154,7 @@ def test_cable_on_a_stiff_inflated_dome_is_a_great_circle(comm) -> None:
         cable = scene.lay_cable(Cable(EA=1.0), [(-0.6, -0.3), (0.0, 0.1), (0.6, -0.3)])
         solver.advance(L0={cable: 1.24})
         assert cable.taut
-        x = np.add(cable.positions, [0.0, 0.0, R - 0.5])  # from the sphere's centre
+        x = np.add(cable.state.positions, [0.0, 0.0, R - 0.5])  # from the sphere's centre
         a, b = x[[0, -1]] / np.linalg.norm(x[[0, -1]], axis=1)[:, None]
         errors.append(cable.length / (R * float(np.arccos(a @ b))) - 1)
         assert np.abs(x @ np.cross(a, b)).max() < 0.1 * size * np.linalg.norm(np.cross(a, b))

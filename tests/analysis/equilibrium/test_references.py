@@ -118,7 +118,7 @@ def cable_on_square(comm, n: int, kind: str):
     scene = clamped(square(comm, n, kind))
     cable = scene.lay_cable(Cable(EA=32000.0), [(0, 50, 0), (100, 50, 0)], L0=100.0)
     Solver(scene).advance(pressure=PRESSURE)
-    x = cable.positions
+    x = cable.state.positions
     return scene, cable, float(np.interp(50.0, x[1:-1, 0], x[1:-1, 2]))
 
 
@@ -132,7 +132,7 @@ def cable_on_square(comm, n: int, kind: str):
 )
 def test_cable_on_mesh_lines(comm, n: int, T: float, w: float, W: float) -> None:
     scene, cable, middle = cable_on_square(comm, n, "structured")
-    assert {node.kind for node in cable.nodes[1:-1]} == {"vertex"}
+    assert {node.kind for node in cable.state.nodes[1:-1]} == {"vertex"}
     assert cable.tension == pytest.approx(T, rel=1e-7)
     assert middle == pytest.approx(w, rel=1e-7)
     assert scene.energy == pytest.approx(W, rel=1e-7)
@@ -160,7 +160,7 @@ def test_cable_anywhere_converges(comm, kind: str) -> None:
     T, W = [], []
     for n in (9, 17, 33, 65):  # on unstructured meshes T scatters: more sizes, a better fit
         scene, cable, _ = cable_on_square(comm, n, kind)
-        assert sum(node.kind == "fold" for node in cable.nodes) > n
+        assert sum(node.kind == "fold" for node in cable.state.nodes) > n
         T.append(cable.tension / CONTINUUM["T"] - 1)
         W.append(scene.energy - CONTINUUM["W"])
     assert abs(T[1]) < 0.005

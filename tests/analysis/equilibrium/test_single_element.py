@@ -91,7 +91,7 @@ def scene() -> tuple[Scene, LaidCable]:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_single_element_equals_the_equations(sign: int) -> None:
     built, cable = scene()
-    x = cable.positions[1:3].ravel().copy()
+    x = cable.state.positions[1:3].ravel().copy()
     twin, solver = Total(norm(B - A)), Solver(built, rtol=1e-12)
     for step in range(1, 4):
         lift = np.array([0.0, 0.0, 3.0 * sign])
@@ -100,5 +100,5 @@ def test_single_element_equals_the_equations(sign: int) -> None:
         x = minimum(lambda x, a=a, b=b: twin.energy(x, a, b), x)
         tension = EA * (twin.parts(x, a, b)[0] / twin.L0 - 1)
         assert cable.tension == pytest.approx(tension, rel=1e-8)
-        np.testing.assert_allclose(cable.positions[1:3].ravel(), x, rtol=0, atol=1e-8 * 70)
+        np.testing.assert_allclose(cable.state.positions[1:3].ravel(), x, rtol=0, atol=1e-8 * 70)
         assert built.energy == pytest.approx(twin.energy(x, a, b), rel=1e-8)

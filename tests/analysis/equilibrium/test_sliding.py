@@ -98,7 +98,7 @@ def test_mirrored_and_renumbered_scenes_have_mirrored_equilibria(comm) -> None:
         scene = clamped(meshes.from_arrays(comm, corners, own))
         cable = scene.lay_cable(CABLE, image(path), L0=100.0)
         Solver(scene, rtol=1e-11).advance(pressure=PRESSURE)
-        x = cable.positions.copy()
+        x = cable.state.positions.copy()
         x[:, :2] = image(x[:, :2])
         found.append((cable.tension, scene.energy, x))
     T, W, x = found[0]
@@ -114,7 +114,7 @@ def test_without_sliding_a_cable_is_blocked_and_says_so(comm) -> None:
     first = pytest.warns(PathWarning, match="cannot slide on into other cells")
     with first if comm.rank == 0 else nullcontext():
         blocked, cable, _ = slid(comm, 9, "unstructured", detour, 103.0, slide=False)
-    assert cable.blocked
+    assert cable.state.blocked
     assert blocked.energy > free.energy + 1e-3 * abs(free.energy)
 
 
@@ -143,9 +143,9 @@ def test_looking_for_a_better_path_costs_nothing_where_there_is_none(comm) -> No
     for slide in (True, False):
         scene, cable, _ = slid(comm, 9, "unstructured")
         solver = Solver(scene, slide=slide)
-        path = [node.point.support for node in cable.nodes[1:-1]]
+        path = [node.point.support for node in cable.state.nodes[1:-1]]
         done = solver.advance(pressure=1.1 * PRESSURE).outcome
-        assert [node.point.support for node in cable.nodes[1:-1]] == path
+        assert [node.point.support for node in cable.state.nodes[1:-1]] == path
         assert done.flips == 0
         work.append((done.factorizations, done.solves))
     assert work[0] == work[1]

@@ -53,12 +53,12 @@ def built(mesh: meshes.MembraneMesh, material, friction: float, path, EA: float,
 
 def path_of(cable: LaidCable) -> list[object]:
     """What its nodes lie on."""
-    return [node.point and node.point.support for node in cable.nodes]
+    return [node.point and node.point.support for node in cable.state.nodes]
 
 
 def held(cable: LaidCable) -> list[int]:
     """Nodes that friction held in the last step."""
-    grip = cable.lateral
+    grip = cable.state.lateral
     if grip is None:
         return []
     still = dict(zip(grip.supports, (grip.moving == 0.0) & (grip.bounds > 0.0), strict=True))

@@ -216,7 +216,7 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
     scene.lay_cable(Cable(9000.0), [(44.0, 0.0), (53.0, 100.0)], tension=20.0)
     solver.advance()
     assert len(scene.net.crossings) == 1
-    nodes, volume = [cable.nodes for cable in scene.cables], scene.volume
+    nodes, volume = [cable.state.nodes for cable in scene.cables], scene.volume
     with monkeypatch.context() as patch:
 
         def arrange(*_: object) -> None:
@@ -227,7 +227,7 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
         tension = solver.summary().cables["ridge"].largest
         solver.restore(solver.snapshot())
         assert solver.summary().cables["ridge"].largest == tension
-    assert [cable.nodes for cable in scene.cables] == nodes and scene.volume == volume
+    assert [cable.state.nodes for cable in scene.cables] == nodes and scene.volume == volume
     scene.lay_cable(Cable(9000.0), [(0.0, 21.0), (100.0, 32.0)], tension=20.0)
     solver.summary()
     assert len(scene.net.crossings) == 2, "one has been laid"

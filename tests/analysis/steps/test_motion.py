@@ -90,9 +90,9 @@ def test_cable_ends_turn(comm):
     solver = drum(comm)
     scene = solver.scene
     cable = scene.lay_cable(Cable(1e3), [(-3.0, 0.2, 0.0), (3.0, 0.1, 0.0)], tension=1.0)
-    ends = cable.positions[[0, -1]]
+    ends = cable.state.positions[[0, -1]]
     solver.advance(move={cable: TURN, "boundary": TURN}, steps=2)
-    np.testing.assert_allclose(cable.positions[[0, -1]], turned(ends, np.pi / 6), atol=1e-14)
+    np.testing.assert_allclose(cable.state.positions[[0, -1]], turned(ends, np.pi / 6), atol=1e-14)
 
 
 @pytest.mark.ranks

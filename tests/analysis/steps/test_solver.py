@@ -56,7 +56,7 @@ def state(scene: Scene) -> list[np.ndarray]:
     scalars = [scene.pressure, *(x for c in scene.cables for x in (c.L0, c.length, c.tension))]
     return [
         scene.u.x.array.copy(),
-        *(c.positions.copy() for c in scene.cables),
+        *(c.state.positions.copy() for c in scene.cables),
         np.array([*scalars, *scene.energies.values(), *(c.taut for c in scene.cables)]),
     ]
 
@@ -149,12 +149,12 @@ def test_supports_that_move_alike_carry_all_with_them(
     cable = scene.lay_cable(CABLE, [(-10.0, 47.0, 0.0), (110.0, 52.0, 0.0)], L0=120.0)
     solver = Solver(scene)
     solver.advance(pressure=pressure)
-    before = [scene.energies["membrane"], cable.tension, cable.positions, scene.positions()]
+    before = [scene.energies["membrane"], cable.tension, cable.state.positions, scene.positions()]
     before = [np.array(value) for value in before]
     way = np.array([3.0, -2.0, 40.0])
     done = solver.advance(move={"boundary": tuple(way), cable: tuple(way)}, steps=2)
     assert done.outcome.evaluations <= 3
-    places = cable.positions - way, scene.positions() - way
+    places = cable.state.positions - way, scene.positions() - way
     after = [scene.energies["membrane"], cable.tension, *places]
     for a, b in zip(after, before, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-7)
@@ -178,9 +178,9 @@ def test_a_part_of_the_supports_carries_nothing(free_mesh: meshes.MembraneMesh) 
 def test_moving_a_cable_and_its_end_adds_up(square: meshes.MembraneMesh) -> None:
     scene = clamped(square)
     cable = scene.lay_cable(CABLE, ACROSS)
-    ends = cable.positions[[0, -1]].copy()
+    ends = cable.state.positions[[0, -1]].copy()
     Solver(scene).advance(move={cable: (0, 0, -1), cable.start: (0, 2, 0)}, steps=2)
-    moved = cable.positions[[0, -1]] - ends
+    moved = cable.state.positions[[0, -1]] - ends
     np.testing.assert_allclose(moved, [(0, 2, -1), (0, 0, -1)], rtol=0, atol=1e-12)
 
 
@@ -390,7 +390,7 @@ def test_the_result_does_not_depend_on_steps_or_calls(free_mesh: meshes.Membrane
             moves = load in ("both", "move")
             solver.advance(pressure=up, move=down if moves else None, steps=steps)
         assert len(solver.steps) == sum(steps for _, steps in calls)
-        assert cable.positions[0, 2] == pytest.approx(-5.0, abs=1e-12)
+        assert cable.state.positions[0, 2] == pytest.approx(-5.0, abs=1e-12)
         results.append(state(scene))
     for other in results[1:]:
         assert_same(other, results[0], 1e-8)
@@ -400,13 +400,13 @@ def test_loads_continue_from_call_to_call(square: meshes.MembraneMesh) -> None:
     scene = clamped(square)
     cable = scene.lay_cable(CABLE, ACROSS)
     solver = Solver(scene)
-    start, end = cable.positions[0].copy(), cable.positions[-1].copy()
+    start, end = cable.state.positions[0].copy(), cable.state.positions[-1].copy()
     seen = []
     real = System.commit
     with pytest.MonkeyPatch.context() as patch:
 
         def commit(self: System) -> None:
-            seen.append((scene.pressure, cable.L0, cable.positions[0, 2]))
+            seen.append((scene.pressure, cable.L0, cable.state.positions[0, 2]))
             real(self)
 
         patch.setattr(System, "commit", commit)
@@ -425,8 +425,8 @@ def test_loads_continue_from_call_to_call(square: meshes.MembraneMesh) -> None:
         (0.004, 0.99 * L0, -2.0),
     ]
     np.testing.assert_allclose(seen, expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(cable.positions[0], start - [0, 0, 2.0], atol=1e-12)
-    np.testing.assert_array_equal(cable.positions[-1], end)
+    np.testing.assert_allclose(cable.state.positions[0], start - [0, 0, 2.0], atol=1e-12)
+    np.testing.assert_array_equal(cable.state.positions[-1], end)
 
 
 def test_slack_and_taut_again(free_mesh: meshes.MembraneMesh) -> None:
@@ -495,7 +495,7 @@ def test_a_floor_under_a_cable(free_mesh: meshes.MembraneMesh) -> None:
     cable = scene.lay_cable(CABLE, ACROSS, L0=100.9, hold="sleeve")  # the membrane hangs in it
     step = solver.advance(pressure=-0.02)
     assert step.halvings == 0 and cable.tension > 1.0
-    assert cable.positions[:, 2].min() == pytest.approx(-4.0, abs=1e-9)
+    assert cable.state.positions[:, 2].min() == pytest.approx(-4.0, abs=1e-9)
     lowest = scene.comm.allreduce(float(scene.positions()[:, 2].min()), op=MPI.MIN)
     assert lowest == pytest.approx(-4.0, abs=1e-9)
 
@@ -583,7 +583,7 @@ def test_cables_in_awkward_places(square: meshes.MembraneMesh, case: str) -> Non
     path, kinds = AWKWARD[case]
     scene = clamped(square)
     cable = scene.lay_cable(CABLE, path)
-    found = "".join(node.kind[0] for node in cable.nodes)
+    found = "".join(node.kind[0] for node in cable.state.nodes)
     assert kinds is None or found == kinds
     solver = Solver(scene)
     with warnings.catch_warnings():
@@ -595,7 +595,7 @@ def test_cables_in_awkward_places(square: meshes.MembraneMesh, case: str) -> Non
     L0 = 0.998 * polyline_length(reference_positions(scene, path))
     assert cable.L0 == pytest.approx(L0, rel=1e-9)
     assert cable.tension == pytest.approx(CABLE.EA * (cable.length / cable.L0 - 1), rel=1e-9)
-    assert cable.length == pytest.approx(polyline_length(cable.positions), rel=1e-6)
+    assert cable.length == pytest.approx(polyline_length(cable.state.positions), rel=1e-6)
     work = cable.tension * (cable.length - cable.L0) / 2
     assert step.energies["cables"] == pytest.approx(work, rel=1e-9)
 
@@ -622,11 +622,11 @@ def test_a_cable_between_free_edges(free_mesh: meshes.MembraneMesh) -> None:
     scene.fix("left")
     scene.fix("right")
     tie = scene.lay_cable(CABLE, [(31.0, 0.0), (53.0, 100.0)], tension=40.0)
-    assert [tie.nodes[k].kind for k in (0, -1)] == ["tied", "tied"]
+    assert [tie.state.nodes[k].kind for k in (0, -1)] == ["tied", "tied"]
     sag = Solver(scene).advance()
     assert sag.halvings == 0
     # both ends moved inwards, on the edges that they are tied to
-    assert tie.positions[0, 1] > 0.1 and tie.positions[-1, 1] < 99.9
+    assert tie.state.positions[0, 1] > 0.1 and tie.state.positions[-1, 1] < 99.9
 
 
 @pytest.mark.parametrize("gap", [8.0, 1.0, 0.1])
@@ -656,20 +656,29 @@ def test_a_cable_that_runs_into_a_vertex_is_reported(square: meshes.MembraneMesh
     cable = scene.lay_cable(CABLE, [(0.0, 51.0), (50.0, 52.0), (100.0, 31.0)])
     taut = cable.L0
     solver.advance(L0={cable: 1.01 * taut})
-    assert cable.blocked == ()
+    assert cable.state.blocked == ()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         solver.advance(L0={cable: 0.98 * taut}, steps=3)
     vertices = [(25.0, 50.0), (50.0, 50.0)]
-    near = [np.linalg.norm(cable.positions[k, :2] - v) for k in cable.blocked for v in vertices]
-    assert cable.blocked and np.sum(np.array(near) < 2.0) == len(cable.blocked)
-    for k in cable.blocked:
-        assert cable.nodes[k].kind == "fold"
-        assert min(cable.fractions[k], 1 - cable.fractions[k]) < 5e-3
+    near = [
+        np.linalg.norm(cable.state.positions[k, :2] - v)
+        for k in cable.state.blocked
+        for v in vertices
+    ]
+    assert cable.state.blocked and np.sum(np.array(near) < 2.0) == len(cable.state.blocked)
+    for k in cable.state.blocked:
+        assert cable.state.nodes[k].kind == "fold"
+        assert min(cable.state.fractions[k], 1 - cable.state.fractions[k]) < 5e-3
     messages = [str(w.message) for w in caught if w.category is PathWarning]
     if scene.comm.rank == 0:
         last = messages[-1]
-        for words in ("step 5", "'cable 1'", f"{len(cable.blocked)} mesh vertices", "blocked"):
+        for words in (
+            "step 5",
+            "'cable 1'",
+            f"{len(cable.state.blocked)} mesh vertices",
+            "blocked",
+        ):
             assert words in last
         assert all(w.filename == __file__ for w in caught)
     else:
@@ -694,7 +703,7 @@ def test_a_cable_that_slides_forgets_the_way_it_was_laid(
             if not slide:
                 warnings.simplefilter("ignore", PathWarning)
             solver.advance()
-        found.append((cable.tension, scene.energy, cable.blocked))
+        found.append((cable.tension, scene.energy, cable.state.blocked))
     straight, slid, blocked = found
     assert slid[:2] == pytest.approx(straight[:2], rel=1e-8)
     assert slid[2] == ()

@@ -141,7 +141,7 @@ def test_the_range_is_that_of_the_straight_string(
     shape = scene.net.strip_shape()
     low, high = tension_range(cable, shape)
     assert high - low < 1e-6 * 10.0
-    for k, node in enumerate(cable.nodes):
+    for k, node in enumerate(cable.state.nodes):
         if node.kind == "fold":
             a, b = shape.current[np.searchsorted(shape.strip.vertices, node.support)]
             put(cable, "fractions", k, 0.5)

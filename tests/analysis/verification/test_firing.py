@@ -25,13 +25,17 @@ FRAMES = {"bars, soft membrane": 1.0, "bars": 100.0, "bars, stiff membrane": 1e6
 
 def folds(cable: LaidCable) -> list[int]:
     """Nodes with which a cable lies on edges that fold."""
-    return [k for k, node in enumerate(cable.nodes) if node.kind == "fold" and not cable.lifted[k]]
+    return [
+        k
+        for k, node in enumerate(cable.state.nodes)
+        if node.kind == "fold" and not cable.state.lifted[k]
+    ]
 
 
 def slide(solver: Solver, k: int, fraction: float) -> None:
     """Put a node of the first cable elsewhere on its edge, and nothing else."""
     cable, shape = solver.scene.cables[0], solver.scene.net.strip_shape()
-    ends = shape.current[np.searchsorted(shape.strip.vertices, cable.nodes[k].support)]
+    ends = shape.current[np.searchsorted(shape.strip.vertices, cable.state.nodes[k].support)]
     put(cable, "fractions", k, fraction)
     put(cable, "positions", k, (1 - fraction) * ends[0] + fraction * ends[1])
 
@@ -41,8 +45,8 @@ def side_ends(solver: Solver, left: bool) -> dict[int, int]:
     cable, shape = solver.scene.cables[0], solver.scene.net.strip_shape()
     ends = {}
     for k in folds(cable):
-        a, b = shape.current[np.searchsorted(shape.strip.vertices, cable.nodes[k].support)]
-        ahead = cable.positions[k + 1] - cable.positions[k - 1]
+        a, b = shape.current[np.searchsorted(shape.strip.vertices, cable.state.nodes[k].support)]
+        ahead = cable.state.positions[k + 1] - cable.state.positions[k - 1]
         ends[k] = int((np.cross(ahead, b - a)[2] > 0.0) == left)
     return ends
 
@@ -51,16 +55,16 @@ def onto_vertex(solver: Solver, aside: float = 0.0) -> int:
     """Put the points on all edges at a vertex beside the cable's middle on it, or beside it."""
     cable = solver.scene.cables[0]
     k = pressing(cable)
-    vertex = cable.nodes[k].support[side_ends(solver, left=True)[k]]
+    vertex = cable.state.nodes[k].support[side_ends(solver, left=True)[k]]
     for n in folds(cable):
-        if vertex in cable.nodes[n].support:
-            slide(solver, n, abs(cable.nodes[n].support.index(vertex) - aside))
+        if vertex in cable.state.nodes[n].support:
+            slide(solver, n, abs(cable.state.nodes[n].support.index(vertex) - aside))
     return vertex
 
 
 def onto_line(solver: Solver) -> None:
     """Put the middle of the cable on the vertices to its left."""
-    middle = len(solver.scene.cables[0].nodes) // 2
+    middle = len(solver.scene.cables[0].state.nodes) // 2
     for k, end in side_ends(solver, left=True).items():
         if abs(k - middle) < 6:
             slide(solver, k, float(end))
@@ -72,13 +76,13 @@ def zigzag(solver: Solver) -> None:
     cable = solver.scene.cables[0]
     for i, k in enumerate(sorted(ends, key=lambda n: abs(n - pressing(cable)))[:3]):
         to = ends[k] if i == 0 else 1 - ends[k]
-        slide(solver, k, 0.5 * (cable.fractions[k] + to))
+        slide(solver, k, 0.5 * (cable.state.fractions[k] + to))
 
 
 def swap_places(solver: Solver) -> None:
     """Exchange the edges of two nodes of the cable's path."""
     cable = solver.scene.cables[0]
-    nodes, path = list(cable.nodes), folds(cable)
+    nodes, path = list(cable.state.nodes), folds(cable)
     a, b = path[2], path[-3]
     nodes[a], nodes[b] = nodes[b], nodes[a]
     cable.update(nodes=tuple(nodes))
@@ -88,20 +92,20 @@ def dip(solver: Solver, depth: float, lifted: bool) -> None:
     """Put a node of the cable under the membrane, by a part of its spans."""
     cable = solver.scene.cables[0]
     k = pressing(cable)
-    span = np.linalg.norm(cable.positions[k + 1] - cable.positions[k - 1])
+    span = np.linalg.norm(cable.state.positions[k + 1] - cable.state.positions[k - 1])
     if lifted:
         put(cable, "lifted", k, True)
         solver.system.rebuild()
         solver.system.read_scene()
         solver.system.potential.sum_up()
-    put(cable, "positions", k, cable.positions[k] - [0.0, 0.0, depth * span])
+    put(cable, "positions", k, cable.state.positions[k] - [0.0, 0.0, depth * span])
 
 
 def less_bound(solver: Solver) -> None:
     """Let hardly any friction hold the points at a vertex, which the cable is pulled off."""
     cable = solver.scene.cables[0]
     vertex = onto_vertex(solver)
-    grip = cable.lateral
+    grip = cable.state.lateral
     assert grip is not None
     bounds = grip.bounds.copy()
     bounds[[vertex in support for support in grip.supports]] *= 1e-3
@@ -117,15 +121,15 @@ def less_friction(solver: Solver, friction: Friction) -> None:
 def heated(solver: Solver) -> None:
     """Let friction along the cable have given work."""
     cable = solver.scene.cables[0]
-    assert cable.axial is not None
+    assert cable.state.axial is not None
     loss = -1e-9 * cable.tension * cable.length
-    cable.update(axial=replace(cable.axial, loss=loss))
+    cable.update(axial=replace(cable.state.axial, loss=loss))
 
 
 def turn_end(solver: Solver) -> None:
     """Move the point beside the anchor."""
     cable = solver.scene.cables[0]
-    put(cable, "positions", 1, cable.positions[1] + 1e-4 * cable.length)
+    put(cable, "positions", 1, cable.state.positions[1] + 1e-4 * cable.length)
 
 
 Spoil = Callable[[Solver], object]
@@ -175,11 +179,11 @@ def test_crossing_cables_apart_are_found(comm: MPI.Intracomm, name: str) -> None
     """By a millionth of the length."""
     solver = cabled(comm, name, crossed=True)
     cable = solver.scene.cables[1]
-    (k,) = (n for n, node in enumerate(cable.nodes) if node.kind == "crossing")
+    (k,) = (n for n, node in enumerate(cable.state.nodes) if node.kind == "crossing")
     assert "crossing cables apart" not in alarms(solver)
 
     def spoil() -> None:
-        put(cable, "positions", k, cable.positions[k] + 1e-6 * cable.length)
+        put(cable, "positions", k, cable.state.positions[k] + 1e-6 * cable.length)
 
     assert "crossing cables apart" in names(checked(solver, spoil))
 

@@ -63,15 +63,15 @@ def test_what_is_spoiled_on_one_part_is_found(comm: MPI.Intracomm, name: str, wh
         elif what == "contact":
             put(cable, "lifted", k, True)
         elif what == "end":
-            put(cable, "positions", 0, cable.positions[0] + 1e-6 * cable.length)
+            put(cable, "positions", 0, cable.state.positions[0] + 1e-6 * cable.length)
         elif what == "place":
-            put(cable, "positions", k, cable.positions[k] + 1e-4)
+            put(cable, "positions", k, cable.state.positions[k] + 1e-4)
         elif what == "slid":  # by .01 of the cells, along the edge
-            edge = cable.positions[k + 1] - cable.positions[k - 1]
+            edge = cable.state.positions[k + 1] - cable.state.positions[k - 1]
             side = np.cross(edge, [0.0, 0.0, 1.0]) / np.linalg.norm(edge)
             moved(solver, own_block(solver, k), 0.15 * side)
         elif what == "lifted out":
-            span = np.linalg.norm(cable.positions[k + 1] - cable.positions[k - 1])
+            span = np.linalg.norm(cable.state.positions[k + 1] - cable.state.positions[k - 1])
             moved(solver, own_block(solver, k), np.array([0.0, 0.0, 1e-3 * span]))
         elif what == "vertex":
             z = scene.comm.allreduce(float(np.abs(scene.u.x.array).max(initial=0)), op=MPI.MAX)
@@ -144,16 +144,16 @@ def test_a_cable_at_a_vertex_of_a_rigid_cylinder_is_found(comm: MPI.Intracomm) -
     scene = solver.scene
     cable = scene.cables[0]
     assert alarms(solver) == set()
-    own = np.linalg.norm(cable.tension * np.diff(cable.positions, axis=0)[0])
+    own = np.linalg.norm(cable.tension * np.diff(cable.state.positions, axis=0)[0])
     assert solver.steps[-1].outcome.residual < 1e-3 * own
 
     def spoil() -> None:
         k = pressing(cable)
-        vertex = cable.nodes[k].support[int(cable.fractions[k] > 0.5)]
+        vertex = cable.state.nodes[k].support[int(cable.state.fractions[k] > 0.5)]
         shape = scene.net.strip_shape()
         for m in cable.path_nodes():
-            support = cable.nodes[m].support
-            if cable.nodes[m].kind == "fold" and vertex in support:
+            support = cable.state.nodes[m].support
+            if cable.state.nodes[m].kind == "fold" and vertex in support:
                 ends = shape.current[np.searchsorted(shape.strip.vertices, support)]
                 s = 0.003 if support[0] == vertex else 0.997
                 put(cable, "fractions", m, s)

@@ -49,9 +49,11 @@ def test_what_is_checked_stays_as_it_is(comm: MPI.Intracomm) -> None:
     """Bit by bit, and a run with it has the same answer as one without."""
     solver = roped(comm)
     scene, potential = solver.scene, solver.system.potential
-    before = scene.u.x.array.copy(), potential.x.copy(), scene.cables[0].positions.copy()
+    before = scene.u.x.array.copy(), potential.x.copy(), scene.cables[0].state.positions.copy()
     checked(solver)
-    for a, b in zip(before, (scene.u.x.array, potential.x, scene.cables[0].positions), strict=True):
+    for a, b in zip(
+        before, (scene.u.x.array, potential.x, scene.cables[0].state.positions), strict=True
+    ):
         assert np.array_equal(a, b)
     results = []
     for verify in (True, False):
@@ -59,7 +61,7 @@ def test_what_is_checked_stays_as_it_is(comm: MPI.Intracomm) -> None:
         cable = scene.lay_cable(Cable(32000.0), [(0, 31), (100, 52)], L0=101.5)
         solver = Solver(scene, verify=verify)
         solver.advance(pressure=PRESSURE, steps=2)
-        results.append([scene.energy, cable.tension, *cable.positions.ravel()])
+        results.append([scene.energy, cable.tension, *cable.state.positions.ravel()])
         assert (solver.steps[-1].verification is not None) == verify
     if comm.size == 1:  # the order in which several add up forces is not always the same
         assert results[0] == results[1]
@@ -178,8 +180,8 @@ def test_a_spoiled_cable_is_found(comm: MPI.Intracomm, what: str, name: str) -> 
     """Each by the check that is meant for it."""
     solver = roped(comm)
     cable = solver.scene.cables[0]
-    k = next(k for k, node in enumerate(cable.nodes) if node.kind == "fold")
-    edge = cable.nodes[k].interpolation()[0]
+    k = next(k for k, node in enumerate(cable.state.nodes) if node.kind == "fold")
+    edge = cable.state.nodes[k].interpolation()[0]
     assert len(edge) == 2
 
     def spoil() -> None:
@@ -188,11 +190,11 @@ def test_a_spoiled_cable_is_found(comm: MPI.Intracomm, what: str, name: str) -> 
         elif what == "length":
             cable.update(length=cable.length * (1 + 1e-6))
         elif what == "node":
-            put(cable, "positions", (k, 0), cable.positions[k, 0] + 1e-3)
+            put(cable, "positions", (k, 0), cable.state.positions[k, 0] + 1e-3)
         elif what == "fraction":
-            put(cable, "fractions", k, cable.fractions[k] + 1e-4)
+            put(cable, "fractions", k, cable.state.fractions[k] + 1e-4)
         elif what == "end":
-            put(cable, "positions", 0, cable.positions[0] + 1e-4)
+            put(cable, "positions", 0, cable.state.positions[0] + 1e-4)
         elif what == "compressed":
             cable.update(tension=-1.0)
         else:
@@ -211,18 +213,18 @@ def test_a_cable_that_pulls_or_dives_is_found(comm: MPI.Intracomm) -> None:
     """The membrane pushed in around a cable that touches it, or out around one that does not."""
     solver = roped(comm)
     cable = solver.scene.cables[0]
-    inner = [k for k in range(2, len(cable.nodes) - 2) if not cable.lifted[k]]
+    inner = [k for k in range(2, len(cable.state.nodes) - 2) if not cable.state.lifted[k]]
 
     def pull() -> None:
         put(
             cable,
             "positions",
             (inner, 2),
-            cable.positions[inner, 2] - 25.0 * np.sin(np.linspace(0, np.pi, len(inner))),
+            cable.state.positions[inner, 2] - 25.0 * np.sin(np.linspace(0, np.pi, len(inner))),
         )
 
     def dive() -> None:
-        put(cable, "positions", (inner, 2), cable.positions[inner, 2] - 1.0)
+        put(cable, "positions", (inner, 2), cable.state.positions[inner, 2] - 1.0)
 
     found = checked(solver, pull)
     assert "pull on the membrane" in names(found)
@@ -246,14 +248,14 @@ def test_too_much_friction_is_found(comm: MPI.Intracomm, friction: float | Frict
     solver.advance(pressure=PRESSURE)
     solver.advance(move={cable: (0.0, 8.0, 2.0)})
     assert not checked(solver).failed
-    less = Friction(1e-6) if cable.axial is None else Friction(0.0, along=1e-6)
+    less = Friction(1e-6) if cable.state.axial is None else Friction(0.0, along=1e-6)
 
     def spoil() -> None:
         cable.update(cable=Cable(32000.0, friction=less))
 
     found = names(checked(solver, spoil))
     axial = "friction along beyond its bound"
-    assert found == {axial if cable.axial is not None else "friction beyond its bound"}
+    assert found == {axial if cable.state.axial is not None else "friction beyond its bound"}
 
 
 @pytest.mark.ranks

@@ -51,7 +51,7 @@ def arrange(
 ) -> tuple[Crossing, ...]:
     """Arrange the crossings of cables of no net."""
     found, nodes = crossings_module.arrange(NodeTable.of(cables), cables, strip, known)
-    assert all(own is cable.nodes for own, cable in zip(nodes.nodes, cables, strict=True))
+    assert all(own is cable.state.nodes for own, cable in zip(nodes.nodes, cables, strict=True))
     return found
 
 
@@ -85,10 +85,10 @@ def cable_over(
 def kinds(cable: LaidCable) -> str:
     """Initials; a fold point that is a crossing's is an F."""
     letters = {"vertex": "v", "fold": "f", "tied": "r", "crossing": "x", "anchor": "a"}
-    found = [letters[node.kind] for node in cable.nodes]
+    found = [letters[node.kind] for node in cable.state.nodes]
     return "".join(
         letter.upper() if letter == "f" and node.crossing is not None else letter
-        for letter, node in zip(found, cable.nodes, strict=True)
+        for letter, node in zip(found, cable.state.nodes, strict=True)
     )
 
 
@@ -110,13 +110,18 @@ def test_in_a_cell() -> None:
     np.testing.assert_allclose(crossing.place, [0.25, 0.5, 0.0], atol=1e-15)
     assert [kinds(cable) for cable in cables] == ["rxfr", "rxfr"]
     for cable in cables:
-        assert cable.nodes[1].crossing == 0
-        np.testing.assert_array_equal(cable.positions[1], crossing.place)
-        point = cable.nodes[1].point
+        assert cable.state.nodes[1].crossing == 0
+        np.testing.assert_array_equal(cable.state.positions[1], crossing.place)
+        point = cable.state.nodes[1].point
         assert isinstance(point, CellPoint)
         np.testing.assert_allclose(np.dot(point.weights, PLACES[list(point.cell)]), crossing.place)
-        assert np.isnan(cable.fractions[1]) and not cable.lifted[1]
-        assert len(cable.fractions) == len(cable.lifted) == len(cable.reference_positions) == 4
+        assert np.isnan(cable.state.fractions[1]) and not cable.state.lifted[1]
+        assert (
+            len(cable.state.fractions)
+            == len(cable.state.lifted)
+            == len(cable.state.reference_positions)
+            == 4
+        )
 
 
 def test_side_by_side_they_do_not() -> None:
@@ -154,8 +159,8 @@ def test_over_an_edge_that_the_other_follows(way: int, first: int) -> None:
     (crossing,) = arrange(cables, STRIP, [])
     assert crossing.support == (1, 2)
     assert kinds(follows) == "vxv" and kinds(crosses) == "rFr"
-    assert follows.nodes[1].crossing == crosses.nodes[1].crossing == 0
-    np.testing.assert_allclose(follows.positions[1], [0.75, 0.25, 0.0])
+    assert follows.state.nodes[1].crossing == crosses.state.nodes[1].crossing == 0
+    np.testing.assert_allclose(follows.state.positions[1], [0.75, 0.25, 0.0])
     assert (crossing.lower, crossing.upper) == (0, 1)
     assert crossing.links == ((0, 1) if first == 0 else (1, 0))
     # found again, and taken off again
@@ -174,7 +179,7 @@ def test_two_on_one_link_are_in_its_order() -> None:
         crossings = arrange(cables, STRIP, [])
         assert len(crossings) == 2
         (long,) = (cable for cable in cables if kinds(cable) == "rxxfr")
-        np.testing.assert_allclose(long.positions[1:3, 0], [0.2, 0.4])
+        np.testing.assert_allclose(long.state.positions[1:3, 0], [0.2, 0.4])
         assert sorted(kinds(cable) for cable in cables) == ["rxfr", "rxfr", "rxxfr"]
         for cable in cables:
             cable.update(taut=False)
@@ -211,7 +216,9 @@ def test_as_exact_geometry_says() -> None:
             with suppress(PathError):  # one that comes back through the cells that it went out by
                 paths.append(trace(ids, points, cells, rng.uniform(0, 10, (3, 2))))
         cables = [cable_over(path.points, points) for path in paths]
-        exact = [[tuple(Fraction(float(c)) for c in x[:2]) for x in c.positions] for c in cables]
+        exact = [
+            [tuple(Fraction(float(c)) for c in x[:2]) for x in c.state.positions] for c in cables
+        ]
         expected = sorted(
             (i, j)
             for i, chord in enumerate(pairwise(exact[0]))
@@ -257,7 +264,9 @@ def test_three_that_cross_each_other_cut_the_cell_in_seven() -> None:
         assert [kinds(cable) for cable in cables] == ["rxxr"] * 3
         # along each the two points are between its ends, in order
         for cable in cables:
-            ahead = np.diff(cable.positions, axis=0) @ (cable.positions[-1] - cable.positions[0])
+            ahead = np.diff(cable.state.positions, axis=0) @ (
+                cable.state.positions[-1] - cable.state.positions[0]
+            )
             assert ahead.min() > 0
         numbers: dict[object, int] = {}
         places: list[Array] = []
@@ -271,7 +280,9 @@ def test_three_that_cross_each_other_cut_the_cell_in_seven() -> None:
         chords = [
             [
                 number((c, k) if node.crossing is None else node.point, x)
-                for k, (node, x) in enumerate(zip(cable.nodes, cable.positions, strict=True))
+                for k, (node, x) in enumerate(
+                    zip(cable.state.nodes, cable.state.positions, strict=True)
+                )
             ]
             for c, cable in enumerate(cables)
         ]
@@ -305,7 +316,7 @@ def test_which_lies_on_top(layers: tuple[int, int], lower_and_upper: tuple[int, 
 
 
 def slide(cable: LaidCable, node: int, fraction: float) -> None:
-    point = cable.nodes[node].point
+    point = cable.state.nodes[node].point
     assert isinstance(point, EdgePoint)
     put(cable, "fractions", node, fraction)
     first, last = (PLACES[vertex] for vertex in point.edge)
@@ -326,7 +337,7 @@ def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
     assert [kinds(cable) for cable in cables] == ["rfxr", "rfxr"]
     assert 0.4 < second.place[1] < 0.8
     slide(other, 1, 0.35)
-    other.update(nodes=(*other.nodes[:-1], CableNode("tied", on(1, 3, 0.3))))
+    other.update(nodes=(*other.state.nodes[:-1], CableNode("tied", on(1, 3, 0.3))))
     slide(other, 3, 0.3)
     assert arrange(cables, STRIP, [second]) == ()
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
@@ -341,14 +352,14 @@ def test_arranging_again_keeps_what_a_solve_has_found(comm: MPI.Intracomm) -> No
         scene.lay_cable(Cable(EA=32000.0), path)
     Solver(scene).advance(pressure=1e-4)
     assert len(scene.net.crossings) == 1
-    before = [cable.reference_positions.copy() for cable in scene.cables]
+    before = [cable.state.reference_positions.copy() for cable in scene.cables]
     assert all(np.isfinite(places).any() for places in before)
     system = Solver(scene).system
     for cable, places in zip(scene.cables, before, strict=True):
-        np.testing.assert_array_equal(cable.reference_positions, places)
+        np.testing.assert_array_equal(cable.state.reference_positions, places)
     system.rebuild()
     for cable, places in zip(scene.cables, before, strict=True):
-        np.testing.assert_array_equal(cable.reference_positions, places)
+        np.testing.assert_array_equal(cable.state.reference_positions, places)
 
 
 def test_a_crossing_that_stays_keeps_its_place() -> None:
@@ -359,7 +370,7 @@ def test_a_crossing_that_stays_keeps_its_place() -> None:
         put(cable, "positions", 1, (0.3, 0.5, 0.1))
     (again,) = arrange(cables, STRIP, [crossing])
     for cable in cables:
-        np.testing.assert_array_equal(cable.positions[1], [0.3, 0.5, 0.1])
+        np.testing.assert_array_equal(cable.state.positions[1], [0.3, 0.5, 0.1])
     assert again.place.tolist() == [0.3, 0.5, 0.1]
 
 
@@ -373,7 +384,7 @@ def test_a_crossing_of_a_cable_on_another_way_is_where_the_links_cross() -> None
     moved = cable_over([on(0, 2, 0.2), on(1, 2, 0.75), on(2, 3, 0.25)])
     (again,) = arrange([low, moved], STRIP, [crossing])
     assert again.support == crossing.support
-    start, end = moved.positions[[0, 2]]
+    start, end = moved.state.positions[[0, 2]]
     beside = np.cross(again.place - start, (end - start) / np.linalg.norm(end - start))
     assert np.linalg.norm(beside) < 1e-12 and again.place[1:].tolist() == [0.5, 0.0]
 
@@ -395,8 +406,10 @@ def test_two_crossings_of_two_cables_keep_apart_what_was() -> None:
     crossings = arrange(cables, STRIP, [])
     assert [crossing.links for crossing in crossings] == [(0, 0), (1, 2)]
     for cable in cables:  # in the other order
-        numbers = (None if node.crossing is None else 1 - node.crossing for node in cable.nodes)
-        nodes = zip(cable.nodes, numbers, strict=True)
+        numbers = (
+            None if node.crossing is None else 1 - node.crossing for node in cable.state.nodes
+        )
+        nodes = zip(cable.state.nodes, numbers, strict=True)
         cable.update(nodes=tuple(replace(node, crossing=number) for node, number in nodes))
     again = arrange(cables, STRIP, [replace(crossings[1], separated=True), crossings[0]])
     assert [(crossing.links, crossing.separated) for crossing in again] == [
@@ -440,7 +453,7 @@ def test_volume_under_a_cell_with_a_crossing() -> None:
     """
     _, cables, system = crossed_triangle(MPI.COMM_SELF)
     assert [kinds(cable) for cable in cables] == ["vxr", "vxr"]
-    np.testing.assert_allclose(cables[0].positions[1], [1 / 3, 1 / 3, 0], atol=1e-15)
+    np.testing.assert_allclose(cables[0].state.positions[1], [1 / 3, 1 / 3, 0], atol=1e-15)
     (term,) = (t for t in system.potential.terms if isinstance(t, FoldedFollowerPressure))
     x, volume, h = system.potential.x.copy(), np.zeros(1), 0.2
     term.sums(x, volume)
@@ -497,12 +510,12 @@ def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
     assert not crossing.separated
     pulls, places = [], []
     for cable in cables:
-        (k,) = (k for k, node in enumerate(cable.nodes) if node.crossing == 0)
-        ways = cable.positions[[k - 1, k + 1]] - cable.positions[k]
+        (k,) = (k for k, node in enumerate(cable.state.nodes) if node.crossing == 0)
+        ways = cable.state.positions[[k - 1, k + 1]] - cable.state.positions[k]
         pulls.append(cable.tension * (ways / np.linalg.norm(ways, axis=1)[:, None]).sum(axis=0))
-        places.append(cable.positions[k])
+        places.append(cable.state.positions[k])
         assert cable.tension > 5.0
-        assert cable.length == pytest.approx(polyline_length(cable.positions), rel=1e-6)
+        assert cable.length == pytest.approx(polyline_length(cable.state.positions), rel=1e-6)
     np.testing.assert_array_equal(*places)
     assert pulls[0][2] > 1.0 and pulls[1][2] < -1.0
     left = np.sum(pulls, axis=0)
@@ -518,9 +531,9 @@ def test_the_number_of_processes_does_not_matter(square) -> None:
     assert scene.energy == pytest.approx(alone.energy, rel=1e-9)
     for cable, twin in zip(cables, twins, strict=True):
         assert cable.tension == pytest.approx(twin.tension, rel=1e-8)
-        np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(cable.state.positions, twin.state.positions, rtol=0, atol=1e-6)
         np.testing.assert_allclose(
-            cable.reference_positions, twin.reference_positions, rtol=0, atol=1e-6
+            cable.state.reference_positions, twin.state.reference_positions, rtol=0, atol=1e-6
         )
 
 
@@ -532,20 +545,24 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
     X = {i: x for part in scene.comm.allgather(own) for i, x in part.items()}
     seen = set()
     for cable in cables:
-        for k, node in enumerate(cable.nodes):
+        for k, node in enumerate(cable.state.nodes):
             seen.add(node.kind)
-            if node.point is None or cable.lifted[k]:
-                assert np.isnan(cable.reference_positions[k]).all()
+            if node.point is None or cable.state.lifted[k]:
+                assert np.isnan(cable.state.reference_positions[k]).all()
             elif node.kind == "crossing":
-                a, x, b = cable.reference_positions[k - 1 : k + 2]
-                share = np.linalg.norm(np.diff(cable.positions[k - 1 : k + 2], axis=0), axis=1)
+                a, x, b = cable.state.reference_positions[k - 1 : k + 2]
+                share = np.linalg.norm(
+                    np.diff(cable.state.positions[k - 1 : k + 2], axis=0), axis=1
+                )
                 np.testing.assert_allclose(x, a + share[0] / share.sum() * (b - a), atol=1e-12)
             else:
                 ids, weights = node.interpolation(
-                    float(cable.fractions[k]) if node.slides else None
+                    float(cable.state.fractions[k]) if node.slides else None
                 )
                 np.testing.assert_allclose(
-                    cable.reference_positions[k], np.dot(weights, [X[i] for i in ids]), atol=1e-12
+                    cable.state.reference_positions[k],
+                    np.dot(weights, [X[i] for i in ids]),
+                    atol=1e-12,
                 )
     assert seen >= {"anchor", "tied", "fold", "crossing"}
 
@@ -557,21 +574,21 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) 
     system = solver.system
     places = []
     for cable in cables[::-1]:
-        (k,) = (k for k, node in enumerate(cable.nodes) if node.kind == "crossing")
+        (k,) = (k for k, node in enumerate(cable.state.nodes) if node.kind == "crossing")
         places.append((cable, k))
     (upper, k), (lower, m) = places
     put(upper, "lifted", k + 1, True)
     NodePositions(system.cables.numbering, system.unknowns).gather(system.potential.x)
-    known = lower.reference_positions[m].copy()
+    known = lower.state.reference_positions[m].copy()
     assert np.isfinite(known).all()
-    np.testing.assert_array_equal(upper.reference_positions[k], known)
-    between = (lower.reference_positions[m - 1] + lower.reference_positions[m + 1]) / 2
+    np.testing.assert_array_equal(upper.state.reference_positions[k], known)
+    between = (lower.state.reference_positions[m - 1] + lower.state.reference_positions[m + 1]) / 2
     assert np.linalg.norm(known - between) < 20.0, "in its cell"
     put(lower, "lifted", m - 1, True)
     NodePositions(system.cables.numbering, system.unknowns).gather(system.potential.x)
     assert (
-        np.isnan(upper.reference_positions[k]).all()
-        and np.isnan(lower.reference_positions[m]).all()
+        np.isnan(upper.state.reference_positions[k]).all()
+        and np.isnan(lower.state.reference_positions[m]).all()
     )
 
 
@@ -583,7 +600,7 @@ def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
     assert crossing.separated and (crossing.lower, crossing.upper) == (1, 0)
     assert all("x" not in kinds(cable) for cable in cables)
     assert other.energy < scene.energy - 1.0
-    x = [cable.positions for cable in cables]
+    x = [cable.state.positions for cable in cables]
     heights = [
         np.interp(other.net.crossings[0].place[axis], line[:, axis], line[:, 2])
         for axis, line in zip((0, 1), (x[0], x[1][np.argsort(x[1][:, 1])]), strict=True)

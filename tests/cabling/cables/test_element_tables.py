@@ -64,8 +64,8 @@ def test_the_scenes_have_everything(comm: MPI.Intracomm) -> None:
     seen, lifted = set(), 0
     for make in (with_spans, with_edge_sliders, net):
         cables = make(comm).scene.cables
-        seen |= {(node.kind, cable.taut) for cable in cables for node in cable.nodes}
-        lifted += sum(int(cable.lifted.sum()) for cable in cables if cable.taut)
+        seen |= {(node.kind, cable.taut) for cable in cables for node in cable.state.nodes}
+        lifted += sum(int(cable.state.lifted.sum()) for cable in cables if cable.taut)
     kinds = ("vertex", "fold", "edge slider", "tied", "anchor", "crossing")
     assert seen >= {(kind, True) for kind in kinds} | {("fold", False)} and lifted == 2
 
@@ -181,12 +181,12 @@ def test_meetings_are_where_chords_alternate(seed: int) -> None:
     strip = system.scene.net.strip
     assert strip is not None
     for cable in system.scene.cables:
-        keep = np.array([node.kind != "crossing" for node in cable.nodes])
-        nodes = [node for node in cable.nodes if node.kind != "crossing"]
+        keep = np.array([node.kind != "crossing" for node in cable.state.nodes])
+        nodes = [node for node in cable.state.nodes if node.kind != "crossing"]
         fractions = rng.uniform(0.01, 0.99, len(nodes))
-        fractions[np.isnan(cable.fractions[keep])] = np.nan
+        fractions[np.isnan(cable.state.fractions[keep])] = np.nan
         lifted = rng.random(len(nodes)) < 0.1
-        cable.set_nodes(nodes, cable.positions[keep], fractions, lifted)
+        cable.set_nodes(nodes, cable.state.positions[keep], fractions, lifted)
         cable.update(taut=bool(rng.random() < 0.9))
     cables, nodes = system.scene.cables, NodeTable.of(system.scene.cables)
     table = Meetings(nodes, fractions_of(cables), strip)
@@ -216,12 +216,16 @@ def test_tables_of_nodes_are_kept_up() -> None:
         assert_table(of_scene.nodes, NodeTable.of(of_scene.cables), of_scene.strip.simplices)
         cable = of_scene.cables[change]
         if change == 1:
-            cable.update(lifted=~cable.lifted)
+            cable.update(lifted=~cable.state.lifted)
         elif change == 2:
             cable.update(taut=False)
         else:
-            every = cable.nodes[::-1], cable.positions[::-1], cable.fractions[::-1]
-            cable.set_nodes(*every, cable.lifted[::-1])
+            every = (
+                cable.state.nodes[::-1],
+                cable.state.positions[::-1],
+                cable.state.fractions[::-1],
+            )
+            cable.set_nodes(*every, cable.state.lifted[::-1])
         assert_table(of_scene.nodes, NodeTable.of(of_scene.cables), of_scene.strip.simplices)
 
 

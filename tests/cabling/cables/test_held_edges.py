@@ -40,12 +40,12 @@ def oblique(
 
 
 def edge_sliders(cable: LaidCable) -> list[int]:
-    return [k for k, node in enumerate(cable.nodes) if node.kind == "edge slider"]
+    return [k for k, node in enumerate(cable.state.nodes) if node.kind == "edge slider"]
 
 
 def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
     """Tie the cable to these places of its edges."""
-    nodes = list(cable.nodes)
+    nodes = list(cable.state.nodes)
     for k, s in places.items():
         point = nodes[k].point
         assert isinstance(point, EdgePoint)
@@ -56,14 +56,14 @@ def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
 
 def pull_at(cable: LaidCable, k: int) -> Array:
     """Force of the cable on what it passes at a node."""
-    ways = cable.positions[[k - 1, k + 1]] - cable.positions[k]
+    ways = cable.state.positions[[k - 1, k + 1]] - cable.state.positions[k]
     return cable.tension * np.sum(ways / np.linalg.norm(ways, axis=1)[:, None], axis=0)
 
 
 def kinds(cable: LaidCable) -> str:
     """Initials, without those of the fold points."""
     letters = {"anchor": "a", "fold": "", "edge slider": "-", "tied": "r", "vertex": "v"}
-    return "".join(letters[node.kind] for node in cable.nodes)
+    return "".join(letters[node.kind] for node in cable.state.nodes)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_only_edges_that_are_held_over_their_length_are_edge_sliders(comm) -> No
     scene.fix(lambda x: (x[0] < 1e-9) | (x[0] > 100 - 1e-9))
     cable = scene.lay_cable(CABLE, OBLIQUE)
     assert edge_sliders(cable) == []
-    assert [node.kind for node in cable.nodes[:2]] == ["anchor", "fold"]
+    assert [node.kind for node in cable.state.nodes[:2]] == ["anchor", "fold"]
 
 
 def test_energy_is_least_where_the_edge_slider_is(comm) -> None:
@@ -94,12 +94,12 @@ def test_energy_is_least_where_the_edge_slider_is(comm) -> None:
     scene = ridged(comm)
     cable = scene.lay_cable(CABLE, OVER_THE_RIDGE)
     (k,) = edge_sliders(cable)
-    first = cable.fractions[k]
+    first = cable.state.fractions[k]
     solver = Solver(scene)
     solver.advance(pressure=0.01, move={"ridge": (0.0, 0.0, 8.0)})
     step = solver.advance(L0={cable: 0.99 * cable.L0})
     assert all(s.halvings == 0 and s.outcome.iterations < 40 for s in solver.steps)
-    energy, found = scene.energy, cable.fractions[k]
+    energy, found = scene.energy, cable.state.fractions[k]
     assert 0.1 < found < 0.9 and abs(found - first) > 0.02
 
     def tied(s: float) -> float:
@@ -118,10 +118,10 @@ def test_energy_is_least_where_the_edge_slider_is(comm) -> None:
 def test_an_oblique_cable_over_a_held_boundary(comm) -> None:
     """It does not pull along the boundary, as it does where it is tied to its first places."""
     scene, cable, solver = oblique(comm, slide=False)
-    first = [cable.nodes[k].point.fraction for k in edge_sliders(cable)]
-    assert cable.tension > 20.0 and len(edge_sliders(cable)) == 2 and cable.blocked == ()
-    energy, places = scene.energy, {k: float(cable.fractions[k]) for k in edge_sliders(cable)}
-    assert np.abs(cable.positions[edge_sliders(cable), 0] - [0, 100]).max() < 1e-12
+    first = [cable.state.nodes[k].point.fraction for k in edge_sliders(cable)]
+    assert cable.tension > 20.0 and len(edge_sliders(cable)) == 2 and cable.state.blocked == ()
+    energy, places = scene.energy, {k: float(cable.state.fractions[k]) for k in edge_sliders(cable)}
+    assert np.abs(cable.state.positions[edge_sliders(cable), 0] - [0, 100]).max() < 1e-12
     for k in edge_sliders(cable):
         # what is left balances the pressure on the facets beside the point
         assert abs(pull_at(cable, k)[1]) < 1e-3 * cable.tension
@@ -148,8 +148,8 @@ def test_the_number_of_processes_does_not_matter(comm) -> None:
     (apart, cable, _), (alone, twin, _) = oblique(comm), oblique(MPI.COMM_SELF)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
     assert apart.energy == pytest.approx(alone.energy, rel=1e-9)
-    np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(cable.fractions, twin.fractions, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(cable.state.positions, twin.state.positions, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(cable.state.fractions, twin.state.fractions, rtol=0, atol=1e-8)
 
 
 def spanned(comm: MPI.Intracomm) -> tuple[Scene, LaidCable, Solver]:
@@ -168,13 +168,13 @@ def test_spans_from_edge_sliders_on_any_number_of_processes(comm) -> None:
     scene, cable, solver = spanned(comm)
     assert cable.tension > 10.0
     assert kinds(cable) == "ar-r"
-    assert cable.lifted.sum() >= 3 and edge_sliders(cable)[0] in cable.contacts()
+    assert cable.state.lifted.sum() >= 3 and edge_sliders(cable)[0] in cable.contacts()
     alone, twin, other = spanned(MPI.COMM_SELF)
     assert scene.energy == pytest.approx(alone.energy, rel=1e-9)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
-    np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(cable.state.positions, twin.state.positions, rtol=0, atol=1e-7)
     np.testing.assert_allclose(
-        cable.reference_positions, twin.reference_positions, rtol=0, atol=1e-7
+        cable.state.reference_positions, twin.state.reference_positions, rtol=0, atol=1e-7
     )
     for group in ("ridge", "boundary"):
         found, expected = solver.reactions(group).total, other.reactions(group).total
@@ -267,7 +267,7 @@ def test_a_moved_edge_takes_its_edge_slider_along(comm) -> None:
     on = np.abs(scene.V.tabulate_dof_coordinates()[:, 0] - 50.0) < 1e-9
     y = scene.V.tabulate_dof_coordinates()[:, 1]
     scene.u.x.array.reshape(-1, 3)[on] = np.stack([0 * y, 0.1 * y - 3.0, 4.0 + 0.2 * y], -1)[on]
-    point = cable.nodes[k].point
+    point = cable.state.nodes[k].point
     assert isinstance(point, EdgePoint)
     assert system.cables is not None
     # in the order of now, among other points on the edge
@@ -296,17 +296,19 @@ def test_a_moved_edge_takes_its_edge_slider_along(comm) -> None:
 
 def test_a_cable_that_slackens_lets_go_of_its_edge_sliders(comm) -> None:
     scene, cable, solver = oblique(comm)
-    places = cable.fractions[edge_sliders(cable)].copy()
-    taut = scene.energy, cable.tension, cable.positions.copy()
+    places = cable.state.fractions[edge_sliders(cable)].copy()
+    taut = scene.energy, cable.tension, cable.state.positions.copy()
     L0 = cable.L0
     solver.advance(L0={cable: 1.1 * L0})
     assert not cable.taut and cable.tension == 0.0
     # found once more from its position, before it slackens
-    np.testing.assert_allclose(cable.fractions[edge_sliders(cable)], places, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        cable.state.fractions[edge_sliders(cable)], places, rtol=0, atol=1e-14
+    )
     solver.advance(L0={cable: L0}, steps=2)
     assert scene.energy == pytest.approx(taut[0], rel=1e-9)
     assert cable.tension == pytest.approx(taut[1], rel=1e-9)
-    np.testing.assert_allclose(cable.positions, taut[2], atol=1e-6)
+    np.testing.assert_allclose(cable.state.positions, taut[2], atol=1e-6)
 
 
 def test_an_edge_slider_that_runs_into_a_vertex_is_reported(comm) -> None:
@@ -315,16 +317,17 @@ def test_an_edge_slider_that_runs_into_a_vertex_is_reported(comm) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PathWarning)
         solver.advance(move={cable.start: (0.0, -20.0, 0.0)}, steps=2)
-    assert edge_sliders(cable)[0] in cable.blocked
+    assert edge_sliders(cable)[0] in cable.state.blocked
     assert all(w.category is PathWarning for w in caught)
     assert bool(caught) == (comm.rank == 0)
     # it stays on the line of its edge, and the state is found again
-    assert abs(cable.positions[edge_sliders(cable)[0], 0]) < 1e-12
+    assert abs(cable.state.positions[edge_sliders(cable)[0], 0]) < 1e-12
     solver.system.read_scene()
     assert solver.system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-12)
     # beyond its edge's end, but not in the stress-free shape of the cells that it folds
     assert (
-        cable.fractions[edge_sliders(cable)[0]] < 0 or cable.fractions[edge_sliders(cable)[0]] > 1
+        cable.state.fractions[edge_sliders(cable)[0]] < 0
+        or cable.state.fractions[edge_sliders(cable)[0]] > 1
     )
     surface = current_surface(scene.net)
     X = surface.stress_free[surface.triangles]

@@ -54,7 +54,7 @@ def inflated(scene: Scene, pressure: float = 0.01) -> Solver:
 
 def places(cable: LaidCable) -> np.ndarray:
     """Where its points are on their edges; NaN on vertices."""
-    return np.array(cable.fractions)
+    return np.array(cable.state.fractions)
 
 
 @pytest.mark.ranks
@@ -67,12 +67,12 @@ def test_it_stays_on_its_line(comm: MPI.Intracomm, hold: str) -> None:
         cable = scene.lay_cable(Cable(3000.0), [(0.0, 30.0), (100.0, 30.0)], hold=one, tension=1.0)
         before = {
             node.point and node.support: place
-            for node, place in zip(cable.nodes, places(cable), strict=True)
+            for node, place in zip(cable.state.nodes, places(cable), strict=True)
         }
         inflated(scene)
         after = {
             node.point and node.support: place
-            for node, place in zip(cable.nodes, places(cable), strict=True)
+            for node, place in zip(cable.state.nodes, places(cable), strict=True)
         }
         same = [key for key in before if key in after]
         moved[one] = np.nanmax([abs(after[key] - before[key]) for key in same])

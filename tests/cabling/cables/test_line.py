@@ -48,7 +48,7 @@ def straight_over(comm: MPI.Intracomm) -> tuple[Scene, LaidCable]:
     scene, solver = inflated(comm)
     cable = scene.lay_cable(Cable(EA), PATHS["far off"])
     solver.advance(L0={cable: 0.999 * cable.L0})
-    assert cable.lifted.sum() >= 3
+    assert cable.state.lifted.sum() >= 3
     return scene, cable
 
 
@@ -59,14 +59,14 @@ def test_its_length_is_the_cables(comm: MPI.Intracomm, ends: str) -> None:
     line = cable.line
     assert polyline_length(line) == pytest.approx(cable.length, rel=1e-12)
     assert np.linalg.norm(np.diff(line, axis=0), axis=1).min() > 0.0  # ends are there once
-    np.testing.assert_allclose(line[[0, -1]], cable.positions[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(line[[0, -1]], cable.state.positions[[0, -1]], atol=1e-12)
     assert len(cable.free_spans) == len(cable.tensions) == len(line) - 1
     np.testing.assert_array_equal(cable.tensions, cable.tension)
     if ends != "tied":  # one may lift off right beside its tie
         assert {*cable.free_spans[[0, -1]]} == {"off" in ends}
     assert all(np.array_equal(line, other) for other in scene.comm.allgather(line))
     line[:] = np.nan  # a copy
-    assert np.isfinite(cable.positions).all()
+    assert np.isfinite(cable.state.positions).all()
 
 
 @pytest.mark.parametrize("along", [0.0, 0.3])
@@ -91,7 +91,7 @@ def test_tension_is_what_the_line_says(comm: MPI.Intracomm, along: float) -> Non
             length = polyline_length(cable.line)
             assert cable.length == pytest.approx(length, rel=1e-14)
             assert cable.tension == pytest.approx(EA * (length / cable.L0 - 1), rel=1e-8)
-            smoothing_length = max(smoothing_length, abs(cable.smoothing_length))
+            smoothing_length = max(smoothing_length, abs(cable.state.smoothing_length))
         strain = sum(c.tension**2 * c.L0 / (2 * EA) for c in cables)
         if not along:
             assert scene.energies["cables"] == pytest.approx(strain, rel=1e-8)
@@ -101,11 +101,11 @@ def test_tension_is_what_the_line_says(comm: MPI.Intracomm, along: float) -> Non
 def test_it_runs_straight_where_the_cable_is_lifted(comm: MPI.Intracomm) -> None:
     scene, cable = straight_over(comm)
     assert polyline_length(cable.line) == pytest.approx(cable.length, rel=1e-12)
-    assert len(cable.line) < len(cable.nodes)
+    assert len(cable.line) < len(cable.state.nodes)
     assert cable.free_spans[0] and cable.free_spans[-1] and not cable.free_spans.all()
     # the way on the mesh below is marked from node to node, the cable's own line goes on
     assert np.all(np.diff(cable.line[:, 0]) > 0.0)
-    touching = ~np.isnan(cable.reference_positions[:, 0]) & ~cable.lifted
+    touching = ~np.isnan(cable.state.reference_positions[:, 0]) & ~cable.state.lifted
     assert touching.sum() == len(cable.line) - 2
     forces = Solver(scene).contact_forces(cable)
     assert forces.line.shape == forces.normal.shape == (len(cable.line),)
@@ -124,7 +124,7 @@ def test_laid_again_it_lies_in_the_same_fold(
     assert again.ends == cable.ends and back.ends == cable.ends[::-1]
     for other, path in ((again, again.path.points), (back, back.path.points[::-1])):
         assert other.length == pytest.approx(cable.length, rel=1e-9)
-        if not cable.lifted.any():
+        if not cable.state.lifted.any():
             assert path == cable.path.points
     np.testing.assert_allclose(again.line, cable.line, atol=1e-9)
 
@@ -133,7 +133,7 @@ def test_laid_again_where_it_is_lifted(comm: MPI.Intracomm) -> None:
     scene, cable = straight_over(comm)
     again = scene.lay_cable(cable.cable, cable.line)
     assert again.length == pytest.approx(cable.length, rel=1e-6)
-    assert again.lifted.sum() >= 3
+    assert again.state.lifted.sum() >= 3
 
 
 @pytest.mark.ranks
@@ -143,7 +143,7 @@ def test_laid_again_across_another(comm: MPI.Intracomm) -> None:
     lower = scene.lay_cable(Cable(EA), [(0.0, 44.0), (100.0, 47.0)])
     upper = scene.lay_cable(Cable(EA), [(44.0, 0.0), (53.0, 100.0)])
     solver.advance(L0={cable: 0.99 * cable.L0 for cable in (lower, upper)})
-    assert {node.kind for node in upper.nodes} >= {"crossing"}
+    assert {node.kind for node in upper.state.nodes} >= {"crossing"}
     again = scene.lay_cable(upper.cable, upper.line)
     assert again.path == upper.path
     assert again.length == pytest.approx(upper.length, rel=1e-4)

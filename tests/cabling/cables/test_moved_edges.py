@@ -113,7 +113,7 @@ def test_ends_that_are_not_sewn_stay_and_say_so(comm: MPI.Intracomm) -> None:
     tensions = []
     for told in (False, True):
         solver, cable = belted(comm, "outside")
-        start = cable.positions[0].copy()
+        start = cable.state.positions[0].copy()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             stays: dict[object, Move] = {cable.start: (0.0, 0.0, 0.0)} if told else {}
@@ -125,7 +125,7 @@ def test_ends_that_are_not_sewn_stay_and_say_so(comm: MPI.Intracomm) -> None:
                 assert "the start of 'cable 1' stays in space" in words and "end of" not in words
             solver.advance(move={"left": (-0.05, 0.0, 0.0), "back": (0.0, 0.0, 0.0)})
             assert len(caught) == (comm.rank == 0 and not told)
-        np.testing.assert_array_equal(cable.positions[0], start)
+        np.testing.assert_array_equal(cable.state.positions[0], start)
         tensions.append(cable.tension)
     assert tensions[0] == tensions[1]
 
@@ -162,7 +162,7 @@ def test_edge_cables_go_with_their_corner(comm: MPI.Intracomm) -> None:
         ends = [end for cable in sail.cables for end in (cable.start, cable.end)]
         own = [
             end for end in ends
-            if np.allclose(end.cable.positions[0 if end.which == "start" else -1], at)
+            if np.allclose(end.cable.state.positions[0 if end.which == "start" else -1], at)
         ]  # fmt: skip
         assert len(own) == 4, "of two edge cables and their belts"
         by_it: dict[object, Move] = dict.fromkeys(own, way) if by_hand else {}

@@ -36,34 +36,37 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     numbering, potential = system.cables.numbering, system.potential
     potential.x[: system.unknowns.n_owned] = displaced(system.unknowns, 2.0)
     potential.place()
-    before = scene.cables[0].positions[3].copy()
+    before = scene.cables[0].state.positions[3].copy()
     NodePositions(numbering, system.unknowns).gather(potential.x)
     known = vertices(scene)
     for (c, k), number in numbering.numbers.items():
-        block, node = numbering.blocks[number], scene.cables[c].nodes[k]
-        if block >= 0 and node.kind != "tied" and not scene.cables[c].lifted[k]:
+        block, node = numbering.blocks[number], scene.cables[c].state.nodes[k]
+        if block >= 0 and node.kind != "tied" and not scene.cables[c].state.lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]
-            np.testing.assert_allclose(scene.cables[c].positions[k], place)
-    np.testing.assert_array_equal(scene.cables[0].positions[3], before)
+            np.testing.assert_allclose(scene.cables[c].state.positions[k], place)
+    np.testing.assert_array_equal(scene.cables[0].state.positions[3], before)
     points = points_by_edge(scene.cables)
     assert max(len(line) for line in points.values()) == 2
     for edge, members in points.items():
-        places = [scene.cables[c].positions[k] for _, c, k in members]
+        places = [scene.cables[c].state.positions[k] for _, c, k in members]
         line = np.array([known[edge[0]][1], *places, known[edge[1]][1]])
         run = np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()
         for (_, c, k), share in zip(members, run[:-1] / run[-1], strict=True):
-            if scene.cables[c].nodes[k].slides:
-                assert abs(scene.cables[c].fractions[k] - share) < 1e-13
+            if scene.cables[c].state.nodes[k].slides:
+                assert abs(scene.cables[c].state.fractions[k] - share) < 1e-13
     for cable in scene.cables:
-        for k, node in enumerate(cable.nodes):
-            if node.point is None or cable.lifted[k]:
-                assert np.isnan(cable.reference_positions[k]).all()
+        for k, node in enumerate(cable.state.nodes):
+            if node.point is None or cable.state.lifted[k]:
+                assert np.isnan(cable.state.reference_positions[k]).all()
             else:
                 ids, weights = cable.interpolation(k)
                 place = np.dot(weights, [known[i][0] for i in ids])
-                np.testing.assert_allclose(cable.reference_positions[k], place, atol=1e-12)
-        far = [abs(f - 0.5) < 0.5 - 1e-9 for f in cable.fractions[np.isfinite(cable.fractions)]]
-        assert all(far) and not cable.blocked
+                np.testing.assert_allclose(cable.state.reference_positions[k], place, atol=1e-12)
+        far = [
+            abs(f - 0.5) < 0.5 - 1e-9
+            for f in cable.state.fractions[np.isfinite(cable.state.fractions)]
+        ]
+        assert all(far) and not cable.state.blocked
 
 
 @pytest.mark.ranks
@@ -71,11 +74,11 @@ def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
     scene = system.scene
     cable = scene.cables[0]
-    k = next(k for k, node in enumerate(cable.nodes) if node.kind == "fold")
-    point = cable.nodes[k].point
+    k = next(k for k, node in enumerate(cable.state.nodes) if node.kind == "fold")
+    point = cable.state.nodes[k].point
     assert isinstance(point, EdgePoint)
     place = vertices(scene)[point.edge[0]][1]
-    put(cable, "positions", k, place + 1e-9 * (cable.positions[k] - place))
+    put(cable, "positions", k, place + 1e-9 * (cable.state.positions[k] - place))
     system.read_scene()
     system.locate_cables()
-    assert cable.blocked == (k,) and cable.fractions[k] < 1e-6
+    assert cable.state.blocked == (k,) and cable.state.fractions[k] < 1e-6

@@ -58,18 +58,18 @@ def slow_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
     """The same, walking along the polyline from one node."""
     total = np.zeros(3)
     for step in (-1, 1):
-        here, way, m = cable.positions[k], 0.0, k
-        while way < reach and 0 <= m + step < len(cable.nodes):
+        here, way, m = cable.state.positions[k], 0.0, k
+        while way < reach and 0 <= m + step < len(cable.state.nodes):
             m += step
-            if cable.lifted[m]:
+            if cable.state.lifted[m]:
                 continue
-            part = float(np.linalg.norm(cable.positions[m] - here))
+            part = float(np.linalg.norm(cable.state.positions[m] - here))
             share = min(1.0, (reach - way) / part)
-            here, way = here + share * (cable.positions[m] - here), way + share * part
-            if cable.nodes[m].kind == "crossing":
+            here, way = here + share * (cable.state.positions[m] - here), way + share * part
+            if cable.state.nodes[m].kind == "crossing":
                 break
-        offset = here - cable.positions[k]
-        if way <= SAME_PLACE * polyline_length(cable.positions[cable.contacts()]):
+        offset = here - cable.state.positions[k]
+        if way <= SAME_PLACE * polyline_length(cable.state.positions[cable.contacts()]):
             return -1.0
         total += offset / np.linalg.norm(offset)
     return float(total @ normal)
@@ -80,11 +80,11 @@ def test_pulls_are_those_of_a_walk_from_each_node() -> None:
     for _ in range(20):
         n = int(rng.integers(3, 15))
         cable, _ = along(roof([0.0] * n))
-        m = len(cable.nodes)
+        m = len(cable.state.nodes)
         cable.update(positions=rng.random((m, 3)))
-        put(cable, "positions", 1, cable.positions[0] + 1e-12)  # on its anchor
+        put(cable, "positions", 1, cable.state.positions[0] + 1e-12)  # on its anchor
         put(cable, "lifted", slice(2, -1), rng.random(m - 3) < 0.3)
-        nodes = list(cable.nodes)
+        nodes = list(cable.state.nodes)
         for k in 2 + np.flatnonzero(rng.random(m - 3) < 0.3):
             nodes[k] = CableNode("crossing", CellPoint((0, 1, n), (0.2, 0.3, 0.5)))
         cable.update(nodes=tuple(nodes))
@@ -125,7 +125,7 @@ def test_pull_is_not_looked_for_beyond_a_crossing() -> None:
     places = [(-2, 0, -3), (-0.5, 0, 0), (0, 0, 0), (0.5, 0, 0), (2, 0, -3)]
     cable.update(positions=np.array(places))
     assert pull_at(cable, 2, UP, 1.0) < -0.1
-    nodes = list(cable.nodes)
+    nodes = list(cable.state.nodes)
     nodes[1] = nodes[3] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
     cable.update(nodes=tuple(nodes))
     assert pull_at(cable, 2, UP, 1.0) == pytest.approx(0.0, abs=1e-15)
@@ -135,7 +135,7 @@ def test_a_cable_on_its_anchor_does_not_pull() -> None:
     shape = roof([0.0, 0.5, 0.0])
     cable, _ = along(shape, (0.0, 0.5, 0.0), (4.0, 0.5, 3.0))
     assert pull_at(cable, 1, UP, 0.5) == -1.0
-    assert pull_at(cable, len(cable.nodes) - 2, UP, 0.5) > 0.1
+    assert pull_at(cable, len(cable.state.nodes) - 2, UP, 0.5) > 0.1
 
 
 def test_size_of_the_cells_around() -> None:
@@ -152,7 +152,7 @@ def test_ends_and_crossings_do_not_lift() -> None:
     cable, _ = along(shape)
     assert list(may_lift(cable)) == [1, 2, 3]
     assert released(cable, shape) == [1, 2, 3]  # all within the cells' size of the valley
-    nodes = list(cable.nodes)
+    nodes = list(cable.state.nodes)
     nodes[2] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
     cable.update(nodes=tuple(nodes))
     assert list(may_lift(cable)) == [1, 3]
@@ -359,13 +359,13 @@ def test_a_span_through_a_hill_touches_it() -> None:
     assert places[at[2.0]].gap == pytest.approx(-1.0)
     # the diagonal's normal is that of its two cells, which are in one plane of slope 3/4
     assert places[at[0.5]].gap == pytest.approx(-0.375 * 1.25)
-    np.testing.assert_allclose(cable.positions[:, 2], 0.0, atol=1e-15)  # on the span
+    np.testing.assert_allclose(cable.state.positions[:, 2], 0.0, atol=1e-15)  # on the span
     touch(cable, places)
-    assert not cable.lifted.any()
+    assert not cable.state.lifted.any()
     x = np.arange(0.0, 4.01, 0.5)
     expected = np.column_stack([x, np.full(9, 0.5), np.interp(x, range(5), heights)])
-    np.testing.assert_allclose(cable.positions, expected, atol=1e-14)
-    np.testing.assert_allclose(cable.fractions, 0.5)
+    np.testing.assert_allclose(cable.state.positions, expected, atol=1e-14)
+    np.testing.assert_allclose(cable.state.fractions, 0.5)
 
 
 def test_a_span_above_a_valley_does_not_touch_it() -> None:
@@ -373,9 +373,9 @@ def test_a_span_above_a_valley_does_not_touch_it() -> None:
     cable, _ = along(shape)
     set_lifted(cable, [1, 2, 3])
     assert captured(cable, shape) == {}
-    np.testing.assert_allclose(cable.positions[:, 2], 1.0)
+    np.testing.assert_allclose(cable.state.positions[:, 2], 1.0)
     # along the normal, 0.1 up is 0.02 inwards
-    np.testing.assert_allclose(cable.positions[:, 0], [0.0, 0.52, 1.0, 1.48, 2.0])
+    np.testing.assert_allclose(cable.state.positions[:, 0], [0.0, 0.52, 1.0, 1.48, 2.0])
 
 
 @pytest.mark.parametrize(("depth", "touches"), [(0.5 * DEPTH, False), (2 * DEPTH, True)])
@@ -395,13 +395,13 @@ def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
     places = captured(cable, shape)
     assert places[at[1.0]].fraction == pytest.approx(0.7495)
     touch(cable, places)
-    np.testing.assert_allclose(cable.positions[at[1.0]], [1.0, 0.7495, 1.0])
-    assert cable.fractions[at[1.0]] == pytest.approx(0.7495)
+    np.testing.assert_allclose(cable.state.positions[at[1.0]], [1.0, 0.7495, 1.0])
+    assert cable.state.fractions[at[1.0]] == pytest.approx(0.7495)
     put(cable, "positions", (0, 1), 0.001)
     put(cable, "positions", (-1, 1), 0.001)
     set_lifted(cable, [1, 2, 3])
     touch(cable, captured(cable, shape))
-    assert cable.fractions[at[1.0]] == INSIDE
+    assert cable.state.fractions[at[1.0]] == INSIDE
 
 
 # ---- draping -----------------------------------------------------------------------------------
@@ -411,10 +411,10 @@ def test_drape_over_two_ridges() -> None:
     shape = roof([0.0, 1.0, 0.0, 1.0, 0.0])
     cable, at = along(shape)
     drape(cable, shape)
-    assert [x for x, k in at.items() if cable.lifted[k]] == [1.5, 2.0, 2.5]
-    length = polyline_length(cable.positions[cable.contacts()])
+    assert [x for x, k in at.items() if cable.state.lifted[k]] == [1.5, 2.0, 2.5]
+    length = polyline_length(cable.state.positions[cable.contacts()])
     assert length == pytest.approx(2 * np.sqrt(2) + 2)
-    np.testing.assert_allclose(cable.positions[at[2.0]], [2.0, 0.5, 1.0])
+    np.testing.assert_allclose(cable.state.positions[at[2.0]], [2.0, 0.5, 1.0])
 
 
 def test_drape_from_anchors_is_tangential() -> None:
@@ -422,8 +422,8 @@ def test_drape_from_anchors_is_tangential() -> None:
     shape = roof([0.0, 0.75, 1.0, 0.75, 0.0])
     cable, at = along(shape, (-1.0, 0.5, 0.0), (5.0, 0.5, 0.0))
     drape(cable, shape)
-    assert [x for x, k in at.items() if cable.lifted[k]] == [0.0, 0.5, 3.5, 4.0]
-    length = polyline_length(cable.positions[cable.contacts()])
+    assert [x for x, k in at.items() if cable.state.lifted[k]] == [0.0, 0.5, 3.5, 4.0]
+    length = polyline_length(cable.state.positions[cable.contacts()])
     assert length == pytest.approx(2 * np.hypot(2.0, 0.75) + 2 * np.hypot(1.0, 0.25))
 
 
@@ -433,9 +433,9 @@ def test_drape_over_low_hills_between_high_ones() -> None:
         shape = roof([0.0, 1.0, 0.0, middle, 0.0, 1.0, 0.0])
         cable, at = along(shape)
         drape(cable, shape)
-        on = [x for x, k in at.items() if not cable.lifted[k]]
+        on = [x for x, k in at.items() if not cable.state.lifted[k]]
         assert on == [0.0, 0.5, 1.0, *([3.0] * touches), 5.0, 5.5, 6.0]
-        length = polyline_length(cable.positions[cable.contacts()])
+        length = polyline_length(cable.state.positions[cable.contacts()])
         top = 2 * np.hypot(2.0, 0.1) if touches else 4.0
         assert length == pytest.approx(2 * np.sqrt(2) + top)
 
@@ -446,21 +446,21 @@ def test_drape_depends_on_no_state() -> None:
     anchors = (-1.0, 0.5, 0.0), (7.0, 0.5, 0.0)
     first, _ = along(shape, *anchors)
     drape(first, shape)
-    assert 0 < first.lifted.sum() < len(first.nodes) - 2
+    assert 0 < first.state.lifted.sum() < len(first.state.nodes) - 2
     for seed in range(4):
         cable, _ = along(shape, *anchors)
         put(
             cable,
             "lifted",
             slice(1, -1),
-            np.random.default_rng(seed).random(len(cable.nodes) - 2) < 0.5,
+            np.random.default_rng(seed).random(len(cable.state.nodes) - 2) < 0.5,
         )
         drape(cable, shape)
-        found = [polyline_length(c.positions[c.contacts()]) for c in (cable, first)]
+        found = [polyline_length(c.state.positions[c.contacts()]) for c in (cable, first)]
         assert found[0] == pytest.approx(found[1], rel=1e-6)  # DEPTH
-        before = cable.lifted.copy()
+        before = cable.state.lifted.copy()
         drape(cable, shape)
-        np.testing.assert_array_equal(cable.lifted, before)
+        np.testing.assert_array_equal(cable.state.lifted, before)
 
 
 # ---- one cable on another ----------------------------------------------------------------------
@@ -514,19 +514,19 @@ def link_at(cable: LaidCable, k: int) -> Array:
 
 def test_links_count_no_crossings_and_pass_what_is_lifted() -> None:
     cable, _ = along(roof([0.0] * 4))
-    x = cable.positions
+    x = cable.state.positions
     for k, (a, b) in ((2, (2, 3)), (0, (0, 1))):
         np.testing.assert_array_equal(link_at(cable, k), x[[a, b]])
     set_lifted(cable, [2, 3])
     np.testing.assert_array_equal(link_at(cable, 2), x[[1, 4]])
-    nodes = list(cable.nodes)
+    nodes = list(cable.state.nodes)
     nodes.insert(2, CableNode("crossing", CellPoint((0, 1, 4), (0.2, 0.3, 0.5))))
     cable.set_nodes(
         nodes,
         np.insert(x, 2, 0.0, axis=0),
-        np.insert(cable.fractions, 2, np.nan),
+        np.insert(cable.state.fractions, 2, np.nan),
         np.zeros(8, bool),
     )
     # node 1 is at 1, the crossing at 2, and the second to follow at 3
-    np.testing.assert_array_equal(link_at(cable, 1), cable.positions[[1, 3]])
-    np.testing.assert_array_equal(link_at(cable, 2), cable.positions[[3, 4]])
+    np.testing.assert_array_equal(link_at(cable, 1), cable.state.positions[[1, 3]])
+    np.testing.assert_array_equal(link_at(cable, 2), cable.state.positions[[3, 4]])

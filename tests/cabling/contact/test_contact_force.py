@@ -156,15 +156,15 @@ def on_cylinder(h, seed=0, ratio=0.0, kind="jittered"):
 def forces_twin(cable, shape):
     """Normal and lateral forces node by node, as in words: the force T (t2 - t1) in the plane
     across the cable, split into the part along the normal of edge and cable, and the rest."""
-    normal, lateral = np.zeros((2, len(cable.nodes)))
-    x = cable.positions
+    normal, lateral = np.zeros((2, len(cable.state.nodes)))
+    x = cable.state.positions
     for k in range(1, len(x) - 1):
         t1, t2 = (d / np.linalg.norm(d) for d in (x[k] - x[k - 1], x[k + 1] - x[k]))
-        a, b = (shape.at(v) for v in cable.nodes[k].point.edge)
+        a, b = (shape.at(v) for v in cable.state.nodes[k].point.edge)
         edge = (b - x[k]) / np.linalg.norm(b - x[k]) + (x[k] - a) / np.linalg.norm(x[k] - a)
         along = (t1 + t2) / np.linalg.norm(t1 + t2)
         n = np.cross(edge, along) / np.linalg.norm(np.cross(edge, along))
-        n *= np.sign(n @ shape.normal(cable.nodes[k].point.support))
+        n *= np.sign(n @ shape.normal(cable.state.nodes[k].point.support))
         normal[k] = -T * (t2 - t1) @ n
         lateral[k] = T * (t2 - t1) @ np.cross(n, along)
     return normal, lateral
@@ -173,10 +173,10 @@ def forces_twin(cable, shape):
 def bearing_twin(cable, shape, normal):
     """Smoothed force of each node but the ends, as a difference of sums at the ends of its stretch,
     which begins and ends in the middles between it and the nodes beside it."""
-    x = cable.positions
+    x = cable.state.positions
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
     sizes = []
-    for node in cable.nodes[1:-1]:
+    for node in cable.state.nodes[1:-1]:
         cells = shape.strip.rows(node.point.support)
         sizes.append(np.mean(np.linalg.norm(shape.normals[cells], axis=1)) ** 0.5)
     middles = (arc[1:] + arc[:-1]) / 2
@@ -223,7 +223,7 @@ def test_line_force_on_a_helix():
         for seed in range(4):
             way, scene, cable = on_cylinder(h, seed)
             forces = contact_forces(cable, scene.net.strip_shape())
-            x = cable.positions
+            x = cable.state.positions
             arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
             inner = (arc > 0.45) & (arc < way.length - 0.45)
             density = T * np.cos(way.surface.course) ** 2
@@ -264,7 +264,7 @@ def test_a_sleeve_bears_from_both_sides():
     """Positive on the ridge, negative in the valley; a sleeve holds the cable there too."""
     scene, cable = hollow("sleeve")
     forces = contact_forces(cable, scene.net.strip_shape())
-    x = cable.positions[:, 0]
+    x = cable.state.positions[:, 0]
     ridge = (x > 0.6) & (x < np.pi - 0.6)
     valley = (x > np.pi + 0.6) & (x < 2 * np.pi - 0.6)
     # every other point lies on a diagonal of a flat rectangle, and does not turn
@@ -283,13 +283,13 @@ def test_a_sleeve_bears_from_both_sides():
 
 def test_lifted_cable_bears_where_it_lies():
     scene, cable = hollow("outside")
-    assert cable.lifted.any()
+    assert cable.state.lifted.any()
     forces = contact_forces(cable, scene.net.strip_shape())
     for values in (forces.normal, forces.lateral, forces.bearing):
-        assert not np.any(values[cable.lifted])
-    assert np.all(np.isnan(forces.line[cable.lifted]))
+        assert not np.any(values[cable.state.lifted])
+    assert np.all(np.isnan(forces.line[cable.state.lifted]))
     assert len(runs(cable)) == 2
-    on = ~cable.lifted & (cable.positions[:, 0] < 3)
+    on = ~cable.state.lifted & (cable.state.positions[:, 0] < 3)
     assert forces.bearing[on].sum() == pytest.approx(
         np.maximum(forces.normal[on].sum(), 0), rel=0.05
     )
@@ -299,9 +299,9 @@ def test_nodes_beside_anchors_bear_for_themselves():
     """On the edge of the boundary, where it turns down to its anchor, is a single force."""
     system = friction_square(COMM)
     cable = system.scene.cables[2]
-    assert [node.kind for node in cable.nodes[:2]] == ["anchor", "edge slider"]
+    assert [node.kind for node in cable.state.nodes[:2]] == ["anchor", "edge slider"]
     forces = contact_forces(cable, system.scene.net.strip_shape())
-    for k in (1, len(cable.nodes) - 2):
+    for k in (1, len(cable.state.nodes) - 2):
         assert forces.bearing[k] == forces.normal[k] > 0
         assert np.isnan(forces.line[k])
     inner = slice(2, -2)
@@ -321,7 +321,7 @@ def test_what_presses_at_a_crossing_is_not_the_membranes():
     solver.advance(pressure=0.01)
     shape = scene.net.strip_shape()
     for cable in scene.cables:
-        kinds = [node.kind for node in cable.nodes]
+        kinds = [node.kind for node in cable.state.nodes]
         assert "crossing" in kinds
         forces = contact_forces(cable, shape)
         k = kinds.index("crossing")
@@ -329,5 +329,5 @@ def test_what_presses_at_a_crossing_is_not_the_membranes():
         assert paper_forces(cable)[k] == 0.0
         assert np.isnan(forces.line[k])
         assert all(k not in run for run in runs(cable))
-    lower, upper = (c.positions for c in scene.cables)
+    lower, upper = (c.state.positions for c in scene.cables)
     assert len(lower) > 3 and len(upper) > 3

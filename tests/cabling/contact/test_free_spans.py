@@ -20,15 +20,15 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 def slow_bends(cables: list[LaidCable], c: int, k: int) -> list[Array]:
     """Points where the other cables fold the edge under a node, in order."""
-    own = cables[c].nodes[k]
+    own = cables[c].state.nodes[k]
     points = [
-        (float(other.fractions[m]), d, m)
+        (float(other.state.fractions[m]), d, m)
         for d, other in enumerate(cables)
-        for m, node in enumerate(other.nodes)
-        if d != c and other.taut and not other.lifted[m]
+        for m, node in enumerate(other.state.nodes)
+        if d != c and other.taut and not other.state.lifted[m]
         if isinstance(node.point, EdgePoint) and node.point.support == own.support
     ]
-    return [cables[d].positions[m] for _, d, m in sorted(points)]
+    return [cables[d].state.positions[m] for _, d, m in sorted(points)]
 
 
 def slow_gaps(cables: list[LaidCable], c: int, shape: StripShape) -> dict[int, Gap]:
@@ -36,9 +36,11 @@ def slow_gaps(cables: list[LaidCable], c: int, shape: StripShape) -> dict[int, G
     cable, found = cables[c], {}
     for a, b in spans(cable):
         for k in range(a + 1, b):
-            if cable.nodes[k].kind != "crossing" and not is_foot(cable, k):
-                ends = (cable.positions[a], cable.positions[b])
-                found[k] = under(cable.nodes[k].support, ends, shape, slow_bends(cables, c, k))
+            if cable.state.nodes[k].kind != "crossing" and not is_foot(cable, k):
+                ends = (cable.state.positions[a], cable.state.positions[b])
+                found[k] = under(
+                    cable.state.nodes[k].support, ends, shape, slow_bends(cables, c, k)
+                )
     return found
 
 
@@ -48,15 +50,15 @@ def net(seed: int) -> tuple[StripShape, list[LaidCable]]:
     shape = roof(rng.uniform(0.0, 0.3, 6).tolist())
     cables = [along(shape, (-1.0, 0.5, 0.0), (6.0, 0.5, 0.0))[0] for _ in range(4)]
     for cable in cables:
-        n = len(cable.nodes)
-        nodes = list(cable.nodes)
+        n = len(cable.state.nodes)
+        nodes = list(cable.state.nodes)
         nodes[1] = CableNode("tied", CellPoint((0, 1, 6), (0.3, 0.4, 0.3)))  # the anchor's foot
         nodes[4] = CableNode("crossing", CellPoint((1, 2, 7), (0.3, 0.4, 0.3)))
         cable.update(nodes=tuple(nodes), taut=cable is not cables[-1])
-        fractions = np.where(np.isnan(cable.fractions), np.nan, rng.uniform(0.2, 0.8, n))
+        fractions = np.where(np.isnan(cable.state.fractions), np.nan, rng.uniform(0.2, 0.8, n))
         cable.update(fractions=fractions, lifted=rng.random(n) < 0.6)
         put(cable, "lifted", [0, -1], False)
-        cable.update(positions=cable.positions + rng.uniform(-0.3, 0.3, (n, 3)))
+        cable.update(positions=cable.state.positions + rng.uniform(-0.3, 0.3, (n, 3)))
     return shape, cables
 
 
@@ -79,11 +81,11 @@ def test_nodes_are_moved_onto_spans_and_captured_where_these_are_low(height: flo
     free = FreeSpans(cables, NodeTable.of(cables), shape, np.ones(4, dtype=bool), folded=True)
     count = 0
     for c, cable in enumerate(cables):
-        gaps, x = slow_gaps(cables, c, shape), cable.positions
+        gaps, x = slow_gaps(cables, c, shape), cable.state.positions
         low = {
             k
             for k, gap in gaps.items()
-            if gap.inside and gap.gap < height * size_at(shape, cable.nodes[k].support)
+            if gap.inside and gap.gap < height * size_at(shape, cable.state.nodes[k].support)
         }
         assert low <= free.captured(c, height).keys()  # others pass beside a vertex
         free.move(c)
@@ -92,7 +94,7 @@ def test_nodes_are_moved_onto_spans_and_captured_where_these_are_low(height: flo
             for k in range(a + 1, b):
                 flat = x[a] + (k - a) / (b - a) * (x[b] - x[a])
                 place = gaps[k].above if k in gaps else flat
-                np.testing.assert_array_equal(cable.positions[k], place)
+                np.testing.assert_array_equal(cable.state.positions[k], place)
     assert count > 2
 
 
@@ -104,7 +106,7 @@ def test_spans_low_above_the_membrane_close_but_not_beside_a_released_contact(
     shape = roof([0.0, -0.02, -0.02, -0.02, 0.0])
     cable, at = along(shape)
     cable.update(lifted=np.isin(np.arange(9), range(1, 8)))
-    pulled = set() if before is None else {(cable.name, cable.nodes[at[before]].support)}
+    pulled = set() if before is None else {(cable.name, cable.state.nodes[at[before]].support)}
     memory = SimpleNamespace(released=pulled, settled=set(), has_rested=lambda _: False)
     active = ActiveSet(SimpleNamespace(cables=[cable]), memory)  # type: ignore[arg-type]
     free = FreeSpans([cable], NodeTable.of([cable]), shape, np.ones(1, dtype=bool))
@@ -112,5 +114,5 @@ def test_spans_low_above_the_membrane_close_but_not_beside_a_released_contact(
     texts = active._change(0, [], free)
     assert not active.only_lifted  # paths must not change together with it
     apart = {None: [], 2.0: [1.5, 2.0, 2.5], 2.5: [2.0, 2.5, 3.0]}[before]
-    assert [x for x, k in at.items() if cable.lifted[k]] == apart
+    assert [x for x, k in at.items() if cable.state.lifted[k]] == apart
     assert len(texts) == 7 - len(apart)

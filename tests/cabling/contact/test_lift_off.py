@@ -53,7 +53,7 @@ def test_cable_that_touches_in_part_converges(comm, kind: str) -> None:
     sizes, W = ((8, 16, 32) if kind == "on mesh lines" else (9, 17, 33)), []
     for n in sizes:
         scene, cable, _ = held_down(comm, n, "structured" if kind == "on mesh lines" else kind)
-        assert cable.lifted.any() and not cable.lifted[1:-1].all()
+        assert cable.state.lifted.any() and not cable.state.lifted[1:-1].all()
         W.append(scene.energy - W_EXACT)
     assert order([1 / n for n in sizes], W) > 1.9
     assert cable.tension == pytest.approx(T_EXACT, rel=1e-4)
@@ -116,7 +116,7 @@ def test_cable_lifts_off_altogether(comm) -> None:
     """It is a straight bar then, and the membrane that without cables."""
     scene, cable, solver = held_down(comm, 9)
     solver.advance(move={cable: (0.0, 0.0, 6.0)}, steps=2)
-    assert cable.lifted[1:-1].all()
+    assert cable.state.lifted[1:-1].all()
     assert cable.tension == pytest.approx(32000.0 * 0.5 / 109.5, rel=1e-9)
     height, energy = free_height(comm, 9)
     assert scene.energy - scene.energies["cables"] == pytest.approx(energy, rel=1e-9)
@@ -139,7 +139,7 @@ def test_sleeve_pulls_the_membrane_outward(comm) -> None:
             CABLE, [(50, 47, 13), (103, 47, -1)], hold="sleeve" if sleeve else "outside"
         )
         solver.advance(L0={cable: 0.99 * cable.L0})
-        assert cable.taut and cable.lifted.any() != sleeve
+        assert cable.taut and cable.state.lifted.any() != sleeve
         heights[sleeve] = top(scene)
     assert heights[True] > free + 0.5
     assert heights[False] < free
@@ -152,8 +152,8 @@ def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: s
     solver.advance(pressure=PRESSURE)
     cable = scene.lay_cable(CABLE, [(50.0, 47.0, 13.0), (103.0, 47.0, -1.0)])
     solver.advance(L0={cable: 0.998 * cable.L0})
-    touching = [k for k in cable.contacts() if cable.nodes[k].kind in ("fold", "vertex")]
-    assert touching and cable.lifted[1 : touching[0]].all()
+    touching = [k for k in cable.contacts() if cable.state.nodes[k].kind in ("fold", "vertex")]
+    assert touching and cable.state.lifted[1 : touching[0]].all()
     assert cable.tension > 1.0
     assert strongest_pull(scene, cable) < 5e-3
     assert deepest(scene, cable) < 1e-6
@@ -165,9 +165,9 @@ def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
     """In a state that is none of equilibrium: some press, some pull; some are lifted already."""
     scene, cable, _ = held_down(comm, 9, kind)
     rng, shape, found = np.random.default_rng(1), scene.net.strip_shape(), 0
-    on_membrane = [k for k, node in enumerate(cable.nodes) if node.point is not None]
+    on_membrane = [k for k, node in enumerate(cable.state.nodes) if node.point is not None]
     for part in (0.0, 0.1, 0.3):
-        x = cable.positions.copy()
+        x = cable.state.positions.copy()
         x[on_membrane, 2] += rng.uniform(-1.0, 1.0, len(on_membrane))
         lifted = rng.random(len(x)) < part
         lifted[[0, -1]] = False
@@ -175,7 +175,7 @@ def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
         slow = []
         for k in may_lift(cable):
             if not lifted[k]:
-                normal, size = shape.normals_and_sizes([cable.nodes[k].support])
+                normal, size = shape.normals_and_sizes([cable.state.nodes[k].support])
                 if outward_pulls(cable, [k], normal, size)[0] > PULL or is_foot(cable, k):
                     slow.append(k)
         assert released(cable, shape) == slow
@@ -192,7 +192,7 @@ def test_a_cable_that_slides_off_the_edge_is_an_error(comm, kind: str) -> None:
     cable = scene.lay_cable(CABLE, [(-18, 32, -4), (32, -18, -4)])
     with pytest.raises(PathError, match=r"'cable 1' has slid off the membrane's edge at \["):
         for _ in range(8):
-            span = float(np.linalg.norm(cable.positions[-1] - cable.positions[0]))
+            span = float(np.linalg.norm(cable.state.positions[-1] - cable.state.positions[0]))
             solver.advance(move={cable: (-2, -2, 0)}, L0={cable: 0.999 * span})
     assert len(solver.steps) > 3 and cable.tension > 100.0  # the last good state
 
@@ -225,7 +225,7 @@ def test_fold_points_that_have_approached_each_other_are_told(comm) -> None:
     places, fractions = positions_of([cable]), fractions_of([cable])
     assert Polylines(nodes, places).collapsed(shape, fractions) == set()
     length = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    slides = np.array([node.slides for node in cable.nodes]) & ~cable.lifted
+    slides = np.array([node.slides for node in cable.state.nodes]) & ~cable.state.lifted
     k = max(np.flatnonzero(slides[1:] & slides[:-1]), key=lambda k: length[k])
     places[k + 1] = places[k] + 0.4 * (places[k + 1] - places[k])
     assert Polylines(nodes, places).collapsed(shape, fractions) == {0}

@@ -245,7 +245,7 @@ LIMIT = (853.2, 1049.7)
 def test_friction_zero_changes_nothing(comm) -> None:
     scene, cable, step = inflated(comm, 9, Friction(0.0, along=0.0))
     twin, other, same = inflated(comm, 9, 0.0)
-    assert cable.axial is None
+    assert cable.state.axial is None
     # the same operations, but sums over several ranks may come in another order
     assert cable.tension == pytest.approx(other.tension, rel=1e-12)
     assert scene.energy == pytest.approx(twin.energy, rel=1e-12)
@@ -294,10 +294,10 @@ def gripped(comm: MPI.Intracomm, bound: float = 3.0, eps: float = 0.05, seed: in
     scene.lay_cable(Cable(2000.0), [(22, 72), (78, 82)], tension=20.0)
     scene.lay_cable(Cable(1000.0, friction=rough), [(20, 12), (83, 19)], tension=20.0)
     for cable in scene.cables:
-        if cable.axial is not None:
-            n = len(cable.axial.supports)
+        if cable.state.axial is not None:
+            n = len(cable.state.axial.supports)
             bounds = bound * rng.uniform(0.5, 1.5, n) * (np.arange(n) % 5 != 2)
-            cable.update(axial=replace(cable.axial, bounds=bounds, eps=np.full(n, eps)))
+            cable.update(axial=replace(cable.state.axial, bounds=bounds, eps=np.full(n, eps)))
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     return system
@@ -364,22 +364,22 @@ def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
     rough = Friction(0.0, along=0.3)
     for path in [(0, 31), (100, 52)], [(22, 100), (38, 0)]:
         cable = scene.lay_cable(Cable(3200.0, friction=rough), path, tension=20.0)
-        n = len(cable.axial.supports)
-        cable.update(axial=replace(cable.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3)))
+        n = len(cable.state.axial.supports)
+        cable.update(axial=replace(cable.state.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3)))
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     f = on_mesh(system, "CapstanTension")
     A = f.assembled(displaced(f.unknowns, 0.0))
     K, block, numbering = dense(A), 0, system.cables.numbering
-    (k,) = [k for k, node in enumerate(cable.nodes) if node.kind == "crossing"]
+    (k,) = [k for k, node in enumerate(cable.state.nodes) if node.kind == "crossing"]
     if numbering.is_mine(1, k):
         block = A.getOwnershipRange()[0] + 3 * numbering.block(1, k)
     block = comm.allreduce(block, op=MPI.MAX)
     own = K[block : block + 3, block : block + 3]
-    way = cable.positions[k + 1] - cable.positions[k - 1]
+    way = cable.state.positions[k + 1] - cable.state.positions[k - 1]
     along = way / np.linalg.norm(way)
     across = along[[1, 0, 2]] * [1.0, -1.0, 1.0]
-    ends = [[c.positions[i] for i in (j - 1, j, j + 1)] for c, j in _at_crossings(scene)]
+    ends = [[c.state.positions[i] for i in (j - 1, j, j + 1)] for c, j in _at_crossings(scene)]
     tensions = max(20.0 / np.linalg.norm(np.diff(x, axis=0), axis=1).min() for x in ends)
     for direction in (along, across):
         assert direction @ own @ direction < 10 * tensions
@@ -387,7 +387,10 @@ def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
 
 def _at_crossings(scene: Scene) -> list[tuple[LaidCable, int]]:
     return [
-        (c, k) for c in scene.cables for k, node in enumerate(c.nodes) if node.kind == "crossing"
+        (c, k)
+        for c in scene.cables
+        for k, node in enumerate(c.state.nodes)
+        if node.kind == "crossing"
     ]
 
 
@@ -518,5 +521,5 @@ def test_ends_on_vertices_that_are_held(comm: MPI.Intracomm) -> None:
         solver.advance(pressure=0.01)
         solver.advance(L0={cable: 100.5})
         tensions.append([cable.tension, cable.tensions.min(), cable.tensions.max()])
-    assert {cable.nodes[-2].kind} == {"vertex"}
+    assert {cable.state.nodes[-2].kind} == {"vertex"}
     np.testing.assert_allclose(tensions[0], tensions[1], rtol=1e-3)

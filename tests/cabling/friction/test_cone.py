@@ -176,7 +176,7 @@ def test_cable_that_is_dragged_obliquely(comm, mu: float, along: float, degrees:
     assert ratio < 0.9 * along * np.pi
     shape = scene.net.strip_shape()
     assert forces(cable, shape, 0.0)["friction beyond its bound"] < 0.05
-    on = [k for k in cable.contacts() if cable.nodes[k].slides]
+    on = [k for k in cable.contacts() if cable.state.nodes[k].slides]
     press = contact_forces(cable, shape)
     sideways = abs(press.lateral[on].sum()) / press.bearing[on].sum()
     _, around, alpha, _ = steady(mu, along, np.radians(degrees))

@@ -140,7 +140,7 @@ def test_friction_holds_back(dragged) -> None:
     ways, tensions = [], []
     for mu in (0.0, 0.3, 0.7, 5.0):
         _, cable = dragged(mu)
-        fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
+        fabric = cable.state.reference_positions[np.isfinite(cable.state.reference_positions[:, 0])]
         order = np.argsort(fabric[:, 0])
         ways.append(float(np.interp(50.0, *fabric[order, :2].T)))
         tensions.append(cable.tension)
@@ -195,11 +195,11 @@ def test_idle_steps(comm) -> None:
     """Nothing moves where nothing changes."""
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 6.0, 0.0)}, steps=3)
-    before, tension, dissipated = cable.positions.copy(), cable.tension, scene.dissipated
+    before, tension, dissipated = cable.state.positions.copy(), cable.tension, scene.dissipated
     for _ in range(6):
         solver.advance()
     size = 100.0 / 9
-    assert np.abs(cable.positions - before).max() < 0.2 * 3e-3 * size
+    assert np.abs(cable.state.positions - before).max() < 0.2 * 3e-3 * size
     assert cable.tension == pytest.approx(tension, rel=1e-4)
     assert scene.dissipated - dissipated < 1e-3 * dissipated
 
@@ -287,9 +287,9 @@ def test_caught_points_are_put_back_once_where_the_cable_is() -> None:
     """In each pass of the friction forces it cost as much as the pass, and was rejected again."""
     scene, _ = friction_dome()
     cable = scene.cables[0]
-    assert cable.lateral is not None
-    cable.update(lateral=replace(cable.lateral, known=True))
-    caught = [(0, next(k for k in cable.contacts() if cable.nodes[k].slides))]
+    assert cable.state.lateral is not None
+    cable.update(lateral=replace(cable.state.lateral, known=True))
+    caught = [(0, next(k for k in cable.contacts() if cable.state.nodes[k].slides))]
     change, tried = PathChange(scene.net), TriedPaths()
     for _ in range(2):
         tried.begin_step()
@@ -301,7 +301,7 @@ def test_caught_points_are_put_back_once_where_the_cable_is() -> None:
         tried.begin_step()
         tried.forget_moved(scene.cables)
         assert not straighten_kinks(change, tried, caught)
-        cable.update(positions=cable.positions + 1e-3 * cable.length)
+        cable.update(positions=cable.state.positions + 1e-3 * cable.length)
 
 
 @pytest.mark.ranks
@@ -309,13 +309,13 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
-    before = cable.lateral, scene.energy, cable.positions.copy()
+    before = cable.state.lateral, scene.energy, cable.state.positions.copy()
     monkeypatch.setattr(search, "MAX_PASSES", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
-    assert cable.lateral is before[0]
+    assert cable.state.lateral is before[0]
     assert scene.energy == before[1]
-    np.testing.assert_array_equal(cable.positions, before[2])
+    np.testing.assert_array_equal(cable.state.positions, before[2])
 
 
 def test_slack_cable_has_no_grip(comm) -> None:

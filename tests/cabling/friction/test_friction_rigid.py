@@ -39,7 +39,7 @@ def pulled(comm, way, friction, *, seed=0, kind="jittered", h=H, strain=0.01, L=
 
 def furthest(way: Curve, cable) -> float:
     """Largest distance from the curve, in cells."""
-    return float(np.abs(way.sideways(cable.positions)).max()) / H
+    return float(np.abs(way.sideways(cable.state.positions)).max()) / H
 
 
 @pytest.mark.ranks
@@ -63,7 +63,7 @@ def test_a_sliding_cable_ends_where_friction_holds_it(comm, name, kind):
     mu = 0.85 * way.ratio
     scene, cable, step = pulled(comm, way, mu, kind=kind, L=way.slid(mu).length)
     assert cable.taut
-    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.06)
+    assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.06)
     assert step.outcome.passes <= 20
     assert step.halvings == 0
     assert scene.dissipated > 0
@@ -75,7 +75,7 @@ def test_one_step_goes_as_far_as_friction_lets_it(comm):
     way, mu = curve(SURFACES["cylinder"], 0.2, 1.0), 0.16
     scene, cable, _ = pulled(comm, way, mu, seed=4, h=0.05, EA=0.1)
     exact = way.sideways(way.slid(mu).points).mean()
-    assert way.sideways(cable.positions).mean() == pytest.approx(exact, rel=0.02)
+    assert way.sideways(cable.state.positions).mean() == pytest.approx(exact, rel=0.02)
     forces, nodes = contact_forces(cable, scene.net.strip_shape()), held_nodes(cable)
     bounds = mu * forces.bearing[nodes]
     excess = np.abs(forces.lateral[nodes]) - bounds
@@ -91,7 +91,7 @@ def test_fabric_with_stiff_warp_has_the_same_friction(comm, warp):
     assert furthest(way, cable) < 0.06
     mu = 0.85 * way.ratio
     _, cable, _ = pulled(comm, way, mu, L=way.slid(mu).length, material=fabric)
-    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.02)
+    assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.02)
 
 
 @pytest.mark.parametrize(("EA", "strain"), [(1.0, 2e-3), (0.02, 0.4)], ids=["stiff", "soft"])
@@ -106,7 +106,7 @@ def test_tension_that_is_lost_or_kept_does_not_matter(comm, EA, strain):
         assert cable.tension < 0.2 * start
     else:
         assert cable.tension > 0.9 * start
-    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
+    assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.08)
 
 
 @pytest.mark.ranks
@@ -132,7 +132,7 @@ def test_direction_mirror_and_numbers_do_not_matter(comm, share):
     for name, (mesh, path, image) in ways.items():
         scene, cable, step = pulled(comm, way, mu, mesh=mesh, path=path, L=L)
         assert (step.outcome.flips > 0) == (share < 0.95)
-        x = cable.positions * image
+        x = cable.state.positions * image
         results.append((cable.tension, scene.energy, scene.dissipated))
         curves.append(x[::-1] if "other" in name else x)
     assert np.abs(way.sideways(curves[0])).max() > 0.04 * H
@@ -157,9 +157,13 @@ def lattice_vertices(comm, mu):
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = points.reshape(n + 1, 7, 3)[:, 3]
     cable = scene.lay_cable(Cable(EA=1.0, friction=mu), path)
-    assert {node.kind for node in cable.nodes} == {"vertex"} or cable.nodes[0].kind == "anchor"
+    assert {node.kind for node in cable.state.nodes} == {"vertex"} or cable.state.nodes[
+        0
+    ].kind == "anchor"
     step = Solver(scene).advance(L0={cable: cable.length * 0.97})
-    latitude = np.arcsin(cable.positions[:, 2] / np.linalg.norm(cable.positions, axis=1))
+    latitude = np.arcsin(
+        cable.state.positions[:, 2] / np.linalg.norm(cable.state.positions, axis=1)
+    )
     return step, cable, latitude - LATITUDE
 
 
@@ -167,7 +171,7 @@ def lattice_vertices(comm, mu):
 def test_a_cable_laid_on_mesh_lines(comm, share, slides):
     """It sits on vertices, where it can only stick, until friction gives way."""
     step, cable, north = lattice_vertices(comm, share * np.tan(LATITUDE))
-    kinds = [node.kind for node in cable.nodes[1:-1]]
+    kinds = [node.kind for node in cable.state.nodes[1:-1]]
     if slides:
         assert north.max() > 0.25 * H
         assert step.outcome.flips > 5
@@ -204,10 +208,10 @@ def test_static_and_kinetic_friction(comm, kinetic, static, mu):
     plain_scene, plain = kinetic
     if static == mu:  # to rounding; ranks may get other parts of the mesh, and pass vertices so
         atol, rtol = (1e-6 * H, 1e-8) if comm.size == 1 else (0.02 * H, 2e-3)
-        np.testing.assert_allclose(cable.positions, plain.positions, rtol=0, atol=atol)
+        np.testing.assert_allclose(cable.state.positions, plain.positions, rtol=0, atol=atol)
         assert scene.energy == pytest.approx(plain_scene.energy, rel=rtol, abs=0)
     else:
-        assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
+        assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.08)
         # on the same mesh, so that it is told from the static coefficient, 6 % larger
         found, other = (way.coefficient_of(c.positions) for c in (cable, plain))
         assert found == pytest.approx(other, rel=0.02)
@@ -226,16 +230,16 @@ def test_an_idle_cable_does_not_creep(comm):
     solver.advance(L0={cable: L0})
     eps = 0.003 * H
     assert furthest(way, cable) * H > 60 * eps
-    x = cable.positions.copy()
+    x = cable.state.positions.copy()
     solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 10 * eps
-    x, heat = cable.positions.copy(), scene.dissipated
+    assert np.abs(cable.state.positions - x).max() < 10 * eps
+    x, heat = cable.state.positions.copy(), scene.dissipated
     solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.3 * eps
-    x = cable.positions.copy()
+    assert np.abs(cable.state.positions - x).max() < 0.3 * eps
+    x = cable.state.positions.copy()
     for _ in range(23):
         solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.01 * eps
+    assert np.abs(cable.state.positions - x).max() < 0.01 * eps
     # against what friction dissipates in a slip of eps along all of the cable
     assert 0.0 <= scene.dissipated - heat < 0.05 * eps * mu * cable.tension * way.length
     assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
@@ -283,8 +287,8 @@ def test_dragged_there_and_back(comm):
         return float(cable.start.reaction[1] + cable.end.reaction[1])
 
     def middle() -> float:
-        order = np.argsort(cable.positions[:, 0])
-        return float(np.interp(0.0, *cable.positions[order][:, :2].T))
+        order = np.argsort(cable.state.positions[:, 0])
+        return float(np.interp(0.0, *cable.state.positions[order][:, :2].T))
 
     places, pulls = [middle()], [pull()]
     for way in (0.3, -0.3):
@@ -342,8 +346,8 @@ for choice in ({}, dict(friction=0), dict(friction=Friction(0.0))):
     solver.advance(pressure=0.01)
     done = solver.advance(L0={cable: 99.5}).outcome
     work = [(o.solves, o.factorizations, o.evaluations) for o in (solver.steps[0].outcome, done)]
-    found.append((np.append(cable.positions, scene.energy), work, list(scene.energies)))
-    assert done.passes == 0 and "friction" not in scene.energies and cable.lateral is None
+    found.append((np.append(cable.state.positions, scene.energy), work, list(scene.energies)))
+    assert done.passes == 0 and "friction" not in scene.energies and cable.state.lateral is None
 for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])
@@ -368,5 +372,5 @@ def test_a_stiff_membrane_neither_holds_nor_releases_a_cable(comm, mu, steps):
     for k in range(steps):
         step = solver.advance(L0={cable: L * (1 - 0.01 * (k + 1) / steps)})
     exact = way.sideways(way.slid(mu).points).mean()
-    assert way.sideways(cable.positions).mean() == pytest.approx(exact, rel=0.03)
+    assert way.sideways(cable.state.positions).mean() == pytest.approx(exact, rel=0.03)
     assert step.outcome.evaluations < 200

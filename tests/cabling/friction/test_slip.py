@@ -131,7 +131,7 @@ def test_no_slip_where_a_cable_lies():
 
 def edge_of(cable, k, shape):
     """The stress-free edge of a node, as a vector."""
-    a, b = (shape.stress_free_at(v) for v in cable.nodes[k].point.support)
+    a, b = (shape.stress_free_at(v) for v in cable.state.nodes[k].point.support)
     return b - a
 
 
@@ -140,7 +140,7 @@ def test_slip_is_the_distance_to_the_left():
     scene, shape = friction_dome()
     for cable in scene.cables:
         start_step(cable, shape)
-        curve = cable.lateral.curve
+        curve = cable.state.lateral.curve
         for size, seed in ((0.02, 1), (0.01, 2)):
             shaken_fractions(scene, size, seed)
             slips = node_slips(cable, curve, shape)
@@ -160,7 +160,7 @@ def test_slip_is_the_distance_to_the_left():
                 assert slips.slip[i] == pytest.approx(far, rel=0.06, abs=1e-3)
                 assert slips.size[i] == pytest.approx(100 / 6, rel=0.5)
             assert compared > len(slips.nodes) // 2
-            frozen = slips.slope * cable.fractions[slips.nodes] + slips.offset
+            frozen = slips.slope * cable.state.fractions[slips.nodes] + slips.offset
             np.testing.assert_allclose(slips.slip, frozen, atol=1e-13)
 
 
@@ -173,11 +173,11 @@ def test_slip_does_not_depend_on_the_direction_of_the_path():
         scene, cable = rigid(MPI.COMM_SELF, way, mesh, Friction(0.5), path=path)
         shape = scene.net.strip_shape()
         start_step(cable, shape)
-        by_edge = {cable.nodes[k].point.support: k for k in range(len(cable.nodes))}
+        by_edge = {cable.state.nodes[k].point.support: k for k in range(len(cable.state.nodes))}
         for k in by_edge.values():
-            if cable.nodes[k].slides:
-                put(cable, "fractions", k, cable.fractions[k] * 0.95)
-        slips = node_slips(cable, cable.lateral.curve, shape)
+            if cable.state.nodes[k].slides:
+                put(cable, "fractions", k, cable.state.fractions[k] * 0.95)
+        slips = node_slips(cable, cable.state.lateral.curve, shape)
         slipped.append(dict(zip(slips.supports, slips.slip, strict=True)))
     assert slipped[0].keys() == slipped[1].keys()
     for support, slip in slipped[0].items():
@@ -197,8 +197,8 @@ def test_nodes_where_the_cable_was_off_the_membrane_have_no_slip():
     )  # fmt: skip
     slips = node_slips(cable, first, shape)
     assert slips.nodes == node_slips(cable, curve, shape).nodes
-    beyond = np.linalg.norm(cable.positions[slips.nodes] - curve.points[half - 1], axis=1)
-    far = (beyond > 30) & (cable.positions[slips.nodes, 0] > 50)
+    beyond = np.linalg.norm(cable.state.positions[slips.nodes] - curve.points[half - 1], axis=1)
+    far = (beyond > 30) & (cable.state.positions[slips.nodes, 0] > 50)
     assert far.sum() > 2
     for values in (slips.slope, slips.offset, slips.slip, slips.moving):
         assert np.all(values[far] == 0.0)
@@ -211,7 +211,7 @@ def test_lifted_nodes_part_the_curve():
     put(cable, "lifted", slice(None), False)
     put(cable, "lifted", slice(5, 7), True)
     curve = material_curve(cable, shape)
-    on = [k for k in cable.contacts() if cable.nodes[k].kind != "anchor"]
+    on = [k for k in cable.contacts() if cable.state.nodes[k].kind != "anchor"]
     assert len(curve.points) == len(on)
     assert np.unique(curve.part).tolist() == [0, 1]
     assert not set(node_slips(cable, curve, shape).nodes) & {5, 6}

@@ -40,7 +40,7 @@ def test_ends_dragged_along_the_boundary(comm, kind: str) -> None:
     before = (first.energy, cable.tension)
     solver.advance(move={cable: (0, 20, 0)}, steps=2)
     assert cable.ends == ("held", "held")
-    np.testing.assert_allclose(cable.positions[[0, 1]], [[0, 50, 0]] * 2, atol=1e-9)
+    np.testing.assert_allclose(cable.state.positions[[0, 1]], [[0, 50, 0]] * 2, atol=1e-9)
     fresh = solved(comm, kind, [(0, 50), (100, 50)], 100.0)
     assert_same((first, cable), fresh[:2], 1e-4)
     solver.advance(move={cable: (0, -20, 0)}, steps=2)
@@ -51,7 +51,9 @@ def test_ends_moved_over_many_cells_at_once(comm) -> None:
     """In one step they come to cells that no cable has been near before."""
     scene, cable, solver = solved(comm, "structured", [(0, 20), (100, 20)], 100.0)
     solver.advance(move={cable: (0, 60, 0)})
-    np.testing.assert_allclose(cable.positions[[0, -1]], [[0, 80, 0], [100, 80, 0]], atol=1e-9)
+    np.testing.assert_allclose(
+        cable.state.positions[[0, -1]], [[0, 80, 0], [100, 80, 0]], atol=1e-9
+    )
     fresh = solved(comm, "structured", [(0, 80), (100, 80)], 100.0)
     assert_same((scene, cable), fresh[:2], 1e-4)
 
@@ -63,10 +65,10 @@ def test_ends_moved_over_many_cells_at_once(comm) -> None:
 def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> None:
     """Also one that was held on the boundary, where two points of the cable coincide."""
     scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
-    assert cable.path_is_geodesic and cable.ends == ("held", "held")
-    put(cable, "positions", 0, cable.positions[0] + movement)
+    assert cable.state.path_is_geodesic and cable.ends == ("held", "held")
+    put(cable, "positions", 0, cable.state.positions[0] + movement)
     renew_ends(PathChange(scene.net))
-    assert cable.path_is_geodesic == stays
+    assert cable.state.path_is_geodesic == stays
 
 
 @pytest.mark.ranks
@@ -75,13 +77,13 @@ def test_ends_moved_off_and_through_the_air(comm, kind: str) -> None:
     scene, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)
     solver.advance(move={cable.start: (-5, 0, 0), cable.end: (5, 0, 0)}, L0={cable: 110.0}, steps=2)
     assert cable.ends == ("off", "off")
-    assert {cable.nodes[1].kind, cable.nodes[-2].kind} == {"edge slider"}
+    assert {cable.state.nodes[1].kind, cable.state.nodes[-2].kind} == {"edge slider"}
     solver.advance(move={cable: (0, 15, 0)}, steps=3)
     fresh = solved(comm, kind, [(-5, 45, 0), (105, 45, 0)], 110.0)
     assert_same((scene, cable), fresh[:2], 1e-2)
     # lifted high and put down again the cable has found its way over other cells
     solver.advance(move={cable: (0, 0, 10)}, steps=2)
-    assert cable.lifted.any()
+    assert cable.state.lifted.any()
     solver.advance(move={cable: (0, 0, -10)}, steps=2)
     assert_same((scene, cable), fresh[:2], 1e-2)
 
@@ -92,7 +94,7 @@ def test_an_end_that_comes_back_is_held_again(comm) -> None:
     solver.advance(move={cable.start: (-4, 0, 0)}, L0={cable: 104.0})
     assert cable.ends == ("off", "held")
     solver.advance(move={cable.start: (4, 0, 0)}, L0={cable: 100.0})
-    assert cable.ends == ("held", "held") and cable.nodes[1].kind == "tied"
+    assert cable.ends == ("held", "held") and cable.state.nodes[1].kind == "tied"
     assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-4)
 
 
@@ -118,7 +120,7 @@ def test_an_anchor_moved_far_over_the_membrane(comm) -> None:
     solver.advance(move={cable.start: (-2.0, -40.0, 0.0)}, L0={cable: 102.0})
     fresh, there, _ = solved(comm, "structured", [(7.0, 36.0, 9.0), ends[1]], 102.0)
     assert scene.energy == pytest.approx(fresh.energy, rel=5e-3)  # as it lifts off earlier
-    assert set(cable.nodes[1].point.support) == set(there.nodes[1].point.support)
+    assert set(cable.state.nodes[1].point.support) == set(there.state.nodes[1].point.support)
 
 
 @pytest.mark.ranks
@@ -169,6 +171,8 @@ def test_an_end_that_comes_to_lie_under_the_membrane_goes_round_by_its_edge(comm
         cable = scene.lay_cable(Cable(500.0), [(0.0, 4.3), (10.0, 6.1)])
         stays = {cable.start: (0.0, 0.0, 0.0)}
         solver.advance(move={"left": (-0.1, 0.0, 0.2), **stays}, steps=steps)
-        assert cable.nodes[1].kind == "edge slider" and cable.positions[1][0] == pytest.approx(-0.1)
+        assert cable.state.nodes[1].kind == "edge slider" and cable.state.positions[1][
+            0
+        ] == pytest.approx(-0.1)
         found += [cable.tension, solver.advance() and cable.tension]
     assert found == pytest.approx([found[0]] * 4, rel=1e-6)

@@ -40,12 +40,12 @@ def test_an_edge_cable_needs_no_word(comm: MPI.Intracomm, structured: bool) -> N
         solver.advance(load={"snow": 1.0})
         assert all(cable.hold == "pocket" for cable in scene.cables)
         for cable in scene.cables:
-            before = cable.reference_positions
+            before = cable.state.reference_positions
             before = before[np.isfinite(before[:, 0])]
             assert len(before) >= 11
             on_edge = [np.abs(before[:, i] - side).max() for i in (0, 1) for side in (0.0, 10.0)]
             assert min(on_edge) < 1e-9
-            assert not cable.lifted.any()
+            assert not cable.state.lifted.any()
         found.append([scene.energy, *(cable.tension for cable in scene.cables)])
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
     assert min(found[0][1:]) > 12.0

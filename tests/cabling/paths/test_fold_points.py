@@ -28,7 +28,7 @@ def net(comm) -> Scene:
 def bends(cables) -> dict:
     """Positions of the points on each edge."""
     return {
-        edge: np.array([cables[c].positions[k] for _, c, k in points])
+        edge: np.array([cables[c].state.positions[k] for _, c, k in points])
         for edge, points in points_by_edge(cables).items()
     }
 
@@ -49,10 +49,12 @@ def test_points_are_those_of_a_table_made_anew(comm) -> None:
 
     cables[1].update(taut=False)
     assert same(FoldPoints.of(cables, scene.net.nodes), bends(cables))
-    cables[0].update(lifted=np.arange(len(cables[0].nodes)) % 3 == 1)
+    cables[0].update(lifted=np.arange(len(cables[0].state.nodes)) % 3 == 1)
     assert same(FoldPoints.of(cables, scene.net.nodes), bends(cables))
-    nodes, x = cables[2].nodes, cables[2].positions
-    cables[2].set_nodes(nodes[::-1], x[::-1].copy(), cables[2].fractions[::-1], cables[2].lifted)
+    nodes, x = cables[2].state.nodes, cables[2].state.positions
+    cables[2].set_nodes(
+        nodes[::-1], x[::-1].copy(), cables[2].state.fractions[::-1], cables[2].state.lifted
+    )
     cables[1].update(taut=True)
     assert same(FoldPoints.of(cables, scene.net.nodes), bends(cables))
     near = sorted(expected)[0]
@@ -79,13 +81,13 @@ def test_bent_edges_are_measured_as_by_arrays(comm) -> None:
 
 def test_vertices_near_points_are_found_one_by_one(comm) -> None:
     scene, found = net(comm), 0
-    scene.cables[0].update(lifted=np.arange(len(scene.cables[0].nodes)) % 3 == 1)
+    scene.cables[0].update(lifted=np.arange(len(scene.cables[0].state.nodes)) % 3 == 1)
     for cable in scene.cables:
         for near in (0.02, 0.1, 0.3):
             slow = set()
             for k in cable.contacts():
-                point, fraction = cable.nodes[k].point, float(cable.fractions[k])
-                if cable.nodes[k].slides and isinstance(point, EdgePoint):
+                point, fraction = cable.state.nodes[k].point, float(cable.state.fractions[k])
+                if cable.state.nodes[k].slides and isinstance(point, EdgePoint):
                     if min(fraction, 1 - fraction) < near:
                         slow.add(point.edge[int(fraction > 0.5)])
             assert vertices_near(cable, near) == slow

@@ -110,7 +110,7 @@ def test_a_crooked_route_is_pulled_straight_over_the_hole(comm: MPI.Intracomm) -
     Solver(scene).advance()
     # within the smoothing of lengths at kinks, as the straight line passes close to vertices
     assert cable.tension == pytest.approx(EA * 0.01 / 0.99, rel=1e-3)
-    assert (~cable.lifted).sum() < len(cable.nodes)
+    assert (~cable.state.lifted).sum() < len(cable.state.nodes)
 
 
 @pytest.mark.ranks
@@ -143,7 +143,7 @@ def test_two_cables_cross_over_a_hole_of_an_inflated_sheet(
         scene.lay_cable(Cable(EA=2 * EA), [(3.3, 0.0), (5.7, 10.0)], L0=10.1, name="upper")
         solver.advance(pressure=10.0)
         found.append([cable.tension for cable in scene.cables])
-        assert all(cable.lifted.any() for cable in scene.cables)
+        assert all(cable.state.lifted.any() for cable in scene.cables)
     assert found[0] == pytest.approx(found[1], rel=1e-6)
     folder = Path(comm.bcast(tmp_path_factory.mktemp("hole") if comm.rank == 0 else None))
     solver.save(folder / "state")
@@ -152,7 +152,7 @@ def test_two_cables_cross_over_a_hole_of_an_inflated_sheet(
     assert [cable.tension for cable in scene.cables] == pytest.approx(found[1], rel=1e-12)
     scene.remove("upper")
     solver.advance(pressure=11.0)
-    assert scene.cable("lower").lifted.any()
+    assert scene.cable("lower").state.lifted.any()
 
 
 def test_who_cannot_span_a_hole_is_refused() -> None:
@@ -165,4 +165,6 @@ def test_who_cannot_span_a_hole_is_refused() -> None:
         with pytest.raises(PathError, match="leaves the membrane"):
             scene.lay_cable(Cable(EA=EA), path)
     assert not scene.cables
-    assert scene.lay_cable(Cable(EA=EA), [(0.0, 4.6), (10.0, 4.6)], hold="sleeve").lifted.any()
+    assert scene.lay_cable(
+        Cable(EA=EA), [(0.0, 4.6), (10.0, 4.6)], hold="sleeve"
+    ).state.lifted.any()

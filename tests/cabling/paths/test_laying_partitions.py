@@ -48,8 +48,8 @@ def test_on_any_partition(comm: MPI.Intracomm, route: str, deformed: bool) -> No
     due = scene_of(MPI.COMM_SELF, deformed, 0).lay_cable(Cable(9000.0), ROUTES[route], tension=15.0)
     for seed in range(5):
         cable = scene_of(comm, deformed, seed).lay_cable(Cable(9000.0), ROUTES[route], tension=15.0)
-        assert cable.nodes == due.nodes
-        np.testing.assert_array_equal(cable.positions, due.positions)
-        np.testing.assert_array_equal(cable.fractions, due.fractions)
-        np.testing.assert_array_equal(cable.lifted, due.lifted)
+        assert cable.state.nodes == due.state.nodes
+        np.testing.assert_array_equal(cable.state.positions, due.state.positions)
+        np.testing.assert_array_equal(cable.state.fractions, due.state.fractions)
+        np.testing.assert_array_equal(cable.state.lifted, due.state.lifted)
         assert (cable.L0, cable.length) == (due.L0, due.length)

@@ -121,7 +121,7 @@ def test_a_tie_stays_one(comm) -> None:
     for kind in ("structured", "crossed"):
         mesh = lined(comm, kind, 16)
         scene, _ = laid(comm, mesh, [(0, 50), (100, 50)], 100.0, "straight")
-        assert {node.kind for node in scene.cables[0].nodes[1:-1]} == {"vertex"}
+        assert {node.kind for node in scene.cables[0].state.nodes[1:-1]} == {"vertex"}
 
 
 @pytest.mark.ranks
@@ -263,11 +263,11 @@ def test_directions_at_vertices_halve_the_angle_of_the_two_sides(comm, monkeypat
     """Cell by cell: where the plane square to the cable cuts the cells around the vertex."""
     cable, shape = glued(comm, monkeypatch)
     turned = turns(cable)
-    nodes = [k for k in turned if cable.nodes[k].kind == "vertex"]
+    nodes = [k for k in turned if cable.state.nodes[k].kind == "vertex"]
     before, after = (np.array([turned[k][i] for k in nodes]) for i in (0, 1))
     up, left = directions(cable, nodes, shape, before, after)
     for k, along, own_up, own_left in zip(nodes, before + after, up, left, strict=True):
-        (vertex,) = cable.nodes[k].point.support
+        (vertex,) = cable.state.nodes[k].point.support
         along = along / np.linalg.norm(along)
         outside = shape.normal((vertex,))
         ways = {1: np.zeros(3), -1: np.zeros(3)}
@@ -289,7 +289,7 @@ def test_forces_of_held_vertices(comm, monkeypatch) -> None:
     forces = contact_forces(cable, shape)
     found = held_vertices(cable, shape)
     assert [one.vertex for one in found] == [
-        node.point.support[0] for node in cable.nodes if node.kind == "vertex"
+        node.point.support[0] for node in cable.state.nodes if node.kind == "vertex"
     ]
     for one in found:
         assert one.pull == pytest.approx(forces.lateral[list(one.nodes)].sum(), rel=1e-12)

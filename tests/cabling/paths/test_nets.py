@@ -46,7 +46,7 @@ def heights(scene: Scene) -> list[float]:
 
 def segments_above(lower: LaidCable, upper: LaidCable) -> list[float]:
     found = []
-    p, q = (cable.positions[cable.contacts()] for cable in (lower, upper))
+    p, q = (cable.state.positions[cable.contacts()] for cable in (lower, upper))
     for a, b in pairwise(p):
         for c, d in pairwise(q):
             u, v, w = b - a, d - c, c - a
@@ -77,7 +77,7 @@ def test_crossing_cables_converge(comm, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_crossing_point_lies_on_both_cables(comm, kind: str) -> None:
     scene, upper, lower = crossed(comm, 9, kind)
-    shared = [[x for x, node in zip(cable.positions, cable.nodes, strict=True)
+    shared = [[x for x, node in zip(cable.state.positions, cable.state.nodes, strict=True)
                if node.crossing is not None or node.kind == "vertex"]
               for cable in (upper, lower)]  # fmt: skip
     gaps = np.linalg.norm(np.array(shared[0])[:, None] - np.array(shared[1])[None], axis=2)
@@ -173,7 +173,7 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
 
     def of(self, cable, *args):
         near.clear()
-        for node, fraction in zip(cable.nodes, cable.fractions.tolist(), strict=True):
+        for node, fraction in zip(cable.state.nodes, cable.state.fractions.tolist(), strict=True):
             if node.slides and min(fraction, 1 - fraction) < BEYOND:
                 near.add(node.support[int(fraction > 0.5)])
         return pull_cable(self, cable, *args)

@@ -26,7 +26,7 @@ def off_circle(cable) -> float:
     centre = np.array([0.0, 0.0, HEIGHT - SPHERE])
     ends = np.column_stack([CIRCLE[[0, -1]], [0.0, 0.0]]) - centre
     normal = np.cross(*ends) / np.linalg.norm(np.cross(*ends))
-    return float(np.abs((cable.positions - centre) @ normal).max())
+    return float(np.abs((cable.state.positions - centre) @ normal).max())
 
 
 @pytest.mark.ranks
@@ -41,7 +41,9 @@ def test_great_circle(comm) -> None:
         assert off_circle(straight) > 4.0 and straight.L0 > 1.02 * arc
         assert off_circle(cable) < beside
         assert cable.L0 == pytest.approx(arc, rel=rtol)
-        np.testing.assert_allclose(cable.positions[[0, -1]], straight.positions[[0, -1]])
+        np.testing.assert_allclose(
+            cable.state.positions[[0, -1]], straight.state.positions[[0, -1]]
+        )
 
 
 def test_bears_as_one_along_the_circle(comm) -> None:
@@ -65,5 +67,5 @@ def test_anchors_stay(comm) -> None:
     scene = dome(comm, 3.0)
     path = [(-15.0, 10.0, 12.0), (15.0, 10.0, 12.0)]
     cable = scene.lay_cable(Cable(EA=30e3), path, shortest=True)
-    np.testing.assert_allclose(cable.positions[[0, -1]], path)
+    np.testing.assert_allclose(cable.state.positions[[0, -1]], path)
     assert cable.length <= scene.lay_cable(Cable(EA=30e3), path).length

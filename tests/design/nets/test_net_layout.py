@@ -201,7 +201,9 @@ def test_meshes_on_a_found_dome_have_the_width(comm) -> None:
     cables = scene.lay_net(net, Cable(EA=1e3), tension=2.0)
     assert [cable.name for cable in cables] == [line.name for line in net.lines]
     on = [
-        (c.L0, line.length) for c, line in zip(cables, net.lines, strict=True) if not c.lifted.any()
+        (c.L0, line.length)
+        for c, line in zip(cables, net.lines, strict=True)
+        if not c.state.lifted.any()
     ]
     for L0, length in on:  # others span hollows
         assert L0 == pytest.approx(length / (1 + 2.0 / 1e3), rel=1e-9)

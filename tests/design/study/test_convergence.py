@@ -190,12 +190,12 @@ def test_displacement_under_a_cable(comm):
     """It is the cable's, z = 5.539 in the middle (by meshes that have lines under the cable)."""
     mesh = meshes.rectangle(comm, SIDE, SIDE, 16.0)
     cable = under_cable(mesh).scene.cables[0]
-    k = len(cable.positions) // 2
-    place = cable.reference_positions[k]
+    k = len(cable.state.positions) // 2
+    place = cable.state.reference_positions[k]
     points = {"middle": (50.0, 50.0, 0.0), "on it": tuple(place)}
     study = convergence(under_cable, mesh, points=points)
     first = [study[f"displacement on it {axis}"].values[0] for axis in "xyz"]
-    assert first == pytest.approx(cable.positions[k] - place, rel=1e-9, abs=1e-9)
+    assert first == pytest.approx(cable.state.positions[k] - place, rel=1e-9, abs=1e-9)
     middle = study["displacement middle z"]
     assert abs(middle.limit - 5.539) <= middle.bar + 0.002
     assert middle.bar < 0.05

@@ -98,7 +98,9 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
         potential.place()
         NodePositions(system.cables.numbering, system.unknowns).gather(potential.x)
         cables = system.scene.cables
-        lengths.append([polyline_length(cable.positions[cable.contacts()]) for cable in cables])
+        lengths.append(
+            [polyline_length(cable.state.positions[cable.contacts()]) for cable in cables]
+        )
     potential.x[:n] = x
     potential.place()
     potential.sum_up()
@@ -121,7 +123,7 @@ def test_held_anchors_do_not_set_its_size(comm) -> None:
     scene.fix("boundary")
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 51.0), (100.0, 31.0)], tension=10.0)
     solver = Solver(scene)
-    put(cable, "positions", 0, cable.positions[0] + 1e-15)
+    put(cable, "positions", 0, cable.state.positions[0] + 1e-15)
     potential = solver.system.potential
     solver.system.read_scene()
     potential.evaluate()

@@ -227,17 +227,17 @@ def test_hessian():
 def frozen_slips(scene):
     """Slips of all cables, as linear functions of the places on the edges."""
     shape = scene.net.strip_shape()
-    return [node_slips(cable, cable.lateral.curve, shape) for cable in scene.cables]
+    return [node_slips(cable, cable.state.lateral.curve, shape) for cable in scene.cables]
 
 
 def energy_by_hand(scene, frozen):
     """Energy of all nodes, from their places on the edges."""
     total = 0.0
     for cable, slips in zip(scene.cables, frozen, strict=True):
-        slip = slips.slope * cable.fractions[slips.nodes] + slips.offset
+        slip = slips.slope * cable.state.fractions[slips.nodes] + slips.offset
         eps = cable.cable.sideways.tolerance * slips.size
         for s, e, support in zip(slip, eps, slips.supports, strict=True):
-            total += potential(s, cable.lateral.at(support), e)[0]
+            total += potential(s, cable.state.lateral.at(support), e)[0]
     return total
 
 
@@ -249,8 +249,8 @@ def slid(system, size):
     for (c, k), number in numbering.numbers.items():
         shift = rng.uniform(-size, size)
         block, cable = numbering.blocks[number], system.scene.cables[c]
-        if block >= 0 and cable.nodes[k].slides:
-            a, b = (unknowns.X[numbering.vertex(v)] for v in cable.nodes[k].point.support)
+        if block >= 0 and cable.state.nodes[k].slides:
+            a, b = (unknowns.X[numbering.vertex(v)] for v in cable.state.nodes[k].point.support)
             x[block] = shift * (b - a)
     return x[: unknowns.n_owned].copy()
 
@@ -362,11 +362,14 @@ def test_paper_elements_of_a_scene(comm):
     NodePositions(system.cables.numbering, system.unknowns).gather(f.potential.x)
     shape, twin = system.scene.net.strip_shape(), 0.0
     for cable in system.scene.cables:
-        slips, own = node_slips(cable, cable.lateral.curve, shape), cable.lateral.elements
+        slips, own = (
+            node_slips(cable, cable.state.lateral.curve, shape),
+            cable.state.lateral.elements,
+        )
         for k, support, size in zip(slips.nodes, slips.supports, slips.size, strict=True):
-            row = cable.lateral.row_of[support]
+            row = cable.state.lateral.row_of[support]
             assert own.vertices[row] in support
-            way = cable.positions[k] - shape.at(own.vertices[row])
+            way = cable.state.positions[k] - shape.at(own.vertices[row])
             slip = own.left[row] @ way + own.offset[row]
-            twin += potential(slip, cable.lateral.bounds[row], 0.01 * size)[0]
+            twin += potential(slip, cable.state.lateral.bounds[row], 0.01 * size)[0]
     assert energy == pytest.approx(twin, rel=1e-10)

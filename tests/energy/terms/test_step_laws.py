@@ -72,7 +72,7 @@ def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
     for law in ("total", "step"):
         scene = clamped(square(comm, 9), LINEAR, strain=law)
         _, cable = tightened(scene, 4, 1e-5, 0.01)
-        assert any(node.kind == "fold" for node in cable.nodes)
+        assert any(node.kind == "fold" for node in cable.state.nodes)
         tensions.append(cable.tension)
     assert tensions[1] == pytest.approx(tensions[0], rel=1e-3)
 

@@ -231,7 +231,7 @@ every_choice = pytest.mark.parametrize("choice", CHOICES.values(), ids=CHOICES.k
 
 def test_the_scene_has_everything(comm):
     system = cable_square(comm)
-    kinds = {node.kind for cable in system.scene.cables for node in cable.nodes}
+    kinds = {node.kind for cable in system.scene.cables for node in cable.state.nodes}
     assert kinds == {"anchor", "tied", "fold", "vertex"}
     names = {type(term).__name__ for term in system.potential.terms}
     assert names == {
@@ -273,7 +273,7 @@ def fingerprint(comm, choice, size):
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
     NodePositions(system.cables.numbering, f.unknowns).gather(f.potential.x)
     cables = system.scene.cables
-    lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
+    lengths = [polyline_length(cable.state.positions[cable.contacts()]) for cable in cables]
     return np.array(
         [
             energy,

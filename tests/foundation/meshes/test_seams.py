@@ -126,7 +126,7 @@ def tightened(comm, wall):
 def alone(wall):
     """W, T, the volume, the cable's way and the least height of the seam, from one process."""
     scene, cable = tightened(MPI.COMM_SELF, wall)
-    way = [node.point.support for node in cable.nodes if node.point is not None]
+    way = [node.point.support for node in cable.state.nodes if node.point is not None]
     seam = np.isclose(scene.V.tabulate_dof_coordinates()[:, 0], 400 / 7)
     seam &= scene.V.tabulate_dof_coordinates()[:, 2] == 0.0
     return scene.energy, cable.tension, scene.volume, way, scene.positions()[seam, 2].max()
@@ -139,7 +139,7 @@ def test_any_number_of_ranks_finds_the_same(comm, wall):
     W, T, V, way, _ = alone(wall)
     assert (scene.energy, cable.tension) == pytest.approx((W, T), rel=1e-9)
     assert scene.volume == pytest.approx(V, rel=1e-9)
-    assert [node.point.support for node in cable.nodes if node.point is not None] == way
+    assert [node.point.support for node in cable.state.nodes if node.point is not None] == way
 
 
 def test_a_wall_without_stiffness_changes_nothing():
@@ -175,10 +175,10 @@ def test_what_cables_see_of_a_seam(comm):
     cable = scene.lay_cable(CABLE, route)
     on_seam = next(
         k
-        for k, n in enumerate(cable.nodes)
+        for k, n in enumerate(cable.state.nodes)
         if n.point and len(scene.net.strip.rows(n.point.support)) == 3
     )
-    edge = cable.nodes[on_seam].point.support
+    edge = cable.state.nodes[on_seam].point.support
     scene.net.grow_strip(edge, rings=3)
     shape = scene.net.strip_shape()
     surface = CreasedSurface(shape, NO_FOLDS)
@@ -200,7 +200,11 @@ def test_what_cables_see_of_a_seam(comm):
 
     a, b = on_seam - 1, on_seam + 1
     below = project_span(
-        shape, cable.nodes[a], cable.positions[a], cable.nodes[b], cable.positions[b]
+        shape,
+        cable.state.nodes[a],
+        cable.state.positions[a],
+        cable.state.nodes[b],
+        cable.state.positions[b],
     )
     assert [point.support for point in below] == [edge]
 
@@ -218,7 +222,7 @@ def test_gradient_with_folded_seams(comm):
     scene.air.update(pressure=0.01)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
-    places = [node.point.support for node in scene.cables[0].nodes if node.kind == "fold"]
+    places = [node.point.support for node in scene.cables[0].state.nodes if node.kind == "fold"]
     assert [len(scene.net.strip.rows(edge)) for edge in places].count(3) == 1
     unknowns = system.unknowns
     f = OnMesh(unknowns, scene.u, system.potential.terms)

@@ -79,9 +79,9 @@ def same_run(one: Solver, other: Solver, rtol: float) -> None:
             )
     assert [step.number for step in one.steps] == [step.number for step in other.steps]
     for a, b in zip(one.scene.cables, other.scene.cables, strict=True):
-        assert [node.kind for node in a.nodes] == [node.kind for node in b.nodes]
-        np.testing.assert_allclose(b.positions, a.positions, atol=100 * rtol * 100)
-        np.testing.assert_array_equal(b.lifted, a.lifted)
+        assert [node.kind for node in a.state.nodes] == [node.kind for node in b.state.nodes]
+        np.testing.assert_allclose(b.state.positions, a.state.positions, atol=100 * rtol * 100)
+        np.testing.assert_array_equal(b.state.lifted, a.state.lifted)
 
 
 @pytest.mark.ranks
@@ -89,10 +89,12 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     solver = sheet(COMM)
     first_half(solver)
     scene = solver.scene
-    assert scene.net.crossings and scene.cable("tied").lifted.any()
+    assert scene.net.crossings and scene.cable("tied").state.lifted.any()
     rough = scene.cable("rough")
-    assert rough.lateral is not None is not rough.axial
-    rough.update(lateral=replace(rough.lateral, dissipated=0.25), blocked=(2,))  # also what is rare
+    assert rough.state.lateral is not None is not rough.state.axial
+    rough.update(
+        lateral=replace(rough.state.lateral, dissipated=0.25), blocked=(2,)
+    )  # also what is rare
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")

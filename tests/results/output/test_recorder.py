@@ -68,7 +68,7 @@ def test_history_of_a_run() -> None:
         column = history[f"{name} ridge"]
         assert np.isnan(column[:2]).all()
         assert column[2] == value
-    assert history["blocked points"][2] == len(cable.blocked)
+    assert history["blocked points"][2] == len(cable.state.blocked)
     outcome = solver.steps[-1].outcome
     for name in ("iterations", "evaluations", "factorizations", "residual"):
         assert history[name][-1] == getattr(outcome, name)
@@ -157,7 +157,7 @@ def test_cables_lift_off_in_files_and_pictures(
         (line,) = read_step(folder / "out", "cables", float(number))
         np.testing.assert_array_equal(line.points, cable.line)
         np.testing.assert_array_equal(line.cell_data["lifted"], cable.free_spans)
-        lifted.append(int(cable.lifted.sum()))
+        lifted.append(int(cable.state.lifted.sum()))
     assert lifted[0] > lifted[1] >= 0
     assert [options.get("loose") for options in drawn] == (
         [] if COMM.rank else ["lifted", "lifted" if lifted[1] else None]
@@ -254,7 +254,7 @@ def test_paths_are_drawn_over_the_whole_stress_free_mesh(
     monkeypatch.setattr(
         draw_scene, "draw_path", lambda *given, **options: drawn.append((given, options))
     )
-    line = Line(solver.scene.cables[0].positions)
+    line = Line(solver.scene.cables[0].state.positions)
     draw_paths(solver.scene, folder / "paths.png", [line], unit="cm")
     assert len(drawn) == (COMM.rank == 0)
     for (filename, paths), options in drawn:

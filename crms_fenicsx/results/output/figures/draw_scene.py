@@ -187,7 +187,7 @@ def draw(
         defaults |= {"line_label": with_unit("tension", force), "line_values": "tension"}
         defaults |= _signed_colours(scene)
     options = {**defaults, **options}
-    if any(cable.lifted.any() for cable in scene.cables):
+    if any(cable.state.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
     piece = surface_piece(scene.membrane, shape, fields)
