@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx.output.report import case as cases_of_reports
 from crms_fenicsx.output.report import net_tables, sections
 from crms_fenicsx.output.report.page import (
     BarChart,
@@ -132,6 +134,31 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     assert cases == [["LC0", "base state"], ["LC1", "snow <&> ice"], ["LC2", "storm"]]
     for row in read_csv(out / "tent_balance.csv"):
         assert not row["Sum of"].startswith("all") or row["Sum of"].endswith("to 1e-08)")
+
+
+def test_pictures_to_be_compared_have_one_scale(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of combinations whose values are small, and from 0."""
+    solver = tent(comm)
+    found = solver.combine({"calm": {"pressure": 0.02}, "storm": {"pressure": 2.0}})
+    drawn: dict[str, list[tuple[float, float]]] = {"displacement": [], "stress": []}
+
+    def png(solver: Solver, **options: Any) -> bytes:
+        if "limits" in options:  # pictures of combinations
+            drawn[options["colour"]].append(options["limits"])
+        return b""
+
+    monkeypatch.setattr(cases_of_reports, "draw_png", png)
+    solver.report(folder / "two.html", found, pictures=["displacement", "stress"])
+    forces = []
+    for one in found.values():
+        solver.restore(one.snapshot)
+        forces.append(solver.summary().membrane.largest["true force 1"].value)
+    assert max(forces) > 5.0 * min(forces)
+    assert [len(limits) for limits in drawn.values()] == [2, 2]
+    for limits in drawn.values():
+        assert len(set(limits)) == 1 and limits[0][0] == 0.0
 
 
 def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.figures.axes3d import with_unit
+from crms_fenicsx.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
 from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.output.figures.plots import units_of_results
@@ -48,9 +48,6 @@ picture can show."""
 
 MOST_STROKES = 12
 """Number of principal directions drawn along the size of a surface."""
-
-FLAT = 1e-6
-"""Range of heights, relative to the size, up to which they are one."""
 
 SIGNED = "RdYlBu_r"
 """Colour map of tension and compression."""

@@ -26,8 +26,6 @@ from crms_fenicsx.verification.report import Verification
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
 """Resolution of pictures (pixels per inch): largest, up to MANY pictures, and smallest."""
-FAINT = 0.25
-"""Fraction of the common colour scale below which a picture gets its own scale."""
 WIDTH = 6.0
 """Width of a picture (inches)."""
 
@@ -112,17 +110,10 @@ def with_pictures(
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
             "directions": forces, "loose": "lifted" if fabric is None else None,
         }  # fmt: skip
-        limits, own = _limits(every, colour), _limits([case], colour)
-        faint = (
-            limits is not None
-            and own is not None
-            and max(map(abs, own)) < FAINT * max(map(abs, limits))
-        )
-        png = draw_png(solver, dpi=dpi, limits=own if faint else limits, **options)
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
         if png:
             label = LINES if fabric is None else label_of(colour)[0]
             label += "; strokes: larger principal force" if forces else ""
-            label += " (a scale of its own)" if faint else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
 
