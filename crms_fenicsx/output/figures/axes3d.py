@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,8 @@ FLAT = 1e-6
 """Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
+_APART = 14.0
+"""Least distance of ticks (points), on average."""
 _ROW, _HANDLE, _LETTER = 0.19, 0.42, 0.066
 """Height of a legend's row, width of its symbols, and of a letter of its texts (inches)."""
 Entry = tuple[Any, str, str]
@@ -106,7 +109,7 @@ class Axes3D:
         span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
         told = [entry for entry in legend if entry[1]]
         left, right, bottom = 0.62, 0.58 + 0.95 * bars + beside, 0.55
-        columns = _columns([text for _, text, _ in told], width - right + 0.3)
+        columns = _columns([text for _, text, _ in told], width - left - right + 0.4)
         rows = -(-len(told) // columns)
         top = (0.42 if title else 0.15) + _ROW * rows
         room = np.array([width - left - right, 0.95 * width])
@@ -170,7 +173,11 @@ class Axes3D:
         ticks = []
         for axis in range(3):
             size = self.high[axis] - self.low[axis]
+            edge = np.tile(far, (2, 1))
+            edge[1, axis] = near[axis]
+            room = float(np.linalg.norm(np.diff(self._flat(edge), axis=0))) / self.point
             wanted = int(np.clip(round(6 * size / whole), 3, 6))
+            wanted = min(wanted, max(int(room / _APART), 2))
             values = MaxNLocator(wanted, steps=[1, 2, 2.5, 5, 10]).tick_values(
                 self.low[axis], self.high[axis]
             )
@@ -286,7 +293,8 @@ class Axes3D:
             (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
         )
         colorbar = self.figure.colorbar(mappable, cax=bar)
-        colorbar.set_label(label, fontsize=_SMALL + 0.5, color=INK)
+        lines = fill(label, max(int(0.9 * height / _LETTER), 12))
+        colorbar.set_label(lines, fontsize=_SMALL + 0.5, color=INK)
         colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
         colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]
         colorbar.outline.set_edgecolor(INK)  # type: ignore[operator]
