@@ -124,7 +124,8 @@ for name, file in ((fabric, "fabric"), (cable, "cable")):
     )  # fmt: skip
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/fabric.png", f"{RESULTS}/cable.png"])
-    print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {wind.zones} on f/d = "
+    zones = ", ".join(f"{c:.2f}" for c in wind.zones)
+    print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {zones} on f/d = "
           f"{wind.roof.rise / wind.roof.depth:.3f}; {len(table)} combinations")  # fmt: skip
     print(f"fabric used to {used[fabric]:.0%}: {fabric}")
     print(f"tension of the valley cable {pull[cable]:.1f} kN: {cable}")
