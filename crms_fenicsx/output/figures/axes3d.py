@@ -90,7 +90,10 @@ def foot() -> Any:
 
 
 class Axes3D:
-    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch."""
+    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch.
+
+    It has `room` beside the box, and in height at least (inches).
+    """
 
     def __init__(
         self,
@@ -100,22 +103,21 @@ class Axes3D:
         title: str,
         bars: int,
         width: float,
-        beside: float = 0.0,
-        tall: float = 2.6,
-        legend: Sequence[Entry] = (),
+        legend: Sequence[Entry],
+        room: tuple[float, float] = (0.0, 2.6),
     ) -> None:
         self.camera, self.low, self.high = camera, low, high
         seen = camera.project(_corners(low, high))[:, :2]
         span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
         told = [entry for entry in legend if entry[1]]
-        left, right, bottom = 0.62, 0.58 + 0.95 * bars + beside, 0.55
+        left, right, bottom = 0.62, 0.58 + 0.95 * bars + room[0], 0.55
         columns = _columns([text for _, text, _ in told], width - left - right + 0.4)
         rows = -(-len(told) // columns)
         top = (0.42 if title else 0.15) + _ROW * rows
-        room = np.array([width - left - right, 0.95 * width])
-        scale = float((span / room).max())
+        free = np.array([width - left - right, 0.95 * width])
+        scale = float((span / free).max())
         height = span[1] / scale + bottom + top
-        height = max(height, tall)
+        height = max(height, room[1])
         self.point = scale / _POINTS_PER_INCH
         self.figure = new_figure(width, height)
         self._size = np.array([width, height])
@@ -125,13 +127,13 @@ class Axes3D:
         # centred between margins and colour bars
         middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
         origin = middle - scale * np.array(
-            [left + 0.5 * room[0], bottom + 0.5 * (height - bottom - top)]
+            [left + 0.5 * free[0], bottom + 0.5 * (height - bottom - top)]
         )
         self.axes.set_xlim(origin[0], origin[0] + scale * width)
         self.axes.set_ylim(origin[1], origin[1] + scale * height)
         if title:
             self.figure.text(
-                (left + 0.5 * room[0]) / width, 1 - 0.26 / height, title,
+                (left + 0.5 * free[0]) / width, 1 - 0.26 / height, title,
                 ha="center", va="center", fontsize=11, color=INK,
             )  # fmt: skip
         if told:

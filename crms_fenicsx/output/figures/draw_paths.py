@@ -117,7 +117,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     size = float(np.linalg.norm(high - low))
     plan = abs(how.view[1]) >= 85.0
     camera = Camera(*how.view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
-    room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else ()
+    room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else (0.0, 2.6)
     names = dict.fromkeys(line.name for line in lines if line.name)
     colours = {name: DISTINCT[(len(ways) + k) % len(DISTINCT)] for k, name in enumerate(names)}
     legend = [
@@ -125,7 +125,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
         for number, path in enumerate(paths)
         if len(paths) > 1 or path.name
     ] + [(colour, name, "line") for name, colour in colours.items()]
-    axes3d = Axes3D(camera, low, high, how.title, 0, how.width, *room, legend=legend)
+    axes3d = Axes3D(camera, low, high, how.title, 0, how.width, legend, room)
     axes3d.draw_box(how.unit)
     flat = camera.project(corners)
     of_lines = [colours.get(line.name, _CABLE) for line in lines]

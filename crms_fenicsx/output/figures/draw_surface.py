@@ -194,7 +194,7 @@ def draw_shape(
         (off_colour, striped, "stripes"), (INK, "held edge" if len(held) else "", "line"),
         (INK, "support" if len(feet) else "", "foot"),
     ]  # fmt: skip
-    axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend=legend)
+    axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
     for place, (scale, text) in enumerate(bars):
         axes3d.add_bar(scale, text, place)
     if how.box is not False:
