@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from PIL import Image
 from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
@@ -159,6 +161,18 @@ def test_pictures_to_be_compared_have_one_scale(
     assert [len(limits) for limits in drawn.values()] == [2, 2]
     for limits in drawn.values():
         assert len(set(limits)) == 1 and limits[0][0] == 0.0
+
+
+def test_pictures_of_reports_keep_their_colours(comm: MPI.Intracomm, folder: Path) -> None:
+    """Reduced to 256 colours; of those at the ends of a bar there are few pixels."""
+    solver, options = tent(comm), {"colour": "displacement", "dpi": 100}
+    solver.draw(folder / "whole.png", width=cases_of_reports.WIDTH, **options)
+    png = cases_of_reports.draw_png(solver, **options)
+    with Image.open(folder / "whole.png") as whole, Image.open(io.BytesIO(png)) as reduced:
+        wanted, got = (np.asarray(one.convert("RGB"), dtype=float) for one in (whole, reduced))
+    coloured = np.ptp(wanted, axis=-1) > 30.0
+    assert coloured.sum() > 10_000
+    assert np.abs(got - wanted)[coloured].max() < 25.0  # of 255
 
 
 def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:

@@ -140,7 +140,9 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
             from PIL import Image
 
             with Image.open(path) as picture:  # 256 colours take a third of the space
-                picture.convert("RGB").quantize(256).save(buffer, "PNG", optimize=True)
+                # not the default, "median cut", which replaces the ends of colour bars
+                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+                reduced.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
