@@ -35,7 +35,7 @@ CALM, STORM = 0.3, 0.5  # kPa
 # The roof
 # --------
 # The script is the same for any number of processes: ``mpirun`` distributes the mesh over them.
-unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
+unknowns = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
 size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # equilateral triangles
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)

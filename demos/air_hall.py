@@ -38,7 +38,7 @@ SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
 # A film of equal section forces over the plan, under operating pressure: p R = 2 s, so 3.78 kN/m
 # give a rise of 9.5 m. The fabric, PVC-coated polyester with a strength of 84 and 80 kN/m divided
 # by 4, is cut to that shape and has these forces as prestress.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.8))
 plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
 scene = form.scene(OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0))

@@ -77,7 +77,7 @@ def farthest(lines, others):
 # -------
 # ``nets.great_circle`` returns a route in space. Each cable's length makes it just taut on the
 # smooth surface, not on the facets of the mesh.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")

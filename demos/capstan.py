@@ -31,7 +31,7 @@ MU, EA = 0.3, 3000.0
 # %%
 # The hall
 # --------
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.2))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.2))
 mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=24.0, height=8.0, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")

@@ -28,7 +28,7 @@ from crms_fenicsx.output import draw, join_pictures
 RESULTS = "results/clamped_net"
 HALF = 18.0  # half the side of the plan
 CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa: inside in operation and in storms, q_p of the wind
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 2.4))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 2.4))
 
 
 # %%

@@ -35,7 +35,7 @@ VIEW = (-55.0, 28.0)
 # ----
 # The feet along y stay on the ground. The ends of the sheet are lifted onto the arches, which are
 # circular. Between the arches the film can only sag.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.5))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 0.5))
 plan = meshes.rectangle(MPI.COMM_WORLD, SPAN, BAY, size, corner=(-SPAN / 2, -BAY / 2))
 RADIUS = (SPAN**2 / 4 + RISE**2) / (2 * RISE)
 

@@ -37,7 +37,7 @@ from crms_fenicsx.output import draw, join_pictures
 # ----------------
 # The fabric is ten times as stiff along its warp as along its weft, and hardly resists shear.
 RESULTS = "results/friction_experiment"
-SIZE = float(next((word for word in sys.argv[1:] if word != "--resume"), 5.0))
+SIZE = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 5.0))
 THICKNESS = 0.1  # only the moduli times the thickness matter
 FABRIC = OrthotropicMembrane(
     E1=1394.0 / THICKNESS, E2=140.0 / THICKNESS, G12=12.0 / THICKNESS, nu21=0.065,

@@ -27,7 +27,7 @@ from crms_fenicsx.output import draw
 RESULTS = "results/net_tuning"
 HALF = 18.0  # half the side of the plan
 CALM, WANTED = 0.3, 17.0  # kPa in operation, kN
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 2.4
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 2.4))
 
 # %%
 # Hall and net

@@ -37,7 +37,7 @@ from crms_fenicsx import (
 from crms_fenicsx.output import draw
 
 RESULTS = "results/paper"
-SIZE = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
+SIZE = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 5.0))
 FIRST = MPI.COMM_WORLD.rank == 0
 RUNS = "paper", "default"
 TITLES = {"paper": "the paper's laws", "default": "default laws"}

@@ -33,7 +33,7 @@ RESULTS = "results/patterns"
 HALF = 18.0  # half the side of the plan
 WANTED = 3.78  # kN/m, along warp and weft, at a pressure of 0.3 kPa
 CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa: inner pressure, and velocity pressure
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.8
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.8))
 fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
 warnings.simplefilter("ignore", PatternWarning)  # the cells under the net are coarse
 

@@ -49,7 +49,7 @@ VIEW = (-72.0, 30.0)
 # are prescribed; they determine the shape. The warp runs from high point to high point, where the
 # sail hangs, the weft from low point to low point, where it arches.
 places = {**HIGH, **LOW}
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.42))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 0.42))
 flat = meshes.polygon(
     MPI.COMM_WORLD, [places[corner][:2] for corner in CORNERS], size=size, names=EDGES
 )
