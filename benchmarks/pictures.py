@@ -17,4 +17,4 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(buffer, format="png", dpi=100)
     picture = Image.open(buffer).convert("RGB")
     # the default, "median cut", replaces colours of few pixels
-    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1).save(path, optimize=True)

@@ -141,7 +141,7 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
 
             with Image.open(path) as picture:  # 256 colours take a third of the space
                 # not the default, "median cut", which replaces the ends of colour bars
-                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
                 reduced.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
