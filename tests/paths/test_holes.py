@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes, nets
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
 
 EA = 1000.0
@@ -205,3 +205,15 @@ def test_three_cables_cross_each_other_over_a_hole_of_an_inflated_sheet(
         found.append([cable.tension for cable in scene.cables])
         assert len(scene.net.crossings) == 3
     assert found[0] == pytest.approx(found[1], rel=1e-4)
+
+
+@pytest.mark.ranks
+def test_a_net_over_a_hole_is_refused_with_what_spans_it(comm: MPI.Intracomm) -> None:
+    scene = Scene(sheet(comm, 6, (3.0, 7.0, 3.0, 7.0, 0.0)), MEMBRANE)
+    routes = [np.array([(0.0, y), (10.0, y + 0.3)]) for y in (1.1, 4.4)]
+    with pytest.raises(PathError, match=r"line A2: .* crosses a hole.* with Scene\.lay_cable"):
+        nets.from_paths(scene, [routes])
+    assert scene.lay_cable(Cable(EA=EA), routes[1]).lifted.any()
+    with pytest.raises(PathError, match=r"line A1: .* leaves the membrane") as outside:
+        nets.from_paths(scene, [[np.array([(1.0, 1.0), (6.0, 12.0), (9.0, 9.0)])]])
+    assert "hole" not in str(outside.value)
