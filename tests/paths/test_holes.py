@@ -179,7 +179,7 @@ def test_three_cables_that_cross_each_other_over_a_hole_of_a_rigid_sheet_stay_st
     routes = [[(0.0, 4.8), (10.0, 5.6)], [(2.6, 0.0), (7.3, 10.0)], [(0.0, 7.9), (8.3, 0.0)]]
     strains = (0.01, 0.004, 0.02)
     for route, strain in zip(routes, strains, strict=True):
-        length = float(np.hypot(*np.subtract(*route)))
+        length = float(np.hypot(*np.subtract(route[1], route[0])))
         scene.lay_cable(Cable(EA=EA), route, L0=length / (1 + strain))
     Solver(scene).advance()
     tensions = [cable.tension for cable in scene.cables]
@@ -199,7 +199,7 @@ def test_three_cables_cross_each_other_over_a_hole_of_an_inflated_sheet(
         for side in ("left", "right", "front", "back"):
             scene.fix(side)
         for route in ([(0, 4.6), (10, 5.2)], [(2.4, 0), (7.5, 10)], [(8.4, 0), (1.9, 10)]):
-            length = float(np.hypot(*np.subtract(*route)))
+            length = float(np.hypot(*np.subtract(route[1], route[0])))
             scene.lay_cable(Cable(EA=2 * EA), route, L0=0.985 * length)
         Solver(scene).advance(pressure=4.0)
         found.append([cable.tension for cable in scene.cables])
