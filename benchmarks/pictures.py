@@ -15,4 +15,6 @@ def save(figure: Figure, path: Path) -> None:
     """Write a PNG with a palette, a third of the size of one without."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
-    Image.open(buffer).convert("RGB").quantize(COLOURS).save(path, optimize=True)
+    picture = Image.open(buffer).convert("RGB")
+    # the default, "median cut", replaces colours of few pixels
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1).save(path, optimize=True)

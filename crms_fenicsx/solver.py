@@ -67,6 +67,9 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
+MAX_TURNS = 3
+"""Limit of increments of a call that are halved as states take turns under turning pressure."""
+
 ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"
 """Remedy in errors about assigning a solver's options."""
 
@@ -259,7 +262,7 @@ class Solver:
         given = {"pressure": pressure, "load": load, "move": target.movements.samples, "L0": L0}
         done, increment = self._resumed(given | {"steps": steps} | air)
         search = SnapThroughSearch(self._increments, target, first, steps)
-        halvings, began = 0, time.perf_counter()
+        halvings, turns, began = 0, 0, time.perf_counter()
         spent: Outcome | None = None
         with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:
             if done >= 1:
@@ -275,10 +278,11 @@ class Solver:
                 number = len(self.steps) + 1
                 if not outcome.converged:
                     halvings, increment = halvings + 1, (goal - done) / 2
-                    if increment < 0.5**self.max_halvings * (1 - 1e-9):
-                        part = done / steps
+                    turns += outcome.takes_turns
+                    if increment < 0.5**self.max_halvings * (1 - 1e-9) or turns > MAX_TURNS:
+                        part, halved = done / steps, round(-np.log2(2 * increment))
                         failure = no_equilibrium(
-                            number, outcome, self.max_halvings, part,
+                            number, outcome, halved, part,
                             target.ponds(scene, goal / steps), scene.ponds,
                         )  # fmt: skip
                         self._keep(done, increment, str(failure))

@@ -19,20 +19,15 @@ number; the work for the cables grows with its square root.
 """
 
 import sys
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.results.output import draw, join_pictures
 
-sys.path.append(str(Path(sys.argv[0]).resolve().parents[1] / "meshes"))
-from dome import STADIUM_HEIGHT as HEIGHT
-from dome import STADIUM_RADIUS as RADIUS
-from dome import stadium
-
 RESULTS = "results/air_dome"
+RADIUS, HEIGHT = 100.0, 28.0
 SPACING, CABLES = 8.5, 14
 CALM, STORM = 0.3, 0.5  # kPa
 
@@ -40,10 +35,10 @@ CALM, STORM = 0.3, 0.5  # kPa
 # The roof
 # --------
 # The script is the same for any number of processes: ``mpirun`` distributes the mesh over them.
-unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
+unknowns = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
 size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # equilateral triangles
-mesh = stadium(MPI.COMM_WORLD, size)
+mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)

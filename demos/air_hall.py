@@ -19,9 +19,7 @@ demo's both.png and pages of its report.html.
 """
 
 import sys
-from pathlib import Path
 
-import gmsh
 import numpy as np
 from mpi4py import MPI
 
@@ -30,7 +28,6 @@ from crms_fenicsx.design.form_finding import find_form
 from crms_fenicsx.results.output import draw, join_pictures
 
 RESULTS = "results/air_hall"
-MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"
 HALF = 18.0  # half the side of the plan
 CALM, STORM, MELT = 0.3, 0.4, 0.6  # kPa, inner pressure: in operation, in storms, under snow
 SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
@@ -40,12 +37,9 @@ SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
 # ----
 # A film of equal section forces over the plan, under operating pressure: p R = 2 s, so 3.78 kN/m
 # give a rise of 9.5 m. The fabric, PVC-coated polyester with a strength of 84 and 80 kN/m divided
-# by 4, is cut to that shape and has these forces as prestress. The plan is meshes/hall.geo; the
-# first of these lines of gmsh sets the number "size" in this file.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
-plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
-gmsh.finalize()
+# by 4, is cut to that shape and has these forces as prestress.
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.8))
+plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
 scene = form.scene(OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0))
 scene.set_strengths((21.0, 20.0))

@@ -19,18 +19,15 @@ both.png.
 
 import itertools
 import sys
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, nets
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.results.output import Line, draw, draw_paths, join_pictures
 
-sys.path.append(str(Path(sys.argv[0]).resolve().parents[1] / "meshes"))
-from dome import HEIGHT, RADIUS, dome
-
 RESULTS = "results/cable_net"
+RADIUS, HEIGHT = 20.0, 10.0
 PRESSURE, GUST = 0.4, 0.75  # kPa, inner pressure and velocity pressure (35 m/s)
 COEFFICIENTS = {-RADIUS: 0.8, 0.0: -1.0, RADIUS: -0.3}  # of pressure, over x (our assumption)
 LOOK = {
@@ -80,8 +77,8 @@ def farthest(lines, others):
 # -------
 # ``nets.great_circle`` returns a route in space. Each cable's length makes it just taut on the
 # smooth surface, not on the facets of the mesh.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
-mesh = dome(MPI.COMM_WORLD, size)
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.6))
+mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)

@@ -31,7 +31,7 @@ MU, EA = 0.3, 3000.0
 # %%
 # The hall
 # --------
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.2))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.2))
 mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=24.0, height=8.0, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
@@ -70,7 +70,7 @@ def profile(cable, places):
 # -------------------------
 look = {
     "view": (-78.0, 36.0), "unit": "m", "force": "kN", "width": 6.8, "dpi": 100,
-    "box": ((-0.5, -0.5, 0.0), (16.5, 24.5, 9.0)), "line_limits": (2.0, 8.0),
+    "box": ((-0.5, -0.5, 0.0), (16.5, 24.5, 9.0)), "line_limits": (0.0, 8.0),
 }  # fmt: skip
 places, profiles, ends = np.linspace(0.0, 1.0, 81), {}, {}
 for what, length, steps in (("taken in", 0.25, 5), ("let out", -0.08, 4)):

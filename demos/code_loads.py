@@ -35,7 +35,7 @@ VIEW = (-55.0, 28.0)
 # ----
 # The feet along y stay on the ground. The ends of the sheet are lifted onto the arches, which are
 # circular. Between the arches the film can only sag.
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.5))
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 0.5))
 plan = meshes.rectangle(MPI.COMM_WORLD, SPAN, BAY, size, corner=(-SPAN / 2, -BAY / 2))
 RADIUS = (SPAN**2 / 4 + RISE**2) / (2 * RISE)
 
@@ -124,7 +124,8 @@ for name, file in ((fabric, "fabric"), (cable, "cable")):
     )  # fmt: skip
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/fabric.png", f"{RESULTS}/cable.png"])
-    print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {wind.zones} on f/d = "
+    zones = ", ".join(f"{c:.2f}" for c in wind.zones)
+    print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {zones} on f/d = "
           f"{wind.roof.rise / wind.roof.depth:.3f}; {len(table)} combinations")  # fmt: skip
     print(f"fabric used to {used[fabric]:.0%}: {fabric}")
     print(f"tension of the valley cable {pull[cable]:.1f} kN: {cable}")

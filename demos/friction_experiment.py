@@ -25,6 +25,7 @@ with the cell size, 5 cm by default.
 import sys
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
@@ -36,7 +37,7 @@ from crms_fenicsx.results.output import draw, join_pictures
 # ----------------
 # The fabric is ten times as stiff along its warp as along its weft, and hardly resists shear.
 RESULTS = "results/friction_experiment"
-SIZE = float(next((word for word in sys.argv[1:] if word != "--resume"), 5.0))
+SIZE = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 5.0))
 THICKNESS = 0.1  # only the moduli times the thickness matter
 FABRIC = OrthotropicMembrane(
     E1=1394.0 / THICKNESS, E2=140.0 / THICKNESS, G12=12.0 / THICKNESS, nu21=0.065,
@@ -82,7 +83,7 @@ def draw_curves(results):
     top, bottom = figure.subplots(2, 2, sharex="row", sharey="row")
     for upper, lower, (name, (places, _, _)) in zip(top, bottom, results.items(), strict=True):
         for step in (1, 3, 5, 7, 9, 11, 13, 15):
-            colour = (0.75 - step / 20, 0.35, 0.2 + step / 20)
+            colour = colormaps["viridis"]((step - 1) / 16)
             upper.plot(ALONG, places[step - 1, 0], color=colour, label=f"step {step}")
             lower.plot(ALONG, places[step - 1, 1], color=colour)
         upper.set_title(RUNS[name][1], fontsize=10)

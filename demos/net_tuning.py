@@ -16,9 +16,7 @@ with the cell size, 2.4 m by default.
 """
 
 import sys
-from pathlib import Path
 
-import gmsh
 import numpy as np
 from mpi4py import MPI
 
@@ -27,16 +25,14 @@ from crms_fenicsx.design.form_finding import find_form
 from crms_fenicsx.results.output import draw
 
 RESULTS = "results/net_tuning"
-MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"
+HALF = 18.0  # half the side of the plan
 CALM, WANTED = 0.3, 17.0  # kPa in operation, kN
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 2.4
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 2.4))
 
 # %%
 # Hall and net
 # ------------
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
-plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
-gmsh.finalize()
+plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
 scene = form.scene(OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0))
 offsets = np.array([-15.0, -9.0, -3.0, 3.0, 9.0, 15.0]) / np.sqrt(2.0)

@@ -37,7 +37,7 @@ from crms_fenicsx import (
 from crms_fenicsx.results.output import draw
 
 RESULTS = "results/paper"
-SIZE = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
+SIZE = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 5.0))
 FIRST = MPI.COMM_WORLD.rank == 0
 RUNS = "paper", "default"
 TITLES = {"paper": "the paper's laws", "default": "default laws"}
@@ -87,7 +87,7 @@ for run in RUNS:
         tensions[run].append(cable.tension)
     draw(
         solver, f"{RESULTS}/model_1_{run}.png", title=f"Model 1: {TITLES[run]}", colour="height",
-        ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf", width=4.5,
+        limits=(0.0, 9.0), ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf", width=4.5,
     )  # fmt: skip
 model_1 = {run: values[-1] for run, values in tensions.items()}
 
@@ -140,7 +140,7 @@ for run in RUNS:
         model_3[run, mu] = np.array(history)
     draw(
         solver, f"{RESULTS}/model_3_{run}.png", title=f"Model 3, µ = 0.7: {TITLES[run]}",
-        colour="height", view=(-65.0, 35.0), unit="cm", force="kgf", width=5.5,
+        colour="height", limits=(-8.0, 0.0), view=(-65.0, 35.0), unit="cm", force="kgf", width=5.5,
     )  # fmt: skip
 
 # %%

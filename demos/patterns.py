@@ -21,9 +21,7 @@ of 1 cm.
 import importlib.util
 import sys
 import warnings
-from pathlib import Path
 
-import gmsh
 import numpy as np
 from mpi4py import MPI
 
@@ -32,11 +30,10 @@ from crms_fenicsx.design.form_finding import find_form
 from crms_fenicsx.results.output import draw
 
 RESULTS = "results/patterns"
-MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"
 HALF = 18.0  # half the side of the plan
 WANTED = 3.78  # kN/m, along warp and weft, at a pressure of 0.3 kPa
 CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa: inner pressure, and velocity pressure
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.8
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 1.8))
 fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
 warnings.simplefilter("ignore", PatternWarning)  # the cells under the net are coarse
 
@@ -47,11 +44,7 @@ warnings.simplefilter("ignore", PatternWarning)  # the cells under the net are c
 # Strips from front to back, of 5 m wide fabric, with welds of 80 mm, half of them on each side.
 def cut_hall(size):
     """Form and pieces of the hall at a cell size."""
-    gmsh.initialize(
-        ["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False
-    )
-    plan = meshes.from_file(MPI.COMM_WORLD, MESHES / "hall.geo")
-    gmsh.finalize()
+    plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
     form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)
     seams = patterns.strips(form.mesh, "front", "back", width=5.0, allowance=0.04)
     return form, patterns.cut(form.mesh, seams)

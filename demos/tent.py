@@ -17,9 +17,7 @@ snow.png.
 """
 
 import sys
-from pathlib import Path
 
-import gmsh
 import numpy as np
 from mpi4py import MPI
 
@@ -29,9 +27,9 @@ from crms_fenicsx.results.output import draw
 
 RESULTS = "results/tent"
 PRESTRESS, EDGE_TENSION = 2.5, 45.0
-MESHES = Path(sys.argv[0]).resolve().parents[1] / "meshes"
 HIGH = {"west": (-8.0, 0.0, 6.0), "east": (8.0, 0.0, 6.0)}
 LOW = {"south": (0.0, -7.0, 1.2), "north": (0.0, 7.0, 1.2)}
+CORNERS = {"south": "corner 1", "east": "corner 2", "north": "corner 3", "west": "corner 4"}
 EDGES = ["south east", "north east", "north west", "south west"]
 
 FABRIC = OrthotropicMembrane(E1=900.0, E2=700.0, G12=30.0, nu21=0.2, thickness=1.0)
@@ -47,20 +45,19 @@ VIEW = (-72.0, 30.0)
 # %%
 # The form
 # --------
-# The sheet starts flat: meshes/tent.geo, in which the first of gmsh's lines sets the number "size".
-# Section forces, tensions of the edge cables and positions of the corners are prescribed; they
-# determine the shape. The warp runs from high point to high point, where the sail hangs, the weft
-# from low point to low point, where it arches.
+# The sheet starts flat. Section forces, tensions of the edge cables and positions of the corners
+# are prescribed; they determine the shape. The warp runs from high point to high point, where the
+# sail hangs, the weft from low point to low point, where it arches.
 places = {**HIGH, **LOW}
-size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.42))
-gmsh.initialize(["", "-setnumber", "size", str(size)], readConfigFiles=False, interruptible=False)
-flat = meshes.from_file(MPI.COMM_WORLD, MESHES / "tent.geo")
-gmsh.finalize()
+size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 0.42))
+flat = meshes.polygon(
+    MPI.COMM_WORLD, [places[corner][:2] for corner in CORNERS], size=size, names=EDGES
+)
 found = find_form(
     flat,
     stress=PRESTRESS,
-    fixed=list(places),
-    lifted={corner: (0.0, 0.0, z) for corner, (_, _, z) in places.items()},
+    fixed=list(CORNERS.values()),
+    lifted={CORNERS[corner]: (0.0, 0.0, z) for corner, (_, _, z) in places.items()},
     cables=[FormCable(edge, tension=EDGE_TENSION) for edge in EDGES],
 )
 
@@ -73,14 +70,14 @@ found = find_form(
 bars = []
 for corner, (x, y, _) in HIGH.items():
     out = np.sign(x)
-    bars.append(FormBar(corner, MAST, (x - 0.8 * out, y, 0.0), f"mast {corner}"))
+    bars.append(FormBar(CORNERS[corner], MAST, (x - 0.8 * out, y, 0.0), f"mast {corner}"))
     for side, way in (("south", -1.0), ("north", 1.0)):
         foot = (x + 4.0 * out, y + 2.5 * way, 0.0)
-        bars.append(FormBar(corner, GUY, foot, f"guy {corner} {side}"))
+        bars.append(FormBar(CORNERS[corner], GUY, foot, f"guy {corner} {side}"))
 for corner, place in LOW.items():
-    reaction = found.reactions[corner]
+    reaction = found.reactions[CORNERS[corner]]
     foot = place + 0.8 * reaction / np.linalg.norm(reaction)
-    bars.append(FormBar(corner, GUY, foot, f"tie {corner}"))
+    bars.append(FormBar(CORNERS[corner], GUY, foot, f"tie {corner}"))
 # %%
 # Belts
 # -----

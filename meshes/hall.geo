@@ -1,4 +1,4 @@
-// Plan of the tennis hall: a square of 36 m, from which demos find the form.
+// Plan of the tennis hall of the demos: a square of 36 m.
 DefineConstant[ size = {1.8, Name "size"} ];
 Mesh.MeshSizeMin = size; // of the cells, the same everywhere
 Mesh.MeshSizeMax = size;

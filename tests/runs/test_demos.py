@@ -1,4 +1,4 @@
-"""Each demo runs as a reader would run it, and leaves what it promises."""
+"""Each demo runs as a reader would run it, from any folder, and leaves what it promises."""
 
 import runpy
 import sys
@@ -73,7 +73,8 @@ def test_demo(
     folder = Path(comm.bcast(str(tmp_path)))
     monkeypatch.chdir(folder)
     script = str(ROOT / "demos" / f"{demo}.py")
-    monkeypatch.setattr(sys, "argv", [script, *arguments])
+    kernel = ["ipykernel_launcher.py", "-f", str(folder / "kernel.json")]  # of a notebook
+    monkeypatch.setattr(sys, "argv", [*kernel, *arguments])
     left = runpy.run_path(script, run_name="__main__")
     for solver in (one for one in left.values() if isinstance(one, Solver)):
         groups = {name: dofs for name, (_, dofs) in held_groups(solver.scene.membrane).items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -26,6 +26,7 @@ from crms_fenicsx.analysis.verification.report import Check, Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.cabling.contact.lift_off import SUNK, is_foot, size_at
 from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import StateWarning
@@ -92,6 +93,21 @@ class Increment:
 
 MAX_FOLLOWER_SOLVES = 50
 """Limit of solves per increment under wind, or under lagged pressure with free edges."""
+
+SAME_TENSIONS, OTHER_TENSIONS = 1e-6, 1e-4
+"""Changes of tensions, relative to the largest, below which a state under lagged pressure counts as
+one before, and above which as another."""
+
+
+def _taking_turns(tensions: Sequence[Array]) -> Booleans:
+    """Whether each cable has another tension in some of the solves (n_cables,) since a state that
+    has now returned; none if none has."""
+    now = tensions[-1]
+    size = float(now.max(initial=0.0))
+    apart = [float(np.abs(one - now).max(initial=0.0)) for one in tensions]
+    same = [k for k, change in enumerate(apart[:-2]) if change <= SAME_TENSIONS * size]
+    since = np.abs(np.array(tensions[same[-1] :] if same else tensions[-1:]) - now).max(axis=0)
+    return np.asarray(since > OTHER_TENSIONS * size)
 
 
 class IncrementSolver:
@@ -233,12 +249,23 @@ class IncrementSolver:
 
     def _iterate_pressure(self, outcome: Outcome) -> Outcome:
         """Solve again under lagged pressure until its forces are normal to the final shape."""
+        earlier: list[Array] = []
         for _ in range(MAX_FOLLOWER_SOLVES):
             self.system.commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
             if more.iterations == 0 or not more.converged:
                 return outcome
+            earlier.append(np.array([cable.tension for cable in self.scene.cables]))
+            turning = _taking_turns(earlier)
+            if turning.any():
+                names = ", ".join(self.scene.cables[c].name for c in np.flatnonzero(turning))
+                reason = (
+                    f"{names}: as the pressure at free edges turns, states with other "
+                    "contacts or paths return in turn; lay them farther from vertices and mesh "
+                    "lines beside those edges, and from each other's crossings there"
+                )
+                return replace(outcome, converged=False, reason=reason, takes_turns=True)
         reason = f"the pressure at free edges still turns after {MAX_FOLLOWER_SOLVES} solves"
         return replace(outcome, converged=False, reason=reason)
 

@@ -2,7 +2,8 @@
 
 Where the mesh holds a cable sideways that is free to slide, it keeps the cable longer than the
 string that is taut over the same edges, drawn straight between their vertices, and than the cable
-that the vertices let go. The tension lies between those of the two lengths. See
+that the vertices let go. An end inside a cell lies below the smooth surface, and if it was given in
+plan, farther down its slope. The tension lies between those of the lengths. See
 docs/theory/verification.md.
 """
 
@@ -15,9 +16,10 @@ from scipy.optimize import minimize
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.report import Check
-from crms_fenicsx.cabling.cables.strip import StripShape
+from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_vertices, string_displacements
+from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.checks import counted
@@ -32,6 +34,12 @@ HELD_SIDEWAYS = {
 
 SHOWN = 3
 """Number of cables told of in one warning."""
+
+STEEP = 0.1
+"""Least vertical part of a normal where ends may have been given in plan."""
+
+LARGE = 0.1
+"""Share of the excess of length from which its reason is told."""
 
 EXACT = {"ftol": 1e-12, "gtol": 1e-9}
 """Tolerances of a string's length and of its slopes, relative to its length."""
@@ -64,10 +72,13 @@ def _of_cable(
     T = cable.tension
     if HELD_SIDEWAYS & by_name.keys():
         low, _ = tension_range(cable, shape, others)
+        at_ends = _longer_at_ends(cable, shape)
+        large = at_ends > LARGE * _longer(cable, shape, others)
+        ends = ", and its ends inside cells, if given in plan, lie too far down the slope"
         yield (
             f"the tension of {cable.name!r} is between {low:.3g} and {T:.3g}: the mesh holds it "
             f"sideways{'' if cable.slides_freely else ' beyond its friction'} and keeps it too "
-            "long; smaller cells along it narrow this range"
+            f"long{ends if large else ''}; smaller cells along it narrow this range"
         )
     if "pull on the membrane" in by_name:
         force = by_name["pull on the membrane"] * T
@@ -118,8 +129,32 @@ def tension_range(
     """Least and largest tension of a cable that the mesh holds sideways (force)."""
     start = cable.state.step_start
     rate = cable.cable.EA / (cable.L0 if start is None else start.length)
-    longer = _longer_by_edges(cable, shape) + _longer_by_vertices(cable, shape, others)
-    return max(cable.tension - rate * longer, 0.0), cable.tension
+    return max(cable.tension - rate * _longer(cable, shape, others), 0.0), cable.tension
+
+
+def _longer(cable: LaidCable, shape: StripShape, others: Pulls | None) -> float:
+    """Excess of a cable's length on coarse cells (length)."""
+    sideways = _longer_by_edges(cable, shape) + _longer_by_vertices(cable, shape, others)
+    return sideways + _longer_at_ends(cable, shape)
+
+
+def _longer_at_ends(cable: LaidCable, shape: StripShape) -> float:
+    """Length by which ends given in plan lie farther down the slope, and so apart, in cells that
+    are below the smooth surface (length)."""
+    ends = [k for k in (0, -1) if cable.state.nodes[k].kind == "tied"]
+    if not ends:
+        return 0.0
+    strip = shape.strip
+    solid = strip.cells[strip.is_outer & (strip.owner != NOBODY)]
+    surface = SmoothSurface.of(shape.current, np.searchsorted(strip.vertices, solid))
+    found = [cable.state.nodes[k].interpolation() for k in ends]
+    corners = np.array([(*(strip.row_of[v] for v in ids), 0, 0)[:3] for ids, _ in found])
+    weights = np.array([(*share, 0.0, 0.0)[:3] for _, share in found])
+    offsets, normals = surface.raised(corners, weights)
+    ways = np.diff(cable.state.positions, axis=0)[ends]
+    upright = np.maximum(np.abs(normals[:, 2]), STEEP)
+    # The point above is offset / upright higher, of which the part along the cable counts.
+    return float(np.sum(norm(offsets) / upright * np.abs(ways[:, 2]) / norm(ways)))
 
 
 def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:

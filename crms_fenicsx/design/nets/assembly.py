@@ -11,7 +11,7 @@ from string import ascii_uppercase
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.paths.routes import shortened, traced
+from crms_fenicsx.cabling.paths.routes import shortened, traced, traced_over_holes
 from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
 from crms_fenicsx.foundation.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
@@ -19,6 +19,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.trace import route_points
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 
 APART = 0.01
@@ -62,7 +63,13 @@ def assembled(
                 if taut:
                     path = shortened(surface.membrane, path)
             except PathError as error:
-                raise PathError(f"{call}: line {name}: {error}") from None
+                text = f"{call}: line {name}: {error}"
+                if _crosses_hole(surface.membrane, route):
+                    text += (
+                        ". It crosses a hole, which a line of a net cannot: lay cables one by one "
+                        'with Scene.lay_cable, which span it if they are "outside" or in a sleeve'
+                    )
+                raise PathError(text) from None
             points, lengths = _measured(surface, path)
             ways.append(_TracedLine(name, path, points, lengths))
             lines.append(
@@ -77,6 +84,14 @@ def route_of_call(call: str, route: object) -> Array:
         return route_points(route)
     except PathError as error:
         raise PathError(f"{call}: {error}") from None
+
+
+def _crosses_hole(membrane: Membrane, route: Array) -> bool:
+    """Whether a single cable could follow a route, over holes. Collective."""
+    try:
+        return len(traced_over_holes(membrane, route, {}, slides=True)[1]) > 0
+    except PathError:
+        return False
 
 
 def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:

@@ -103,7 +103,9 @@ def _name_axis(axis: Any, name: str, unit: str) -> None:
 
 
 def roll_figure(nesting: Nesting, unit: str) -> Figure:
-    """Figure of the nested pieces, row by row from the top."""
+    """Figure of the nested pieces, row by row from the top, with a legend at the right."""
+    from matplotlib.lines import Line2D
+
     starts = np.array([*nesting.rows, nesting.length])
     x, y = float(np.diff(starts).max()), nesting.roll
     step, last = 1.1 * y, len(nesting.rows) - 1
@@ -119,6 +121,12 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
         row = int(np.searchsorted(starts, one.cut_line[:, 0].min() + 1e-9 * x, side="right")) - 1
         _draw(axes, one.moved(np.array([-starts[row], (last - row) * step])), names=False)
     axes.set_yticks([])
+    texts = ("cut", "seam", "end of the overlap", "match mark")
+    lines = [Line2D([], [], color=one, label=text)
+             for one, text in zip(COLOURS.values(), texts, strict=True)]  # fmt: skip
+    lines.append(Line2D([], [], color="#5b6876", linewidth=0.6, linestyle="--", label="roll"))
+    axes.legend(handles=lines, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8,
+                frameon=False)  # fmt: skip
     _name_axis(axes.xaxis, "along the roll", unit)
     bracket = f" {unit}" if unit else ""
     axes.set_title(

@@ -58,6 +58,9 @@ class Outcome:
     scale: float = 0.0
     # whether the energy was not convex on the way of a minimisation: possible snap-through
     nonconvex: bool = False
+    # whether two states took turns as the pressure turned with them, which smaller increments of
+    # the loads seldom end
+    takes_turns: bool = False
 
     def __repr__(self) -> str:
         """One line."""

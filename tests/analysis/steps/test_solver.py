@@ -763,3 +763,28 @@ def test_what_is_not_finite_ends_a_solve(
     assert scene.energy == good
     monkeypatch.undo()
     assert solver.advance(pressure=0.01).outcome.converged
+
+
+def test_a_step_in_which_two_states_take_turns_is_refused_by_the_cables_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Solves under turning pressure that return to a state before end, and halvings do, too."""
+    scene = Scene(meshes.rectangle(MPI.COMM_SELF, 4.0, 4.0, 2.0), FOIL, pressure="lagged")
+    scene.fix("left")
+    for name, y in (("lower", 1.3), ("upper", 2.7)):
+        scene.lay_cable(CABLE, [(0.0, y), (4.0, y)], name=name)
+    calls = 0
+
+    def turning(search: EquilibriumSearch, h0_prestress: tuple[float, ...]) -> Outcome:
+        nonlocal calls
+        calls += 1
+        for cable, tensions in zip(search.scene.cables, [(3.0, 5.0), (7.0, 7.0)], strict=True):
+            cable.update(tension=tensions[calls % 2])
+        return Outcome(True, "", 0.0, 1.0, 1, 1, 0)
+
+    monkeypatch.setattr(EquilibriumSearch, "find", turning)
+    with pytest.raises(ConvergenceError, match=r"lower: .* return in turn; lay them farther") as e:
+        Solver(scene).advance(pressure=1.0)
+    assert "upper" not in str(e.value)
+    assert "halved 3 times" in str(e.value)
+    assert calls == 4 * 4

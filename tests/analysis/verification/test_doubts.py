@@ -180,3 +180,27 @@ def test_the_range_contains_the_tension_on_fine_cells(comm: MPI.Intracomm, case:
     (_, low, high), (fine, *_) = tensions
     assert low <= fine <= high
     assert fine < 0.5 * high
+
+
+@pytest.mark.ranks
+def test_a_range_contains_that_of_ends_farther_up_the_slope(comm: MPI.Intracomm) -> None:
+    """Ends given in plan lie inside facets, which are below the dome, and so too far apart."""
+    lengths, ranges = [0.0], []
+    for size, EA in ((1.0, 1e-4), (1.75, 200.0), (0.7, 200.0), (3.5, 20.0)):
+        mesh = meshes.spherical_cap(comm, 10.0, 4.5, size=size)
+        scene = Scene(mesh, IsotropicMembrane(E=200.0, nu=0.3, thickness=1.0, wrinkling=False))
+        scene.fix("boundary")
+        solver = Solver(scene)
+        solver.advance(pressure=1.0)
+        L0 = 0.995 * lengths[0] if lengths[0] else None
+        cable = scene.lay_cable(Cable(EA), [(-6.3, 1.1), (7.1, -2.0)], L0=L0)
+        lengths[0] = lengths[0] or cable.L0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtWarning)
+            solver.advance()
+        ranges.append(tension_range(cable, scene.net.strip_shape()))
+    _, coarse, fine, _ = ranges
+    assert 0.1 * fine[0] < coarse[0] < fine[0] < fine[1] < coarse[1]
+    assert fine[1] < 0.8  # without what the ends add the coarse range began at 0.85
+    (one,) = scene.warnings
+    assert "its ends inside cells, if given in plan, lie too far down the slope" in one.text

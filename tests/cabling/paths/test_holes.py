@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes, nets
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 
 EA = 1000.0
@@ -165,6 +165,55 @@ def test_who_cannot_span_a_hole_is_refused() -> None:
         with pytest.raises(PathError, match="leaves the membrane"):
             scene.lay_cable(Cable(EA=EA), path)
     assert not scene.cables
-    assert scene.lay_cable(
-        Cable(EA=EA), [(0.0, 4.6), (10.0, 4.6)], hold="sleeve"
-    ).state.lifted.any()
+    assert scene.lay_cable(Cable(EA=EA), [(0.0, 4.6), (10.0, 4.6)], hold="sleeve").lifted.any()
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("seed", [None, 4])
+def test_three_cables_that_cross_each_other_over_a_hole_of_a_rigid_sheet_stay_straight(
+    comm: MPI.Intracomm, seed: int | None
+) -> None:
+    """Nothing presses them together, however close their three crossings are."""
+    scene = Scene(sheet(comm, 7, (2.0, 8.0, 2.0, 8.0, 0.0), seed=seed), MEMBRANE)
+    scene.fix("all")
+    routes = [[(0.0, 4.8), (10.0, 5.6)], [(2.6, 0.0), (7.3, 10.0)], [(0.0, 7.9), (8.3, 0.0)]]
+    strains = (0.01, 0.004, 0.02)
+    for route, strain in zip(routes, strains, strict=True):
+        length = float(np.hypot(*np.subtract(route[1], route[0])))
+        scene.lay_cable(Cable(EA=EA), route, L0=length / (1 + strain))
+    Solver(scene).advance()
+    tensions = [cable.tension for cable in scene.cables]
+    assert tensions == pytest.approx([EA * strain for strain in strains], rel=1e-6)
+    assert all(cable.state.lifted.any() for cable in scene.cables)
+
+
+@pytest.mark.ranks
+def test_three_cables_cross_each_other_over_a_hole_of_an_inflated_sheet(
+    comm: MPI.Intracomm,
+) -> None:
+    """The same for another numbering."""
+    found = []
+    for seed in (None, 5):
+        mesh = sheet(comm, 9, (2.9, 7.1, 2.9, 7.1, 0.0), seed=seed)
+        scene = Scene(mesh, MEMBRANE, pressure="lagged")
+        for side in ("left", "right", "front", "back"):
+            scene.fix(side)
+        for route in ([(0, 4.6), (10, 5.2)], [(2.4, 0), (7.5, 10)], [(8.4, 0), (1.9, 10)]):
+            length = float(np.hypot(*np.subtract(route[1], route[0])))
+            scene.lay_cable(Cable(EA=2 * EA), route, L0=0.985 * length)
+        Solver(scene).advance(pressure=4.0)
+        found.append([cable.tension for cable in scene.cables])
+        assert len(scene.net.crossings) == 3
+    assert found[0] == pytest.approx(found[1], rel=1e-4)
+
+
+@pytest.mark.ranks
+def test_a_net_over_a_hole_is_refused_with_what_spans_it(comm: MPI.Intracomm) -> None:
+    scene = Scene(sheet(comm, 6, (3.0, 7.0, 3.0, 7.0, 0.0)), MEMBRANE)
+    routes = [np.array([(0.0, y), (10.0, y + 0.3)]) for y in (1.1, 4.4)]
+    with pytest.raises(PathError, match=r"line A2: .* crosses a hole.* with Scene\.lay_cable"):
+        nets.from_paths(scene, [routes])
+    assert scene.lay_cable(Cable(EA=EA), routes[1]).lifted.any()
+    with pytest.raises(PathError, match=r"line A1: .* leaves the membrane") as outside:
+        nets.from_paths(scene, [[np.array([(1.0, 1.0), (6.0, 12.0), (9.0, 9.0)])]])
+    assert "hole" not in str(outside.value)

@@ -157,7 +157,12 @@ def test_pictures_are_written(pattern: patterns.Pattern, tmp_path: Path, suffix:
     assert len(data) > 5000
     if suffix == "pdf":
         assert data.count(b"/Type /Page ") == 5  # the roll and four pieces
-    assert patterns.draw_sheets(pattern, None, patterns.Sheet(4.2)) is not None
+    roll = patterns.draw_sheets(pattern, None, patterns.Sheet(4.2))
+    assert roll is not None
+    legend = roll.axes[0].get_legend()  # beside the roll
+    assert legend is not None and len(legend.get_texts()) == 5
+    roll.canvas.draw()
+    assert legend.get_window_extent().x0 >= roll.axes[0].get_window_extent().x1
 
 
 @pytest.mark.ranks

@@ -258,6 +258,36 @@ def test_a_colour_bar_where_values_differ_and_words_where_they_do_not(tmp_path: 
     assert width([250.0, 250.0], line_limits=(0.0, 300.0)) > 100
 
 
+@pytest.mark.parametrize(("width", "title"), [(8.0, ""), (6.0, "A flat, wide shape")])
+def test_the_legend_covers_nothing(width: float, title: str) -> None:
+    """Neither the box nor colour bars nor the title, with up to five entries in one picture."""
+    points, triangles = grid(4)
+    points *= (1.0, 0.6, 1.0)
+    place = np.column_stack([np.linspace(10.0, 90.0, 4), np.full((4, 2), (30.0, 0.0))])
+    lines = [Line(place, {"tension": 5.0, "lifted": np.array([0.0, 1.0, 1.0])}, name="a long name")]
+    figure = draw_shape(
+        None, points, triangles, lines, values=np.r_[np.arange(31.0), np.nan], title=title,
+        width=width, without="reinforced corner", label="force", line_values="tension",
+        loose="lifted", held=points[None, :2], supports=points[-1:],
+    )  # fmt: skip
+    assert figure is not None
+    figure.canvas.draw()
+    axes, *bars = figure.axes
+    legend = axes.get_legend()
+    assert legend is not None and len(legend.get_texts()) == 5
+    covered = legend.get_window_extent()
+    top = max(
+        float(axes.transData.transform(path.vertices)[:, 1].max())
+        for one in axes.collections for path in one.get_paths()
+    )  # fmt: skip
+    assert covered.y0 >= top - 1.0  # pixels
+    others = [bar.get_window_extent() for bar in bars]
+    others += [text.get_window_extent() for text in figure.texts]
+    assert len(others) == 1 + bool(title)
+    assert not any(covered.overlaps(other) for other in others)
+    assert covered.x0 >= 0.0
+
+
 def test_a_box_gives_pictures_the_same_view_and_ends_lines(tmp_path: Path) -> None:
     points, triangles = grid(6)
     box = ((-10.0, -10.0, -10.0), (110.0, 110.0, 10.0))
@@ -547,6 +577,26 @@ def test_default_panels_show_what_changes_and_can_be_seen() -> None:
     single = History(None, MPI.COMM_SELF)
     single.append({"step": 1, "pressure": 2.0, "L0 a": 7.0, "energy": 0.0})
     assert default_panels(single) == [["pressure"], ["L0 a"]]
+
+
+def test_what_varies_by_the_tolerance_only_is_constant() -> None:
+    """Axes show values and places, not the last digits of a solver."""
+    history = History(None, MPI.COMM_SELF)
+    for step in range(4):
+        noise = 1.0 + 3e-9 * (step % 2)
+        history.append({"step": step, "pressure": 0.3 * noise, "tension": 41.0 + step, "area": 7.1})
+    assert default_panels(history) == [["tension"]]
+    figures = [draw_history(history, panels=[["pressure"], ["area"]])]
+    still = Line(np.tile([41.0, 23.0, 0.0], (3, 1)) + np.outer([0.0, 1e-7, 3e-7], [1.0, 0.0, 0.0]))
+    points, triangles = grid(2)
+    figures += [draw_path(None, [still], points=points, triangles=triangles, closeups={"x": [0]})]
+    for figure in figures:
+        assert figure is not None
+        figure.canvas.draw()
+        for axes in figure.axes[-2:]:
+            for axis in (axes.xaxis, axes.yaxis):
+                assert axis.get_offset_text().get_text() == ""
+                assert all(len(label.get_text()) <= 6 for label in axis.get_ticklabels())
 
 
 def test_paths_in_plan_in_space_and_closely(tmp_path: Path) -> None:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mpi4py import MPI
+from PIL import Image
 from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
+from crms_fenicsx.results.output.report import case as cases_of_reports
 from crms_fenicsx.results.output.report import net_tables, sections
 from crms_fenicsx.results.output.report.page import (
     BarChart,
@@ -132,6 +136,43 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     assert cases == [["LC0", "base state"], ["LC1", "snow <&> ice"], ["LC2", "storm"]]
     for row in read_csv(out / "tent_balance.csv"):
         assert not row["Sum of"].startswith("all") or row["Sum of"].endswith("to 1e-08)")
+
+
+def test_pictures_to_be_compared_have_one_scale(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of combinations whose values are small, and from 0."""
+    solver = tent(comm)
+    found = solver.combine({"calm": {"pressure": 0.02}, "storm": {"pressure": 2.0}})
+    drawn: dict[str, list[tuple[float, float]]] = {"displacement": [], "stress": []}
+
+    def png(solver: Solver, **options: Any) -> bytes:
+        if "limits" in options:  # pictures of combinations
+            drawn[options["colour"]].append(options["limits"])
+        return b""
+
+    monkeypatch.setattr(cases_of_reports, "draw_png", png)
+    solver.report(folder / "two.html", found, pictures=["displacement", "stress"])
+    forces = []
+    for one in found.values():
+        solver.restore(one.snapshot)
+        forces.append(solver.summary().membrane.largest["true force 1"].value)
+    assert max(forces) > 5.0 * min(forces)
+    assert [len(limits) for limits in drawn.values()] == [2, 2]
+    for limits in drawn.values():
+        assert len(set(limits)) == 1 and limits[0][0] == 0.0
+
+
+def test_pictures_of_reports_keep_their_colours(comm: MPI.Intracomm, folder: Path) -> None:
+    """Reduced to 256 colours; of those at the ends of a bar there are few pixels."""
+    solver, options = tent(comm), {"colour": "displacement", "dpi": 100}
+    solver.draw(folder / "whole.png", width=cases_of_reports.WIDTH, **options)
+    png = cases_of_reports.draw_png(solver, **options)
+    with Image.open(folder / "whole.png") as whole, Image.open(io.BytesIO(png)) as reduced:
+        wanted, got = (np.asarray(one.convert("RGB"), dtype=float) for one in (whole, reduced))
+    coloured = np.ptp(wanted, axis=-1) > 30.0
+    assert coloured.sum() > 10_000
+    assert np.abs(got - wanted)[coloured].max() < 25.0  # of 255
 
 
 def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,8 +31,16 @@ _GRID = "#d3d7dc"
 _WALL = "#f4f5f7"
 DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours safe for colour-blind readers."""
+FLAT = 1e-6
+"""Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
+_APART = 14.0
+"""Least distance of ticks (points), on average."""
+_ROW, _HANDLE, _LETTER = 0.19, 0.42, 0.066
+"""Height of a legend's row, width of its symbols, and of a letter of its texts (inches)."""
+Entry = tuple[Any, str, str]
+"""Colour, text and kind ("line", "patch", "foot" or "stripes") in a legend; "" omits it."""
 
 
 def check_colours(*names: str) -> None:
@@ -81,7 +90,10 @@ def foot() -> Any:
 
 
 class Axes3D:
-    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch."""
+    """A figure in the camera's picture plane; `point` is the length shown by 1/72 inch.
+
+    It has `room` beside the box, and in height at least (inches).
+    """
 
     def __init__(
         self,
@@ -91,17 +103,21 @@ class Axes3D:
         title: str,
         bars: int,
         width: float,
-        beside: float = 0.0,
-        tall: float = 2.6,
+        legend: Sequence[Entry],
+        room: tuple[float, float] = (0.0, 2.6),
     ) -> None:
         self.camera, self.low, self.high = camera, low, high
         seen = camera.project(_corners(low, high))[:, :2]
         span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
-        left, right, bottom, top = 0.62, 0.58 + 0.95 * bars + beside, 0.55, 0.42 if title else 0.15
-        room = np.array([width - left - right, 0.95 * width])
-        scale = float((span / room).max())
+        told = [entry for entry in legend if entry[1]]
+        left, right, bottom = 0.62, 0.58 + 0.95 * bars + room[0], 0.55
+        columns = _columns([text for _, text, _ in told], width - left - right + 0.4)
+        rows = -(-len(told) // columns)
+        top = (0.42 if title else 0.15) + _ROW * rows
+        free = np.array([width - left - right, 0.95 * width])
+        scale = float((span / free).max())
         height = span[1] / scale + bottom + top
-        height = max(height, tall)
+        height = max(height, room[1])
         self.point = scale / _POINTS_PER_INCH
         self.figure = new_figure(width, height)
         self._size = np.array([width, height])
@@ -111,15 +127,17 @@ class Axes3D:
         # centred between margins and colour bars
         middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
         origin = middle - scale * np.array(
-            [left + 0.5 * room[0], bottom + 0.5 * (height - bottom - top)]
+            [left + 0.5 * free[0], bottom + 0.5 * (height - bottom - top)]
         )
         self.axes.set_xlim(origin[0], origin[0] + scale * width)
         self.axes.set_ylim(origin[1], origin[1] + scale * height)
         if title:
             self.figure.text(
-                (left + 0.5 * room[0]) / width, 1 - 0.26 / height, title,
+                (left + 0.5 * free[0]) / width, 1 - 0.26 / height, title,
                 ha="center", va="center", fontsize=11, color=INK,
             )  # fmt: skip
+        if told:
+            self._add_legend(told, columns)
 
     def frame(self) -> Bbox:
         """Rectangle around the box in data coordinates of the axes."""
@@ -136,6 +154,8 @@ class Axes3D:
         renderer = self.figure.canvas.get_renderer()  # type: ignore[attr-defined]
         texts = [*self.axes.texts, *self.figure.texts]
         drawn = [text.get_window_extent(renderer) for text in texts]
+        legend = self.axes.get_legend()
+        drawn += [legend.get_window_extent(renderer)] if legend is not None else []
         for axes in self.figure.axes[1:]:
             extent = axes.get_tightbbox(renderer)
             drawn += [extent] if extent is not None else []
@@ -155,7 +175,11 @@ class Axes3D:
         ticks = []
         for axis in range(3):
             size = self.high[axis] - self.low[axis]
+            edge = np.tile(far, (2, 1))
+            edge[1, axis] = near[axis]
+            room = float(np.linalg.norm(np.diff(self._flat(edge), axis=0))) / self.point
             wanted = int(np.clip(round(6 * size / whole), 3, 6))
+            wanted = min(wanted, max(int(room / _APART), 2))
             values = MaxNLocator(wanted, steps=[1, 2, 2.5, 5, 10]).tick_values(
                 self.low[axis], self.high[axis]
             )
@@ -239,8 +263,8 @@ class Axes3D:
         )  # fmt: skip
         self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
 
-    def add_legend(self, entries: Sequence[tuple[Any, str, str]]) -> None:
-        """Add a legend of entries (colour, text, kind) in the upper right corner."""
+    def _add_legend(self, entries: Sequence[Entry], columns: int) -> None:
+        """Add a legend above the box, where it covers nothing."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -254,14 +278,13 @@ class Axes3D:
             return Line2D([], [], color=colour, linewidth=2.2, label=text, gapcolor=RIM,
                           linestyle=dashes)  # fmt: skip
 
-        handles = [handle(*entry) for entry in entries if entry[1]]
-        if handles:
-            self.axes.legend(
-                handles=handles, loc="upper right", bbox_to_anchor=self.frame(),
-                bbox_transform=self.axes.transData, fontsize=_SMALL + 0.5, labelcolor=INK,
-                framealpha=0.6, edgecolor="none", handlelength=1.6, borderaxespad=0.0,
-                ncols=1 + (len(handles) > 2), columnspacing=1.0,
-            )  # fmt: skip
+        self.axes.legend(
+            handles=[handle(*entry) for entry in entries], loc="lower center",
+            bbox_to_anchor=(0.5 * (self.frame().x0 + self.frame().x1), self.frame().y1),
+            bbox_transform=self.axes.transData, fontsize=_SMALL + 0.5, labelcolor=INK,
+            frameon=False, handlelength=1.6, borderaxespad=0.0, borderpad=0.2, labelspacing=0.3,
+            ncols=columns, columnspacing=1.2,
+        )  # fmt: skip
 
     def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:
         """Draw a colour bar on the right, at position `place`, counted outwards."""
@@ -272,10 +295,19 @@ class Axes3D:
             (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
         )
         colorbar = self.figure.colorbar(mappable, cax=bar)
-        colorbar.set_label(label, fontsize=_SMALL + 0.5, color=INK)
+        lines = fill(label, max(int(0.9 * height / _LETTER), 12))
+        colorbar.set_label(lines, fontsize=_SMALL + 0.5, color=INK)
         colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
         colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]
         colorbar.outline.set_edgecolor(INK)  # type: ignore[operator]
+
+
+def _columns(texts: Sequence[str], width: float) -> int:
+    """Number of columns in which texts of a legend fit into a width (inches), at least one."""
+    widths = [_HANDLE + _LETTER * len(text) for text in texts]
+    if sum(widths) <= width:
+        return max(len(texts), 1)
+    return max(int(width / max(widths)), 1)
 
 
 def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
@@ -284,7 +316,7 @@ def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max()) or 1.0
     air = 0.035 * size * np.array([1.0, 1.0, 0.5])
-    air[high - low < 1e-6 * size] = 1e-3 * size
+    air[high - low < FLAT * size] = 1e-3 * size
     return low - air * [1.0, 1.0, 0.0], high + air
 
 

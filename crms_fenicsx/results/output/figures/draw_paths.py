@@ -14,6 +14,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import (
     DISTINCT,
+    FLAT,
     INK,
     Axes3D,
     annotate,
@@ -116,12 +117,17 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     size = float(np.linalg.norm(high - low))
     plan = abs(how.view[1]) >= 85.0
     camera = Camera(*how.view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
-    room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else ()
-    axes3d = Axes3D(camera, low, high, how.title, 0, how.width, *room)
-    axes3d.draw_box(how.unit)
-    flat = camera.project(corners)
+    room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else (0.0, 2.6)
     names = dict.fromkeys(line.name for line in lines if line.name)
     colours = {name: DISTINCT[(len(ways) + k) % len(DISTINCT)] for k, name in enumerate(names)}
+    legend = [
+        (DISTINCT[number % len(DISTINCT)], path.name or f"path {number + 1}", "line")
+        for number, path in enumerate(paths)
+        if len(paths) > 1 or path.name
+    ] + [(colour, name, "line") for name, colour in colours.items()]
+    axes3d = Axes3D(camera, low, high, how.title, 0, how.width, legend, room)
+    axes3d.draw_box(how.unit)
+    flat = camera.project(corners)
     of_lines = [colours.get(line.name, _CABLE) for line in lines]
     _draw_below(
         axes3d.axes,
@@ -134,14 +140,6 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
         at = camera.project(way)[:, :2]
         steps = [] if closeups else _spaced_steps(at, 14.0 * axes3d.point)
         _draw_point_path(axes3d.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
-    axes3d.add_legend(
-        [
-            (DISTINCT[number % len(DISTINCT)], path.name or f"path {number + 1}", "line")
-            for number, path in enumerate(paths)
-            if len(paths) > 1 or path.name
-        ]
-        + [(colour, name, "line") for name, colour in colours.items()]
-    )
     if closeups:
         below = [cable[:, :2] for cable in cables], of_lines
         _add_closeups(axes3d, ways, closeups, corners[..., :2], below, how.unit)
@@ -160,7 +158,10 @@ def _add_closeups(
     groups = [[ways[number][:, :2] for number in numbers] for numbers in closeups.values()]
     lows = np.array([np.min([way.min(axis=0) for way in group], axis=0) for group in groups])
     highs = np.array([np.max([way.max(axis=0) for way in group], axis=0) for group in groups])
-    half = 0.66 * float((highs - lows).max()) or 0.5
+    size = float((axes3d.high - axes3d.low).max())
+    extent = float((highs - lows).max())
+    # points that stand still but for the solver's tolerance are no paths to be enlarged
+    half = 0.66 * extent if extent > FLAT * size else 0.05 * size
     width, height = axes3d.figure.get_size_inches()
     side = _CLOSEUP - _LABELS
     for row, (title, numbers) in enumerate(closeups.items()):

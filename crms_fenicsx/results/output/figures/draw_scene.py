@@ -26,7 +26,7 @@ from crms_fenicsx.foundation.runtime.errors import (
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.output.figures.axes3d import with_unit
+from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
@@ -53,9 +53,6 @@ picture can show."""
 
 MOST_STROKES = 12
 """Number of principal directions drawn along the size of a surface."""
-
-FLAT = 1e-6
-"""Range of heights, relative to the size, up to which they are one."""
 
 SIGNED = "RdYlBu_r"
 """Colour map of tension and compression."""

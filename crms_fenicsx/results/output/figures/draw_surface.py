@@ -183,20 +183,20 @@ def draw_shape(
     bars = [
         (scale, text) for scale, text in ((paint, how.label), (style.paint, line_label)) if scale
     ]
-    axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width)
-    for place, (scale, text) in enumerate(bars):
-        axes3d.add_bar(scale, text, place)
     striped = "off the membrane" if any(part.any() for part in style.off) else ""
     without = how.without if values is not None and not np.isfinite(values).all() else ""
     held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
     feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
     feet = feet[np.all((feet >= low - 1e-6 * size) & (feet <= high + 1e-6 * size), axis=1)]
     off_colour = style.off_colour if striped else CABLE
-    axes3d.add_legend([
+    legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
         (off_colour, striped, "stripes"), (INK, "held edge" if len(held) else "", "line"),
         (INK, "support" if len(feet) else "", "foot"),
-    ])  # fmt: skip
+    ]  # fmt: skip
+    axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
+    for place, (scale, text) in enumerate(bars):
+        axes3d.add_bar(scale, text, place)
     if how.box is not False:
         axes3d.draw_box(how.unit)
 

@@ -17,6 +17,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.results.output.figures.axes3d import (
     DISTINCT,
+    FLAT,
     INK,
     style_axes,
     with_unit,
@@ -193,7 +194,7 @@ def default_panels(history: History) -> list[list[str]]:
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
-    shown = [[c for c in group if np.ptp(_extent([history[c]])) > 0.0] for group in groups]
+    shown = [[c for c in group if not _constant(history[c])] for group in groups]
     if not any(shown):  # such as a single step
         shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
     largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
@@ -202,6 +203,11 @@ def default_panels(history: History) -> list[list[str]]:
         for group, size in zip(shown, largest, strict=True)
     ]
     return [group for group in seen if group]
+
+
+def _constant(values: Array) -> bool:
+    """Whether values are one but for the solver's tolerance."""
+    return float(np.ptp(_extent([values]))) <= FLAT * _size(values)
 
 
 def _size(values: Array) -> float:
@@ -255,6 +261,10 @@ def _plot(
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     if all(history[column].dtype.kind == "i" for column in panel):
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.ticklabel_format(axis="y", useOffset=False)
+    if high - low <= FLAT * max(abs(low), abs(high)):  # not the solver's tolerance, enlarged
+        air = 0.05 * max(abs(low), abs(high)) or 0.5
+        axis.set_ylim(low - air, high + air)
     # equal ranges in all panels, even where a column starts late
     low, high = _extent([history[x]])
     air = 0.03 * (high - low) or 0.5

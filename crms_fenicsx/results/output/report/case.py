@@ -32,8 +32,6 @@ from crms_fenicsx.results.summary import SUMMED_UP, Summary, held_groups, summar
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
 """Resolution of pictures (pixels per inch): largest, up to MANY pictures, and smallest."""
-FAINT = 0.25
-"""Fraction of the common colour scale below which a picture gets its own scale."""
 WIDTH = 6.0
 """Width of a picture (inches)."""
 
@@ -118,17 +116,10 @@ def with_pictures(
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
             "directions": forces, "loose": "lifted" if fabric is None else None,
         }  # fmt: skip
-        limits, own = _limits(every, colour), _limits([case], colour)
-        faint = (
-            limits is not None
-            and own is not None
-            and max(map(abs, own)) < FAINT * max(map(abs, limits))
-        )
-        png = draw_png(solver, dpi=dpi, limits=own if faint else limits, **options)
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
         if png:
             label = LINES if fabric is None else label_of(colour)[0]
             label += "; strokes: larger principal force" if forces else ""
-            label += " (a scale of its own)" if faint else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
 
@@ -155,7 +146,9 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
             from PIL import Image
 
             with Image.open(path) as picture:  # 256 colours take a third of the space
-                picture.convert("RGB").quantize(256).save(buffer, "PNG", optimize=True)
+                # not the default, "median cut", which replaces the ends of colour bars
+                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+                reduced.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
