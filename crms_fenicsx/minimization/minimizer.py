@@ -35,6 +35,7 @@ from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.unstressed import is_unstressed
 from crms_fenicsx.runtime.errors import InputError, garbage_kept
 
 if TYPE_CHECKING:
@@ -77,10 +78,6 @@ Interrupt = Callable[[float, float, bool], bool]
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
-UNSTRESSED = 1e3
-"""Sum of all forces, relative to `Minimizer.atol`, below which a state may be free of stress: where
-nothing loads a slack membrane the forces fade together, so that none is small beside the others."""
-
 
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
@@ -100,7 +97,8 @@ class Minimizer:
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
-        self.no_energy = 0.0
+        self.stiffness = self.size = 0.0
+        """Of the unloaded structure, as in `is_unstressed` (force, length)."""
         self.newton, self.reach = True, math.inf
         """Whether Newton's method may take over from slow stages, and how far vertices may be from
         their stress-free positions (length)."""
@@ -364,7 +362,7 @@ class Minimizer:
         rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
         tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
-        if self._scale <= UNSTRESSED * self.atol and self._energy0 <= self.no_energy:
+        if is_unstressed(self._scale, self._energy0, self.stiffness, self.size):
             tolerance = max(tolerance, self._scale)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding
