@@ -35,6 +35,7 @@ from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.stalling import Stalling
 from crms_fenicsx.minimization.unstressed import is_unstressed
 from crms_fenicsx.runtime.errors import InputError, garbage_kept
 
@@ -85,7 +86,7 @@ class Minimizer:
     ``-crms_h0 false``, ``-crms_h0_pc_type``. Units: atol (force).
 
     Where much of a membrane is slack a solve may take hundreds of stages, each fast; halving the
-    increments instead takes more in sum and often finds nothing."""
+    increments instead takes more in sum and often finds nothing. It ends early without progress."""
 
     def __init__(
         self,
@@ -145,6 +146,7 @@ class Minimizer:
             from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
             self._relaxation = LocalRelaxation.of(potential)
+        self._stalling = Stalling()
         self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
 
@@ -262,6 +264,7 @@ class Minimizer:
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         self._looks = COARSE if self._relaxation is None else LOOKS
         self._newton_method.begin()
+        self._stalling = Stalling()
         self._place_bounds()
         self.potential.place()
 
@@ -306,7 +309,7 @@ class Minimizer:
                 residual, tolerance, rounding = self._evaluate()
             if self._newton_method.active or self._relaxation is not None:  # in stages TAO asks
                 self._ask(residual)
-            end = self._end(residual, tolerance)
+            end = self._end(residual, tolerance, stages)
             if end or (failures >= 3 and residual > 0.5 * best):
                 reason = end or reason
                 break
@@ -367,7 +370,7 @@ class Minimizer:
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding
 
-    def _end(self, residual: float, tolerance: float) -> str:
+    def _end(self, residual: float, tolerance: float, stages: float) -> str:
         """Reason why a solve ends at the evaluated state; "" if it goes on."""
         if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
             return REASONS[-4]
@@ -377,7 +380,9 @@ class Minimizer:
         far = self.reach < math.inf and float(np.abs(x).max(initial=0.0)) > self.reach
         if self.potential.comm.allreduce(far, op=MPI.LOR):
             return endings.ENDLESS
-        return "converged" if residual <= tolerance else ""
+        if residual <= tolerance:
+            return "converged"
+        return endings.STALLED if self._stalling.ends(stages, residual, self._energy0) else ""
 
     def _choose_method(self, stages: float, residual: float) -> None:
         """Switch from slow stages to Newton's method, or back."""
