@@ -9,13 +9,13 @@ from crms_fenicsx.contact.contact_force import contact_forces, forces_at, held_n
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import norm
+from crms_fenicsx.minimization.unstressed import NO_STRAIN
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE, SMOOTHING
 from crms_fenicsx.paths.held_vertices import UNEVEN, Pulls, held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import EdgePoint
-from crms_fenicsx.verification.report import NO_STRAIN
 
 
 def plain_vertices(system: System) -> Integers:

@@ -21,16 +21,15 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.equilibrium.membrane_contribution import tiny_force
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import area_vectors
-from crms_fenicsx.minimization.minimizer import UNSTRESSED
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.minimization.unstressed import is_unstressed
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.cable_forces import plain_vertices, section_forces
-from crms_fenicsx.verification.report import NO_STRAIN, UNBALANCED, Check, Verification
+from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.verification.cable_checks import CableVerifier
@@ -258,12 +257,11 @@ class Verifier:
         all_loads = max(float(total[13]), force)
         limit = BALANCE + unbalanced / all_loads
         modulus = max(m.reference_modulus for m in scene.materials.values())
-        section = max(section_forces(scene), NO_STRAIN * modulus * size)
+        section, stored = section_forces(scene), abs(scene.energies.get("membrane", 0.0))
         own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
         unbalanced_own = float(np.sqrt(total[15]))
-        tiny = tiny_force(scene)
-        if own <= UNSTRESSED * tiny and scene.energy <= tiny * scene.membrane.size:
-            unbalanced_own = 0.0  # nothing is stressed
+        if total[16] == 0.0 and is_unstressed(section, stored, modulus * size, size):
+            unbalanced_own = 0.0
         worst = self._position_errors(unknowns)
         checks = [
             Check("unbalanced forces", float(np.sqrt(total[14])) / force,
