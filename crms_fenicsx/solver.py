@@ -381,10 +381,7 @@ class Solver:
             On all ranks: not a snapshot, or one of another scene.
         """
         with raised_together(self.scene.comm):
-            if not isinstance(snapshot, SceneState):
-                raise InputError(
-                    f"restore: {snapshot!r} is no snapshot; give what solver.snapshot() returned."
-                )
+            checks.of_type("restore: snapshot", snapshot, SceneState)
             if snapshot.scene is not self.scene:
                 raise InputError(
                     "restore: the snapshot is of another scene; give one of this scene."

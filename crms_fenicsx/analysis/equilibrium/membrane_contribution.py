@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from petsc4py import PETSc
 from crms_fenicsx.analysis.equilibrium.contribution import Contribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.nodal_forces import NodalForces
 from crms_fenicsx.energy.terms.pressure import FollowerPressure, RimPressure, rim_of
@@ -25,8 +27,9 @@ if TYPE_CHECKING:
     from crms_fenicsx.energy.terms.paper.step_membrane import StepMembraneEnergy, StepPressure
     from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
 
-NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
-"""Strains, of a membrane of the scene's size and of cables and bars, with negligible forces."""
+NOTHING = 1e-12
+"""Strain, of a membrane of the scene's size, with negligible forces; of cables and bars it is
+`NO_STRAIN`."""
 
 
 class MembraneContribution(Contribution):
@@ -102,16 +105,18 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
         unknowns.bounds = (lower, np.full_like(lower, np.inf))
 
 
-def tiny_force(scene: Scene) -> float:
+def unloaded_scales(scene: Scene) -> tuple[float, float]:
     """Force scale (force) negligible for the unloaded membrane and, however stiff this is, for taut
-    cables and bars; 0 with loads, which set their own."""
+    cables and bars; and least stiffness (force) of these; 0 with loads, which set their own."""
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
-        return 0.0
+        return 0.0, 0.0
     materials = scene.materials.values()
     section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
+    membrane = section * scene.membrane.size
     axial = [cable.cable.EA for cable in scene.cables if cable.taut]
     axial += [bar.bar.EA for bar in scene.bars]
-    return min([NOTHING * section * scene.membrane.size, *(AXIAL_NOTHING * EA for EA in axial)])
+    weakest = min(axial, default=math.inf)
+    return min(NOTHING * membrane, NO_STRAIN * weakest), min(membrane, weakest)
 
 
 class PressureContribution(Contribution):

@@ -19,7 +19,7 @@ from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
     MembraneLoadsContribution,
     PressureContribution,
     hold,
-    tiny_force,
+    unloaded_scales,
 )
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
@@ -216,8 +216,8 @@ class System:
     ) -> Outcome:
         """Minimise the potential from the state read; see `Minimizer.solve`."""
         assert self.minimizer is not None
-        self.minimizer.atol = tiny_force(self.scene)
-        self.minimizer.no_energy = self.minimizer.atol * self.scene.membrane.size
+        self.minimizer.atol, self.minimizer.stiffness = unloaded_scales(self.scene)
+        self.minimizer.size = self.scene.membrane.size
         self.minimizer.newton = self._solved
         if self.ponds is not None:
             self.minimizer.reach = ENDLESS * self.scene.membrane.size

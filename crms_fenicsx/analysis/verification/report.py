@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 from crms_fenicsx.model.versions import StateWarning
 
-NO_STRAIN = 1e-8
-"""Strain below which a cable or bar counts as unstressed: the solver's tolerance is as coarse."""
-
 ROUNDED = 1e-12
 """Relative rounding of a length, or of the distance from the origin."""
 

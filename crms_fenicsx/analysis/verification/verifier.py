@@ -20,13 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import tiny_force
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.cable_forces import plain_vertices, section_forces
-from crms_fenicsx.analysis.verification.report import NO_STRAIN, UNBALANCED, Check, Verification
-from crms_fenicsx.energy.minimization.minimizer import UNSTRESSED
+from crms_fenicsx.analysis.verification.report import UNBALANCED, Check, Verification
 from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.energy.minimization.unstressed import is_unstressed
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans
@@ -257,12 +256,11 @@ class Verifier:
         all_loads = max(float(total[13]), force)
         limit = BALANCE + unbalanced / all_loads
         modulus = max(m.reference_modulus for m in scene.materials.values())
-        section = max(section_forces(scene), NO_STRAIN * modulus * size)
+        section, stored = section_forces(scene), abs(scene.energies.get("membrane", 0.0))
         own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
         unbalanced_own = float(np.sqrt(total[15]))
-        tiny = tiny_force(scene)
-        if own <= UNSTRESSED * tiny and scene.energy <= tiny * scene.membrane.size:
-            unbalanced_own = 0.0  # nothing is stressed
+        if total[16] == 0.0 and is_unstressed(section, stored, modulus * size, size):
+            unbalanced_own = 0.0
         worst = self._position_errors(unknowns)
         checks = [
             Check("unbalanced forces", float(np.sqrt(total[14])) / force,

@@ -34,6 +34,8 @@ from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_
 from crms_fenicsx.energy.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.energy.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.stalling import Stalling
+from crms_fenicsx.energy.minimization.unstressed import is_unstressed
 from crms_fenicsx.energy.terms.kinematics import FLOOR, Stiffening
 from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 
@@ -77,10 +79,6 @@ Interrupt = Callable[[float, float, bool], bool]
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need only energy and gradient, with bounds and without."""
 
-UNSTRESSED = 1e3
-"""Sum of all forces, relative to `Minimizer.atol`, below which a state may be free of stress: where
-nothing loads a slack membrane the forces fade together, so that none is small beside the others."""
-
 
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each, or without H0. PETSc options with
@@ -88,7 +86,7 @@ class Minimizer:
     ``-crms_h0 false``, ``-crms_h0_pc_type``. Units: atol (force).
 
     Where much of a membrane is slack a solve may take hundreds of stages, each fast; halving the
-    increments instead takes more in sum and often finds nothing."""
+    increments instead takes more in sum and often finds nothing. It ends early without progress."""
 
     def __init__(
         self,
@@ -100,7 +98,8 @@ class Minimizer:
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
-        self.no_energy = 0.0
+        self.stiffness = self.size = 0.0
+        """Of the unloaded structure, as in `is_unstressed` (force, length)."""
         self.newton, self.reach = True, math.inf
         """Whether Newton's method may take over from slow stages, and how far vertices may be from
         their stress-free positions (length)."""
@@ -147,6 +146,7 @@ class Minimizer:
             from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
             self._relaxation = LocalRelaxation.of(potential)
+        self._stalling = Stalling()
         self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
 
@@ -264,6 +264,7 @@ class Minimizer:
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         self._looks = COARSE if self._relaxation is None else LOOKS
         self._newton_method.begin()
+        self._stalling = Stalling()
         self._place_bounds()
         self.potential.place()
 
@@ -308,7 +309,7 @@ class Minimizer:
                 residual, tolerance, rounding = self._evaluate()
             if self._newton_method.active or self._relaxation is not None:  # in stages TAO asks
                 self._ask(residual)
-            end = self._end(residual, tolerance)
+            end = self._end(residual, tolerance, stages)
             if end or (failures >= 3 and residual > 0.5 * best):
                 reason = end or reason
                 break
@@ -364,12 +365,12 @@ class Minimizer:
         rtol = self.rtol if self._uses_h0 else max(ROUNDED, self.rtol)
         tolerance = max(rtol * self._scale, self.atol, rounding)
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
-        if self._scale <= UNSTRESSED * self.atol and self._energy0 <= self.no_energy:
+        if is_unstressed(self._scale, self._energy0, self.stiffness, self.size):
             tolerance = max(tolerance, self._scale)
         self._near = max(CLOSE * self._scale, NEAR * tolerance)
         return self.residual(), tolerance, rounding
 
-    def _end(self, residual: float, tolerance: float) -> str:
+    def _end(self, residual: float, tolerance: float, stages: float) -> str:
         """Reason why a solve ends at the evaluated state; "" if it goes on."""
         if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
             return REASONS[-4]
@@ -379,7 +380,9 @@ class Minimizer:
         far = self.reach < math.inf and float(np.abs(x).max(initial=0.0)) > self.reach
         if self.potential.comm.allreduce(far, op=MPI.LOR):
             return endings.ENDLESS
-        return "converged" if residual <= tolerance else ""
+        if residual <= tolerance:
+            return "converged"
+        return endings.STALLED if self._stalling.ends(stages, residual, self._energy0) else ""
 
     def _choose_method(self, stages: float, residual: float) -> None:
         """Switch from slow stages to Newton's method, or back."""

@@ -21,6 +21,9 @@ REASONS = {
 ENDLESS = "the membrane moves without end"
 """Reason for giving up when vertices have moved too far."""
 
+STALLED = "neither residual nor energy falls"
+"""Reason for giving up before `max_stages`."""
+
 SINGULAR = "the stiffness is singular to rounding"
 """Reason for giving up when H0 cannot be factorised."""
 

@@ -1,0 +1,68 @@
+"""What counts as free of stress: neither less than the tolerance nor a strain that is meant."""
+
+from __future__ import annotations
+
+import pytest
+from cabled_square import sheet
+from mpi4py import MPI
+
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.analysis.equilibrium.membrane_contribution import unloaded_scales
+from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN, is_unstressed
+
+E, SIZE = 700.0, 30.0
+"""Stiffness (force per length) and size of a strip as long as wide."""
+
+
+@pytest.mark.parametrize("strain, expected", [(0.5, True), (0.99, True), (1.01, False), (9, False)])
+def test_strip_in_uniform_tension(strain: float, expected: bool) -> None:
+    """Its force and its energy reach the limit at the same strain."""
+    strain *= NO_STRAIN
+    forces, energy = E * strain * SIZE, 0.5 * E * (strain * SIZE) ** 2
+    assert is_unstressed(forces, energy, E * SIZE, SIZE) == expected
+    assert is_unstressed(0.0, energy, E * SIZE, SIZE) == expected
+    assert is_unstressed(forces, 0.0, E * SIZE, SIZE) == expected
+
+
+def test_prestress_is_stress_without_energy() -> None:
+    """The energy is zero where the membrane is laid, and falls below where it may shrink."""
+    for energy in (0.0, -1.0):
+        assert not is_unstressed(1e-3 * E * SIZE, energy, E * SIZE, SIZE)
+        assert is_unstressed(0.0, energy, E * SIZE, SIZE)
+
+
+def test_weakest_part_sets_the_limit(comm: MPI.Intracomm) -> None:
+    """A strain that a weak cable or bar feels is nothing to the membrane."""
+    scene = sheet(comm, 4)
+    tolerance, membrane = unloaded_scales(scene)
+    assert 0.0 < tolerance < NO_STRAIN * membrane
+    EA = 1e-5 * membrane
+    scene.lay_cable(Cable(EA), [(0.0, 50.0), (100.0, 50.0)], tension=1e-9)
+    assert unloaded_scales(scene)[1] == EA
+    scene.add_bar(Bar(0.5 * EA), (0.0, 0.0, 9.0), (9.0, 0.0, 9.0))
+    assert unloaded_scales(scene)[1] == 0.5 * EA
+
+
+def test_loads_set_the_scale(comm: MPI.Intracomm) -> None:
+    """Under the smallest pressure nothing but a state without any forces counts."""
+    scene = sheet(comm, 4)
+    Solver(scene).advance(pressure=1e-9)
+    tolerance, stiffness = unloaded_scales(scene)
+    assert tolerance == stiffness == 0.0
+    assert not is_unstressed(1e-300, 0.0, stiffness, SIZE)
+
+
+@pytest.mark.parametrize("strain", [3e-8, 1e-6])
+def test_small_strain_is_solved(comm: MPI.Intracomm, strain: float) -> None:
+    """Above the limit, without loads: a strip is in uniform tension."""
+    L, H, stiffness = 2.0, 1.0, 1000.0
+    mesh = meshes.rectangle(comm, L, H, H / 4)
+    scene = Scene(mesh, IsotropicMembrane(E=stiffness, nu=0.0, thickness=1.0))
+    scene.fix("left")
+    scene.fix("right")
+    scene.fix(lambda x: x[2] < 1.0, "z")
+    solver = Solver(scene)
+    solver.advance(move={"right": (L * strain, 0.0, 0.0)})
+    assert scene.energy == pytest.approx(0.5 * stiffness * strain**2 * L * H, rel=1e-5, abs=0.0)
+    force = solver.reactions("right").total[0]
+    assert force == pytest.approx(stiffness * strain * H, rel=1e-5, abs=0.0)
