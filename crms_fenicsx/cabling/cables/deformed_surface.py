@@ -64,9 +64,9 @@ def folded_shape(net: CableNet) -> FoldedShape:
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, row in enumerate(numbering.first[added - len(places)]):
         cable, k = net.cables[nodes.cable[row]], int(nodes.place[row])
-        share = float(np.clip(cable.fractions[k], 0.0, 1.0))  # not beyond the edge's ends
-        vertices, weights = cable.nodes[k].interpolation(None if np.isnan(share) else share)
-        new[i] = cable.positions[k]
+        share = float(np.clip(cable.state.fractions[k], 0.0, 1.0))
+        vertices, weights = cable.state.nodes[k].interpolation(None if np.isnan(share) else share)
+        new[i] = cable.state.positions[k]
         new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
     pieces = Polygons(cut.starts, cut.corners, net.strip.local[cells.rows[cut.cell]])
     return FoldedShape(
