@@ -253,9 +253,11 @@ def _check_rim(scene: Scene) -> None:
     if scene.pressure_law != "total":
         return
     rim = rim_of(scene.membrane)
-    boundary = locate_dofs_topological(scene.V, 1, scene.mesh.edges["boundary"])
     with raised_together(scene.comm):
         if len(rim.free):
+            boundary = locate_dofs_topological(
+                scene.V, 1, scene.mesh.edges["boundary"], remote=False
+            )
             place = scene.membrane.stress_free[rim.free[0]]
             what, remedy = (
                 (
