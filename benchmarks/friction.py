@@ -40,7 +40,7 @@ from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their surfaces
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "friction"))  # and the drum
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "cabling" / "friction"))  # and the drum
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
 from test_cone import dragged, steady
 

@@ -619,7 +619,8 @@ class Scene:
             bar = self.frame.bar(bar)
         if not any(bar is own for own in self.bars):
             raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
-        used = {name for one in (*self.loads, *self.cables) for name in one.joints}
+        used = {name for load in self.loads for name in load.joints}
+        used |= {name for cable in self.cables for name in cable.state.joints if name is not None}
         self.frame.remove(bar, used)
 
     @collective

@@ -171,9 +171,7 @@ def test_a_crossing_slides_over_an_edge_beside_a_contact_pulled_aside(comm, back
     order = slice(None, None, -1) if back else slice(None)
     nodes, places, lifted = nodes[order], places[order], lifted[order]
     cable = SimpleNamespace(
-        nodes=nodes,
-        positions=places,
-        lifted=lifted,
+        state=SimpleNamespace(nodes=nodes, positions=places, lifted=lifted),
         contacts=lambda: np.flatnonzero(~lifted),
         point=lambda k: nodes[k].point,
         points=lambda chosen: [nodes[k].point for k in chosen],

@@ -213,7 +213,7 @@ def test_static_and_kinetic_friction(comm, kinetic, static, mu):
     else:
         assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.08)
         # on the same mesh, so that it is told from the static coefficient, 6 % larger
-        found, other = (way.coefficient_of(c.positions) for c in (cable, plain))
+        found, other = (way.coefficient_of(c.state.positions) for c in (cable, plain))
         assert found == pytest.approx(other, rel=0.02)
 
 

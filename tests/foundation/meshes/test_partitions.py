@@ -81,7 +81,7 @@ def crossed(ranks):
     touching = scene.energies, [c.tension for c in scene.cables]
     scene.put_load(lambda x, n: np.stack([0 * x[0], 0 * x[0], -0.013 * (x[0] > 50.0)]))
     solver.advance(load=1.0)
-    assert first.lifted.any()
+    assert first.state.lifted.any()
     return scene, solver, touching
 
 
