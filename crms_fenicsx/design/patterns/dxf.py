@@ -13,12 +13,16 @@ from crms_fenicsx.design.patterns.sheet import Drawing, Sheet
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
-from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
+from crms_fenicsx.foundation.runtime.files import (
+    DXF_UNITS,
+    absolute,
+    make_writable,
+    new_drawing,
+    replaced,
+)
 
 LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
 """DXF layers and their colour numbers."""
-UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
-"""DXF codes of the units of length."""
 TEXT = 0.04
 """Height of piece names relative to the roll's width; other texts are smaller."""
 
@@ -54,8 +58,7 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
         raise InputError(f"write_dxf: pattern = {pattern!r}; give what patterns.flatten returned.")
     comm = pattern.comm
     checks.same(comm, "write_dxf", filename=filename, sheet=sheet, unit=unit)
-    if unit not in UNITS:
-        raise InputError(f"write_dxf: unit = {unit!r} is not known; use one of {[*UNITS]}.")
+    checks.one_of("write_dxf: unit", unit, DXF_UNITS)
     path = absolute(checks.file("write_dxf: filename", filename), comm)
     if path.suffix.lower() != ".dxf":
         raise InputError(f"write_dxf: filename = {str(path)!r}; give one with .dxf.")
@@ -70,14 +73,7 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
 
 def _document(nesting: Nesting, unit: str) -> Any:
     """The drawing, an ezdxf document."""
-    try:
-        import ezdxf
-    except ImportError:
-        raise ImportError(
-            "write_dxf needs ezdxf: install it (pip install ezdxf; Debian: python3-ezdxf), or draw "
-            "the sheets as SVG."
-        ) from None
-    document = ezdxf.new("R2010", units=UNITS[unit])
+    document = new_drawing("write_dxf", unit, "draw the sheets as SVG")
     for name, colour in LAYERS.items():
         document.layers.add(name, color=colour)
     space = document.modelspace()
