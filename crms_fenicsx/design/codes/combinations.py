@@ -147,9 +147,9 @@ def _kinds(
     names = [checks.text("combinations: a load", name) for name in (*permanent, *variable)]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"combinations: the load {twice!r} comes twice; name it once.")
+        raise InputError(f"combinations: the load {twice!r} is listed twice.")
     if not names:
-        raise InputError("combinations: there are no loads; name permanent or variable ones.")
+        raise InputError("combinations: there are no loads, permanent or variable.")
     found = {}
     for name in variable:
         given = variable[name] if isinstance(variable, Mapping) else name
@@ -160,8 +160,8 @@ def _kinds(
         if not fitting:
             raise InputError(
                 f"combinations: the variable load {name!r} has the kind {given!r}, which "
-                f"{rules.name} does not have; say which of {', '.join(map(repr, rules.kinds))} it "
-                f"is, as variable={{{name!r}: {next(iter(rules.kinds))!r}}}."
+                f"{rules.name} does not have; name one of {', '.join(map(repr, rules.kinds))}, as "
+                f"in variable={{{name!r}: {next(iter(rules.kinds))!r}}}."
             )
         found[name] = max(fitting, key=len)
     return found
