@@ -94,8 +94,8 @@ def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]
     Raises
     ------
     InputError
-        The file does not exist, is no DXF or was cut short; coordinates are not finite; the file's
-        unit is unknown or from astronomy or optics, or `unit` is not positive.
+        The file does not exist, is not a DXF drawing or was cut short; coordinates are not finite;
+        the file's unit is unknown or from astronomy or optics, or `unit` is not positive.
     ImportError
         ezdxf is missing.
 
@@ -205,10 +205,6 @@ def _contours(lines: list[Array]) -> tuple[list[Array], list[Array]]:
     return outlines, [lines[i] for i in sorted(left)]
 
 
-FORBIDDEN = '<>/\\":;?*|=`,'
-"""Characters that DXF forbids in layer names, besides line breaks and the like."""
-
-
 @collective
 def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
     """Write the current shape, such as a found form, to a file. Collective.
@@ -267,7 +263,8 @@ def _document(scene: Scene, surface: Surface, held: Any, unit: str) -> Any:
     space = document.modelspace()
 
     def layer(name: str, colour: int) -> dict[str, str]:
-        plain = "".join("_" if c in FORBIDDEN or not c.isprintable() else c for c in name)
+        forbidden = '<>/\\":;?*|=`,'  # in names of layers, besides line breaks and the like
+        plain = "".join("_" if c in forbidden or not c.isprintable() else c for c in name)
         if plain not in document.layers:
             document.layers.add(plain, color=colour)
         return {"layer": plain}

@@ -167,22 +167,17 @@ def _kinds(
     return found
 
 
-def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
-    """All sets of loads that act together: at most one of each kind."""
-    groups: dict[str, list[str | None]] = {}
-    for name, kind in kinds.items():
-        groups.setdefault(kind, [None]).append(name)
-    chosen = product(*groups.values())
-    return [tuple(name for name in one if name is not None) for one in chosen]
-
-
 def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
     """Factors of permanent and variable loads, EN 1990, 6.4.3, 6.5.3 and table A1.2(B)."""
     found: list[tuple[float, dict[str, float]]] = []
     steady: tuple[float, ...]
     psi = {name: PSI[kind] for name, kind in kinds.items()}
-    for acting in _sets(kinds):
-        for lead in acting or (None,):
+    groups: dict[str, list[str | None]] = {}
+    for name, kind in kinds.items():
+        groups.setdefault(kind, [None]).append(name)
+    for chosen in product(*groups.values()):  # at most one load of each kind acts
+        acting = [name for name in chosen if name is not None]
+        for lead in acting or [None]:
             others = {name: psi[name] for name in acting if name != lead}
             if state == "characteristic":
                 steady, first, rest = (1.0,), 1.0, {k: p[0] for k, p in others.items()}

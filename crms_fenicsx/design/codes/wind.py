@@ -109,13 +109,13 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     -------
     tuple
         Coefficients in the zones A, B and C. They approximate the figure's lines and were not
-        compared with a copy of it; for a design read them there and give ``zones=``.
+        compared with a copy of it; for a design read them there and pass ``zones=``.
 
     Raises
     ------
     InputError
         A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
-        read it and give ``zones=`` to `vault`.
+        read it and pass ``zones=`` to `vault`.
 
     Examples
     --------
@@ -386,7 +386,7 @@ def dome(
     Raises
     ------
     InputError
-        On all ranks: as for `vault`, or no zones for a dome that is no hemisphere.
+        On all ranks: as for `vault`, or no zones for a dome that is not a hemisphere.
 
     Examples
     --------

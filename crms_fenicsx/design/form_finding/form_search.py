@@ -7,8 +7,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.design.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
-from crms_fenicsx.design.form_finding.linear_system import LinearSystem
-from crms_fenicsx.design.form_finding.supports import Directions
+from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, as_text
 from crms_fenicsx.foundation.runtime.progress import progress
@@ -110,7 +109,7 @@ class FormSearch:
             if line.tension <= 1e-9 * self._force:
                 group = line.cable.group
                 raise ConvergenceError(
-                    f"find_form: the cable {group!r} would be slack; give it less length."
+                    f"find_form: the cable {group!r} would be slack; prescribe a smaller length."
                 )
 
     def _can_release(self) -> bool:

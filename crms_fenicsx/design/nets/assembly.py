@@ -10,19 +10,18 @@ from string import ascii_uppercase
 
 import numpy as np
 
-from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.paths.routes import shortened, traced
 from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
 from crms_fenicsx.foundation.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError
+from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 
 APART = 0.01
-"""Least distance of a line's points relative to the cell size; laying may merge closer ones."""
+"""Least distance of a line's points, relative to the cell size."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +32,6 @@ class _TracedLine:
     path: Path
     points: Array  # (k, 3), including anchors (length)
     steps: Array  # (k - 1,) lengths of its segments
-
-
-def checked_scene(call: str, scene: object) -> Scene:
-    """Checked scene of a net."""
-    if not isinstance(scene, Scene):
-        raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
-    scene.membrane.check_finite(call)
-    return scene
 
 
 def assembled(
@@ -65,9 +56,11 @@ def assembled(
                 raise PathError(f"{call}: line {name}: {error}") from None
             points, lengths = _measured(surface, path)
             ways.append(_TracedLine(name, path, points, lengths))
-            lines.append(
-                NetLine(name, _thinned(points, APART * surface.size), float(lengths.sum()))
-            )
+            kept = [points[0]]  # laying may merge points closer to the previous or the last one
+            for point in points[1:-1]:
+                if np.all(norm(point - np.array([kept[-1], points[-1]])) > APART * surface.size):
+                    kept.append(point)
+            lines.append(NetLine(name, np.array([*kept, points[-1]]), float(lengths.sum())))
     return Net(tuple(lines), _crossings(surface, ways), nodes)
 
 
@@ -94,15 +87,6 @@ def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
             )
             points = np.insert(points, 0 if end == 0 else len(points), anchor, axis=0)
     return points, lengths
-
-
-def _thinned(points: Array, apart: float) -> Array:
-    """Points (m, 3) without inner ones closer than `apart` to the previous or the last."""
-    kept = [points[0]]
-    for point in points[1:-1]:
-        if np.all(norm(point - np.array([kept[-1], points[-1]])) > apart):
-            kept.append(point)
-    return np.array([*kept, points[-1]])
 
 
 def _crossings(surface: WholeSurface, ways: Sequence[_TracedLine]) -> tuple[NetCrossing, ...]:

@@ -9,13 +9,12 @@ from typing import Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.nesting import Nesting, nest
 from crms_fenicsx.design.patterns.pattern import Pattern
 from crms_fenicsx.design.patterns.sewn import Comparison
-from crms_fenicsx.design.patterns.sheet import Sheet
-from crms_fenicsx.design.patterns.sheet_pictures import roll_figure, sewn_figure
+from crms_fenicsx.design.patterns.sheet import Nesting, Sheet, nest
+from crms_fenicsx.design.patterns.sheet_files import roll_figure, sewn_figure
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import collective
 from crms_fenicsx.results.output.report.page import (
     Figure,
     Figures,
@@ -69,25 +68,23 @@ def report_sections(
     --------
     >>> solver.report("report.html", sections=patterns.report_sections(pattern, sheet))
     """
-    if not isinstance(pattern, Pattern):
-        raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
+    checks.of_type("report_sections: pattern", pattern, Pattern)
     checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
-    waste = (
-        f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
-        f"{nesting.waste:.1%} of it waste."
-    )
+    m = units.plain("length")
+    waste = f"{nesting.length:.4g}{m} of the roll, {nesting.roll:.4g}{m} wide, "
+    waste += f"{nesting.waste:.1%} of it waste."
     body: list[PagePart] = [
-        Paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
+        Paragraph(TEXT), _piece_table(pattern, nesting, units), _seam_table(pattern, units),
         Paragraph(waste),
-        _figure(pattern.comm, partial(roll_figure, nesting, unit), "The pieces on the roll"),
+        _figure(pattern.comm, partial(roll_figure, nesting, units), "The pieces on the roll"),
     ]  # fmt: skip
     found = [PageSection("Cutting pattern", body)]
     if comparison is not None:
         text = "Section forces per current length with the pieces sewn together, and how far the "
         text += "roof is from its wanted form."
-        table = comparison_table(pattern, comparison, units)
-        drawn = partial(sewn_figure, pattern, comparison, unit, units["stress"])
+        table = _comparison_table(pattern, comparison, units)
+        drawn = partial(sewn_figure, pattern, comparison, units)
         picture = _figure(pattern.comm, drawn, "What the pieces have got, on their flat shapes")
         found.append(PageSection("Sewn of its pieces", [Paragraph(text), table, picture], 3))
     return found
@@ -101,11 +98,7 @@ def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figur
     return Figures([Figure(comm.bcast(buffer.getvalue()), caption)])
 
 
-def _plain(unit: str) -> str:
-    return f" {unit}" if unit else ""
-
-
-def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
+def _piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
     """Table of sizes, compensation and distortion of all pieces."""
     m = units["length"]
     rows = [
@@ -121,7 +114,7 @@ def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
     )  # fmt: skip
 
 
-def seam_table(pattern: Pattern, units: Units) -> Table:
+def _seam_table(pattern: Pattern, units: Units) -> Table:
     """Table of the lengths of both sides of each seam."""
     m, rows = units["length"], list[tuple[str | float, ...]]()
     for seam, lengths in pattern.seam_lengths().items():
@@ -132,7 +125,7 @@ def seam_table(pattern: Pattern, units: Units) -> Table:
     )
 
 
-def comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
+def _comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
     """Table of section forces, deviation, wrinkles and width without compression."""
     s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
     for k, one in enumerate((*comparison.pieces, comparison.whole)):

@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.design.patterns.cutting import CutSurface, cut_along
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of, integers
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
 from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute
@@ -197,8 +197,15 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     >>> pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=2.5))
     """
     surface = PatternSurface.of("cut", mesh, seams=seams)
+    checks.collection("cut: seams", seams, Sequence, "[patterns.geodesic(...)]")
+    for seam in seams:
+        checks.of_type("cut: a seam", seam, Seam)
+    names = [seam.name for seam in seams]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"cut: two seams have the name {twice[0]!r}.")
     with raised_together(mesh.comm):
-        whole = cut_along(surface, _checked(seams))
+        whole = cut_along(surface, seams)
         pieces, joints = _pieces(whole)
     parts = whole.surface.parts | {piece.name: piece.cells for piece in pieces}
     named = replace(whole.surface, parts=parts)
@@ -206,21 +213,6 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     return Pieces(
         distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
     )
-
-
-def _checked(seams: Sequence[Seam]) -> list[Seam]:
-    if isinstance(seams, Seam) or not isinstance(seams, Sequence):
-        raise InputError(f"cut: seams = {seams!r}; give a list of them.")
-    for seam in seams:
-        if not isinstance(seam, Seam):
-            raise InputError(
-                f"cut: {seam!r} is no seam; give those of patterns.geodesic and the like."
-            )
-    names = [seam.name for seam in seams]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f"cut: two seams have the name {twice[0]!r}; give each one its own.")
-    return list(seams)
 
 
 def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
@@ -246,10 +238,10 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
-    names = _names(cut)
-    found, order = [], integers(_in_order(cut, labels))
-    for k, label in enumerate(order):
-        own = np.flatnonzero(labels == label)
+    names, found = _names(cut), []
+    labels = np.argsort(_in_order(cut, labels))[labels]
+    for k in range(labels.max() + 1):
+        own = np.flatnonzero(labels == k)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
         _, first, local = np.unique(corner[corners], return_index=True, return_inverse=True)
         number[corners] = local
@@ -264,13 +256,18 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
                 f"{'is closed' if not len(sides) else 'has a hole'}; add a seam that cuts it open."
             )
         on = [edges[edge_of_side[side]] for side in loop]
-        piece_edges = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
-        found.append(
-            Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices],
-                  piece_edges)
-        )  # fmt: skip
-    place = {label: k for k, label in enumerate(order)}
-    joints = _joints(table, sewn, cells, labels, number, following, place, seam_of)
+        rims = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
+        corners = local.reshape(-1, 3)
+        found.append(Piece(f"piece {k + 1}", own, corners, vertices, points[vertices], rims))
+    s, t = table.linked_sides(sewn & (table.counts == 2))
+    one, other = (np.stack([sides, following[sides]], axis=1) for sides in (s, t))
+    alike = cells.ravel()[s] == cells.ravel()[t]
+    other = np.where(alike[:, None], other, other[:, ::-1])
+    joints = Joints(
+        tuple(seam_of[edge_of(a, b)] for a, b in lists(cells.ravel()[one])),
+        np.stack([labels[s // 3], labels[t // 3]], axis=1),
+        np.stack([number[one], number[other]], axis=1),
+    )
     return tuple(found), joints
 
 
@@ -319,23 +316,3 @@ def _stretches(starts: Integers, kinds: list[tuple[str, bool]]) -> tuple[PieceEd
     ring = np.concatenate([starts, starts, starts[:1]])
     ends = [*breaks[1:], breaks[0] + n]
     return tuple(PieceEdge(*kinds[a], ring[a : b + 1]) for a, b in zip(breaks, ends, strict=True))
-
-
-def _joints(
-    table: EdgeTable, sewn: Array, cells: Integers, labels: Integers, number: Integers,
-    following: Integers, place: dict[int, int], seam_of: dict[Edge, str],
-) -> Joints:  # fmt: skip
-    """The seam segments between two sides."""
-    s, t = table.linked_sides(sewn & (table.counts == 2))
-    names, pieces, ends = [], [], []
-    for one, other in zip(integers(s), integers(t), strict=True):
-        a, b = integers(cells.ravel()[[one, following[one]]])
-        alike = cells.ravel()[other] == a
-        across = (other, following[other]) if alike else (following[other], other)
-        names.append(seam_of[edge_of(a, b)])
-        pieces.append([place[int(labels[side // 3])] for side in (one, other)])
-        ends.append([number[[one, following[one]]], number[list(across)]])
-    return Joints(
-        tuple(names), np.array(pieces, dtype=np.int64).reshape(-1, 2),
-        np.array(ends, dtype=np.int64).reshape(-1, 2, 2),
-    )  # fmt: skip

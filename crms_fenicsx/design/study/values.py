@@ -62,7 +62,8 @@ class Quantities:
             for name, place in (points or {}).items()
         }
         self.reactions, self.stresses, self.others = reactions, stresses, others or {}
-        _refuse_off(scene, self.points)
+        if self.points:
+            _refuse_off(scene, self.points)
         for group in reactions:
             scene.vertices(group)
         known = {ALL: (), **scene.mesh.parts}
@@ -131,8 +132,6 @@ def _nearest(scene: Scene, points: Array) -> Places:
 
 def _refuse_off(scene: Scene, points: Mapping[str, Array]) -> None:
     """Raise `InputError` for points off the stress-free surface. Collective."""
-    if not points:
-        return
     found = _nearest(scene, np.array(list(points.values())))
     for k, (name, place) in enumerate(points.items()):
         if found.gaps[k] > ON_SURFACE:
