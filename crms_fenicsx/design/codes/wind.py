@@ -208,7 +208,7 @@ class Footprint:
         return np.asarray(np.arcsin(distance / radius) / np.arcsin(half / radius))
 
 
-def footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
+def _footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
     """Dimensions of a scene's membrane, or of a part. Collective."""
     checks.of_type(f"{call}: scene", scene, Scene)
     checks.same(scene.comm, call, direction=direction, part=part)
@@ -349,7 +349,7 @@ def vault(
     --------
     >>> scene.put_wind(0.8, vault(scene, (1.0, 0.0)), name="wind x")
     """
-    roof = footprint("vault", scene, direction, part)
+    roof = _footprint("vault", scene, direction, part)
     checks.same(scene.comm, "vault", height=height, zones=zones)
     tall = checks.finite("vault: height", height) / roof.depth
     checks.within("vault: height / d", tall, 0.0, np.inf)
@@ -392,7 +392,7 @@ def dome(
     --------
     >>> scene.put_wind(0.8, dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1)), name="wind")
     """
-    roof = footprint("dome", scene, direction, part)
+    roof = _footprint("dome", scene, direction, part)
     checks.same(scene.comm, "dome", zones=zones)
     if roof.rise <= 0.0:
         raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is not a dome.")
@@ -470,7 +470,7 @@ def canopy(
         )
     if kind == "monopitch" and take in ("first", "second"):
         raise InputError(f"canopy: take = {take!r} is for duopitch roofs; use 'overall'.")
-    roof = footprint("canopy", scene, direction, part)
+    roof = _footprint("canopy", scene, direction, part)
     empty, full = (most, most) if effect == "down" else (least, blocked)
     names = [name for name in most if (name == "overall") != (take == "zones")]
     values = {

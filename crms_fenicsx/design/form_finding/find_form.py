@@ -122,11 +122,11 @@ def find_form(
     )  # fmt: skip
     prescribed = PrescribedStress.of(mesh, stress, warp)
     membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
-    supports = hold(membrane, fixed)
-    lift = lifts(membrane, lifted or {})
+    supports = _hold(membrane, fixed)
+    lift = _lifts(membrane, lifted or {})
     lines = edge_lines(membrane, cables)
-    check_free_edges(membrane, lines)
-    centre = rim_centre(membrane, lift, inflated)
+    _check_free_edges(membrane, lines)
+    centre = _rim_centre(membrane, lift, inflated)
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
     n = membrane.V.dofmap.index_map.size_local
     inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
@@ -145,7 +145,7 @@ def find_form(
         )
         for one in lines
     )
-    reactions = group_sums(membrane, supports, search.support_forces)
+    reactions = _group_sums(membrane, supports, search.support_forces)
     disturbance = _disturbance(membrane, supports, search)
     _check_deviation(deviation, disturbance, prescribed, mesh)
     return FoundForm(
@@ -180,9 +180,9 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
         return 0.0
     (before, free), (numbers, held) = search.freely, search.figures()
     changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
-    changes = group_sums(membrane, supports, held - free)
+    changes = _group_sums(membrane, supports, held - free)
     sizes = np.linalg.norm(held, axis=1)[:, None]
-    largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
+    largest = max(float(size[0]) for size in _group_sums(membrane, supports, sizes).values())
     moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
     return max(float(changed.max()), moved_by / largest if largest else 0.0)
 
@@ -214,7 +214,7 @@ def _check_deviation(
         )
 
 
-def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+def _hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     """Hold groups; return the held directions by group. Collective."""
     if isinstance(fixed, str) or not isinstance(fixed, Sequence | Mapping) or not fixed:
         raise InputError(
@@ -234,7 +234,7 @@ def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[s
     return supports
 
 
-def group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
+def _group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
     """Sum (3,) of the forces (n, 3) on this rank's owned vertices, per group. Collective."""
     sums = {}
     for group in groups:
@@ -243,7 +243,7 @@ def group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict
     return sums
 
 
-def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
+def _lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
     """Displacements of this rank's owned vertices, (n, 3). Collective."""
     lift = np.full_like(membrane.stress_free, np.nan)
     for group, by in lifted.items():
@@ -269,7 +269,7 @@ def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
     return np.nan_to_num(lift, nan=0.0)
 
 
-def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
+def _check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
     """Refuse free edges without a cable. Collective."""
     topology = membrane.mesh.mesh.topology
     edges = membrane.mesh.edges["boundary"]
@@ -289,7 +289,7 @@ def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
         )
 
 
-def rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
+def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
     """Mean position of the rim, or centre of a membrane without a rim. Collective."""
     edges = membrane.open_edges
     ends = np.unique(edges.vertices)

@@ -23,6 +23,8 @@ from crms_fenicsx.model.tolerances import SAME_PLACE
 
 BALANCED = 1e-9
 """Part of a reaction that bars may leave, and relative size of singular values taken as zero."""
+ROUNDING = 1e-10
+"""Residual section forces, relative to those prescribed, that count as zero."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class FormBar:
         return length / (1.0 + force / self.bar.EA)
 
 
-def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
+def _add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
     """Add bars in place of supports at points. Collective. Shapes: reactions (3,)."""
     frame = scene.frame
     for group in dict.fromkeys(bar.group for bar in bars):
@@ -107,13 +109,13 @@ def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBa
                 f"FoundForm.scene: {bar.label} has its foot at {as_text(place)}, where {group!r} "
                 "is."
             )
-        forces = bar_forces(reactions[group], ways / lengths[:, None], own)
+        forces = _bar_forces(reactions[group], ways / lengths[:, None], own)
         for bar, length, force in zip(own, lengths, forces, strict=True):
             L0 = bar.unstressed(float(length), float(force))
             scene.add_bar(bar.bar, bar.foot, vertex, L0=L0, name=bar.name)
 
 
-def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
+def _bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
     """Forces (n,) of bars along `ways` (n, 3) that sum to a reaction (force)."""
     group = bars[0].group
     found = np.array([np.nan if bar.force is None else bar.force for bar in bars])
@@ -133,10 +135,6 @@ def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
             f"{as_text(reaction)}; add a bar, or put a foot in the direction of what is left."
         )
     return found
-
-
-ROUNDING = 1e-10
-"""Residual section forces, relative to those prescribed, that count as zero."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +294,7 @@ class FoundForm:
         for group, directions in self.supports.items():
             if group not in released:
                 scene.fix(group, directions)
-        add_bars(scene, self.reactions, bars)
+        _add_bars(scene, self.reactions, bars)
         if self.deviation > ROUNDING:
             scene.add_term(ResidualStress(scene.u, self.residual_stress))
         for cable in self.cables:

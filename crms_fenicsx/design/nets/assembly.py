@@ -17,7 +17,6 @@ from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
-from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 
 APART = 0.01
@@ -64,14 +63,6 @@ def assembled(
     return Net(tuple(lines), _crossings(surface, ways), nodes)
 
 
-def route_of_call(call: str, route: object) -> Array:
-    """The points of a route, (k, 2) or (k, 3)."""
-    try:
-        return route_points(route)
-    except PathError as error:
-        raise PathError(f"{call}: {error}") from None
-
-
 def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
     """Points (k, 3) of a path, including anchors, and lengths of its k - 1 segments."""
     ids = surface.strip.vertices
@@ -80,12 +71,12 @@ def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
     offsets, normals = surface.smooth.raised(np.array(rows), weights)
     points = path.positions(ids, surface.points)
     lengths = arc_lengths_on(points + offsets, normals, np.zeros(len(points) - 1, dtype=bool))
-    for end, anchor in ((0, path.start_anchor), (-1, path.end_anchor)):
-        if anchor is not None:
-            lengths = np.insert(
-                lengths, 0 if end == 0 else len(lengths), norm(points[end] - anchor)
-            )
-            points = np.insert(points, 0 if end == 0 else len(points), anchor, axis=0)
+    if path.start_anchor is not None:
+        lengths = np.insert(lengths, 0, norm(points[0] - path.start_anchor))
+        points = np.insert(points, 0, path.start_anchor, axis=0)
+    if path.end_anchor is not None:
+        lengths = np.append(lengths, norm(points[-1] - path.end_anchor))
+        points = np.append(points, [path.end_anchor], axis=0)
     return points, lengths
 
 

@@ -8,14 +8,15 @@ import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.paths.routes import traced
-from crms_fenicsx.design.nets.assembly import assembled, route_of_call
+from crms_fenicsx.design.nets.assembly import assembled
 from crms_fenicsx.design.nets.whole_surface import WholeSurface, crossed
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes.edge_table import whole_line
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, collective
+from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.net import Net
 
 
@@ -107,7 +108,7 @@ def geodesics_across(
     call = "geodesics_across"
     surface = WholeSurface.of(call, scene, lines=lines, spacing=spacing)
     spacing = checks.positive(f"{call}: spacing", spacing)
-    routes = [route_of_call(call, line) for line in lines]
+    routes = [_route(call, line) for line in lines]
     step = min(surface.size, spacing)
     families = []
     for number, route in enumerate(routes, start=1):
@@ -254,7 +255,7 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     """
     call = "from_paths"
     surface = WholeSurface.of(call, scene, families=families, shortest=shortest)
-    routes = [[route_of_call(call, path) for path in family] for family in families]
+    routes = [[_route(call, path) for path in family] for family in families]
     return assembled(call, surface, routes, taut=bool(shortest))
 
 
@@ -298,3 +299,11 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> A
     s = np.linspace(0.0, turn, 33)[:, None]
     way = sphere * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
     return np.asarray(way)
+
+
+def _route(call: str, route: object) -> Array:
+    """The points of a route, (k, 2) or (k, 3)."""
+    try:
+        return route_points(route)
+    except PathError as error:
+        raise PathError(f"{call}: {error}") from None

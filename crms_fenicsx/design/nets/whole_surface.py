@@ -160,7 +160,7 @@ class WholeSurface:
         every = np.arange(len(x))
         alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
         starts, ends = (
-            crossing(x[every, alone], x[every, k], height[every, alone], height[every, k])
+            _crossing(x[every, alone], x[every, k], height[every, alone], height[every, k])
             for k in ((alone + 1) % 3, (alone + 2) % 3)
         )
         sides = ends - starts
@@ -204,7 +204,7 @@ class WholeSurface:
             line.append(new)
 
 
-def crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
+def _crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
     """Points (k, d) where edges from a to b (k, d) have the height zero."""
     return a + (height_a / (height_a - height_b))[:, None] * (b - a)
 
@@ -212,4 +212,4 @@ def crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
 def crossed(edges: Array, heights: Array) -> Array:
     """Points (k, d) of the edges (e, 2, d) between whose ends the heights (e, 2) change sign."""
     cut = (heights[:, 0] >= 0.0) != (heights[:, 1] >= 0.0)
-    return crossing(*np.moveaxis(edges[cut], 1, 0), *heights[cut].T)
+    return _crossing(*np.moveaxis(edges[cut], 1, 0), *heights[cut].T)

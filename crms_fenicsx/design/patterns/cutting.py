@@ -27,6 +27,13 @@ from crms_fenicsx.foundation.surface.points import (
 
 SAME = 1e-6
 """Crossings of an edge by two seams closer than this fraction of the edge are one point."""
+NEAR = 0.2
+"""Fraction of an edge within which a vertex is moved to a seam's crossing of the edge. The smallest
+angle of random cells falls from 26 to 11 degrees, and to 1.4 without moving."""
+STRAIGHT = np.cos(np.radians(15.0))
+"""Cosine of the largest turn of a rim or edge group at a vertex that may be moved along it."""
+LEAST_AREA = 0.3
+"""Fraction of a cell's area that must remain."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class CutSurface:
 def cut_along(surface: PatternSurface, seams: Sequence[Seam]) -> CutSurface:
     """Divide the cells that seams cross; existing vertices keep their numbers."""
     _check_ends(surface, seams)
-    points, lines = snapped(surface, seams)
+    points, lines = _snapped(surface, seams)
     nodes = _CutNodes(surface, points)
     courses = [[nodes.node(p) for p in line] for line in lines]
     chords: dict[Support, list[tuple[int, int, str]]] = {}
@@ -212,16 +219,7 @@ def _least_sine(corners: Array) -> float:
     return float((area @ area) / max(sides[1] * sides[2], 1e-300))
 
 
-NEAR = 0.2
-"""Fraction of an edge within which a vertex is moved to a seam's crossing of the edge. The smallest
-angle of random cells falls from 26 to 11 degrees, and to 1.4 without moving."""
-STRAIGHT = np.cos(np.radians(15.0))
-"""Cosine of the largest turn of a rim or edge group at a vertex that may be moved along it."""
-LEAST_AREA = 0.3
-"""Fraction of a cell's area that must remain."""
-
-
-def snapped(
+def _snapped(
     surface: PatternSurface, seams: Sequence[Seam]
 ) -> tuple[Array, list[tuple[SurfacePoint, ...]]]:
     """Coordinates (n, 3) of the vertices after moving those near seams, and the seams' points."""

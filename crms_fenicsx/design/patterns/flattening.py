@@ -36,6 +36,10 @@ ROUNDING = 1e-13
 """Strain of the order of rounding errors."""
 LEAST_STEP = 1e-6
 """Smallest step fraction of the line search."""
+COLUMNS_TO_EXTRAPOLATE = 32
+"""Columns of cells at which two energies are extrapolated with an error of 1 %."""
+MOST = 64
+"""Columns of cells at which the energy itself has an error of 1 %."""
 
 
 @dataclass(frozen=True)
@@ -234,11 +238,6 @@ def _multipliers(shares: list[dict[int, tuple[Integers, Array, Array]]], joints:
     S = coo_matrix((values, (i, j)), shape=(joints, joints)).tocsc()
     return np.asarray(splu(S).solve(right))
 
-
-COLUMNS_TO_EXTRAPOLATE = 32
-"""Columns of cells at which two energies are extrapolated with an error of 1 %."""
-MOST = 64
-"""Columns of cells at which the energy itself has an error of 1 %."""
 
 ProblemOf = Callable[[Piece, Array], FlatProblem]
 """The flattening problem of a piece near flat coordinates (n, 2) of its vertices."""

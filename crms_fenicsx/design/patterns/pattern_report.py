@@ -100,47 +100,38 @@ def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figur
 
 def _piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
     """Table of sizes, compensation and distortion of all pieces."""
-    m = units["length"]
     rows = [
         (one.name, one.area, one.length, one.width, float(drawing.extent[1]),
          float(100 * one.shrink[0]), float(100 * one.shrink[1]), float(100 * one.distortion))
         for one, drawing in zip(pattern.flat, nesting.drawings, strict=True)
     ]  # fmt: skip
-    return Table(
-        "Pieces",
-        ("Piece", f"Area{units['area']}", f"Length{m}", f"Width{m}", f"Width on the roll{m}",
-         "Compensation, warp [%]", "weft [%]", "Distortion [%]"),
-        rows, "pieces",
-    )  # fmt: skip
+    heads = "Piece|Area{area}|Length{length}|Width{length}|Width on the roll{length}|"
+    heads += "Compensation, warp [%]|weft [%]|Distortion [%]"
+    return Table("Pieces", units.headings(heads), rows, "pieces")
 
 
 def _seam_table(pattern: Pattern, units: Units) -> Table:
     """Table of the lengths of both sides of each seam."""
-    m, rows = units["length"], list[tuple[str | float, ...]]()
-    for seam, lengths in pattern.seam_lengths().items():
-        one, other = lengths.sum(axis=0).tolist()
-        rows.append((seam, one, other, abs(one - other)))
-    return Table(
-        "Seams", ("Seam", f"One side{m}", f"Other side{m}", f"Difference{m}"), rows, "seams"
-    )
+    sums = {seam: lengths.sum(axis=0).tolist() for seam, lengths in pattern.seam_lengths().items()}
+    rows = [(seam, one, other, abs(one - other)) for seam, (one, other) in sums.items()]
+    heads = "Seam|One side{length}|Other side{length}|Difference{length}"
+    return Table("Seams", units.headings(heads), rows, "seams")
 
 
 def _comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
     """Table of section forces, deviation, wrinkles and width without compression."""
-    s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
+    rows = list[tuple[str | float, ...]]()
     for k, one in enumerate((*comparison.pieces, comparison.whole)):
         forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]
         rows.append((one.name, *forces, one.deviation, 100 * one.wrinkled))
         if comparison.wanted is not None and comparison.wanted[0] > 0.0:
             each = pattern.flat[k : k + 1] or pattern.flat
             rows[-1] += (min(flat.largest_width(float(comparison.wanted[0])) for flat in each),)
-    further = ("Width without compression" + m,) if len(rows[0]) > 9 else ()
-    wanted = "" if comparison.wanted is None else (
-        f"; wanted {comparison.wanted[0]:.4g} along warp and {comparison.wanted[1]:.4g} along weft"
-    )  # fmt: skip
-    return Table(
-        f"Section forces of the sewn roof{wanted}",
-        ("Piece", f"Warp, mean{s}", f"scatter{s}", f"least{s}", f"Weft, mean{s}", f"scatter{s}",
-         f"least{s}", f"Off the form{m}", "Wrinkled [%]", *further),
-        rows, "sewn",
-    )  # fmt: skip
+    caption = "Section forces of the sewn roof"
+    if comparison.wanted is not None:
+        warp, weft = comparison.wanted
+        caption += f"; wanted {warp:.4g} along warp and {weft:.4g} along weft"
+    heads = "Piece|Warp, mean{stress}|scatter{stress}|least{stress}|Weft, mean{stress}|"
+    heads += "scatter{stress}|least{stress}|Off the form{length}|Wrinkled [%]"
+    heads += "|Width without compression{length}" if len(rows[0]) > 9 else ""
+    return Table(caption, units.headings(heads), rows, "sewn")

@@ -30,6 +30,8 @@ from crms_fenicsx.foundation.surface.points import (
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""
+ASIDE = 1e-6
+"""Fraction of an edge by which a line that hits a vertex passes beside it."""
 
 
 def edges_of(keys: Integers) -> list[Edge]:
@@ -110,7 +112,7 @@ class PatternSurface(CheckedSurface):
             np.minimum.at(known, corners, closest(flat, self.points[corners])[2])
         order = np.argsort(self.cells.ravel(), kind="stable")
         starts = pointers(np.bincount(self.cells.ravel(), minlength=n))
-        march(self.points, self.cells, starts, order // 3, known)
+        _march(self.points, self.cells, starts, order // 3, known)
         return known
 
     def crossings(self, values: Array) -> list[tuple[SurfacePoint, ...]]:
@@ -136,10 +138,10 @@ class PatternSurface(CheckedSurface):
                 for p, q in (nodes, nodes[::-1]):
                     if q not in arcs.setdefault(p, []):
                         arcs[p].append(q)
-        return chains(arcs)
+        return _chains(arcs)
 
 
-def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
+def _chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
     """The lines of a graph of points, in the order of their first points."""
     found: list[tuple[SurfacePoint, ...]] = []
     ends = [p for p, others in arcs.items() if len(others) != 2]
@@ -159,7 +161,7 @@ def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePo
 
 
 @numba.njit(cache=True)
-def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
+def _march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
     """March distances d (n,), finite where known; `cells_at[starts[v] : starts[v + 1]]` are v's
     cells."""
     n = len(d)
@@ -186,14 +188,14 @@ def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
                     d[a] + np.linalg.norm(x[a] - x[w]), d[b] + np.linalg.norm(x[b] - x[w])
                 )  # fmt: skip
                 if d[a] < np.inf and d[b] < np.inf:
-                    best = min(best, front(x[a] - x[w], x[b] - x[w], d[a], d[b]))
+                    best = min(best, _front(x[a] - x[w], x[b] - x[w], d[a], d[b]))
                 if best < d[w] * (1.0 - 1e-15):
                     d[w] = best
                     heappush(heap, (best, w))
 
 
 @numba.njit(cache=True)
-def front(p, q, da, db):  # type: ignore[no-untyped-def]
+def _front(p, q, da, db):  # type: ignore[no-untyped-def]
     """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p
     and q are the sides to the corners at distances da and db."""
     pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
@@ -208,10 +210,6 @@ def front(p, q, da, db):  # type: ignore[no-untyped-def]
     u, v = da - d, db - d
     inside = qq * u - pq * v <= 0.0 and pp * v - pq * u <= 0.0
     return d if inside else np.inf
-
-
-ASIDE = 1e-6
-"""Fraction of an edge by which a line that hits a vertex passes beside it."""
 
 
 def straight_walk(

@@ -171,10 +171,10 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
             f"plane_section: the plane through {as_text(point)} with the normal {as_text(across)} "
             "does not cut the surface."
         )
-    return seam_of(surface, name, nearest(surface, lines, point))
+    return seam_of(surface, name, _nearest(surface, lines, point))
 
 
-def nearest(
+def _nearest(
     surface: PatternSurface, lines: Sequence[tuple[SurfacePoint, ...]], point: Array
 ) -> tuple[SurfacePoint, ...]:
     """The line nearest to a point."""
@@ -244,4 +244,4 @@ def parallel(
             f"parallel: the surface ends {away.max():.6g} from the line, less than distance = "
             f"{apart:.6g}."
         )
-    return seam_of(surface, name, nearest(surface, lines, point))
+    return seam_of(surface, name, _nearest(surface, lines, point))

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
 WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
 """Width and largest height of a figure, and height of a row of the roll (inches)."""
+LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
+"""DXF layers and their colour numbers."""
+TEXT = 0.04
+"""Height of piece names relative to the roll's width; other texts are smaller."""
 
 
 @collective
@@ -201,12 +205,6 @@ def _draw(axes: Any, one: Drawing, names: bool) -> None:
         for name, place, angle in one.names:
             axes.text(*place, name, rotation=angle, rotation_mode="anchor", fontsize=7,
                       ha="center", va="center", color="#5b6876")  # fmt: skip
-
-
-LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
-"""DXF layers and their colour numbers."""
-TEXT = 0.04
-"""Height of piece names relative to the roll's width; other texts are smaller."""
 
 
 @collective

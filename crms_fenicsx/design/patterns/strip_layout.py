@@ -32,6 +32,9 @@ from crms_fenicsx.model.materials import Direction, check_warp
 
 MOST_STRIPS = 1000
 """Maximum number of strips between two lines."""
+STATIONS = 64
+"""Number of sections at which a piece's width is measured."""
+
 
 Points = tuple[SurfacePoint, ...]
 
@@ -178,10 +181,6 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
         for sense in (-1.0, 1.0)
     )
     return (*back[::-1], middle, *ahead)
-
-
-STATIONS = 64
-"""Number of sections at which a piece's width is measured."""
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,9 @@ FAR = 0.3
 """Relative difference above which the first level is too coarse."""
 SAME = 1e-7
 """Differences, relative to the largest value, due to the solver's tolerance."""
+SCATTER = 3.0
+"""Error bar of scattered values relative to their range: with it, a fourth value of a normal
+distribution lies in the bar about one of three with 95 %."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,6 @@ class Quantity:
     def error(self) -> float:
         """Bound of the error on the first mesh."""
         return abs(self.values[0] - self.limit) + self.bar
-
-
-SCATTER = 3.0
-"""Error bar of scattered values relative to their range: with it, a fourth value of a normal
-distribution lies in the bar about one of three with 95 %."""
 
 
 def extrapolated(values: Sequence[float], size: float = 0.0, scattered: bool = False) -> Quantity:
