@@ -71,18 +71,14 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     return np.full_like(mu, MU_1) if retained else mu
 
 
-class _Along:
-    """Coordinate (length) along a direction in plan, from an origin."""
-
-    def __init__(self, call: str, direction: Sequence[float], origin: Sequence[float]) -> None:
-        what = f"{call}: direction"
-        way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
-        self.direction = way / np.hypot(*way)
-        self.origin = checks.vector(f"{call}: point", origin, (2, 3))[:2]
-
-    def __call__(self, x: Array) -> Array:
-        """Coordinates (n,) of points (3, n)."""
-        return np.asarray(self.direction @ (x[:2] - self.origin[:, None]))
+def _along(
+    call: str, direction: Sequence[float], origin: Sequence[float]
+) -> Callable[[Array], Array]:
+    """Coordinates (n,) (length) of points (3, n) along a direction in plan, from an origin."""
+    what = f"{call}: direction"
+    way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
+    unit, start = way / np.hypot(*way), checks.vector(f"{call}: point", origin, (2, 3))[:2]
+    return lambda x: np.asarray(unit @ (x[:2] - start[:, None]))
 
 
 @dataclass(frozen=True)
@@ -147,12 +143,12 @@ class DuopitchSnow:
     def __post_init__(self) -> None:
         checks.one_of("DuopitchSnow: case", self.case, ("i", "ii", "iii"))
         PitchedSnow(self.pitch)
-        _Along("DuopitchSnow", self.across, self.ridge)
+        _along("DuopitchSnow", self.across, self.ridge)
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
         mu = PitchedSnow(self.pitch, self.retained)(x, n)
-        second = _Along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
+        second = _along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
         halved = {"i": np.zeros_like(second), "ii": ~second, "iii": second}[self.case]
         return np.where(halved, 0.5 * mu, mu)
 
@@ -196,7 +192,7 @@ class CylindricalSnow:
         checks.positive("CylindricalSnow: span", self.span)
         checks.positive("CylindricalSnow: rise", self.rise)
         checks.within("CylindricalSnow: rise / span", self.rise / self.span, 0.0, 0.5)
-        _Along("CylindricalSnow", self.across, self.crown)
+        _along("CylindricalSnow", self.across, self.crown)
 
     @property
     def width(self) -> float:
@@ -211,7 +207,7 @@ class CylindricalSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = _Along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
+        part = _along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
         if self.case == "i":
             return np.where(np.abs(part) <= 1.0, MU_1, 0.0)
         hat = np.clip(1.0 - np.abs(2 * np.abs(part) - 1.0), 0.0, None)  # 1 at a quarter of l_s
@@ -272,7 +268,7 @@ class DriftedSnow:
         checks.within("DriftedSnow: upper_pitch", self.upper_pitch, 0.0, 90.0, "degrees")
         if self.upper_pitch > SLIDES:
             checks.positive("DriftedSnow: upper_slope", self.upper_slope)
-        _Along("DriftedSnow", self.away, self.wall)
+        _along("DriftedSnow", self.away, self.wall)
 
     @property
     def length(self) -> float:
@@ -295,7 +291,7 @@ class DriftedSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = np.clip(_Along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
+        part = np.clip(_along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
         highest = max(self.mu_s + self.mu_w, MU_1)
         return np.asarray(highest + (MU_1 - highest) * part)
 

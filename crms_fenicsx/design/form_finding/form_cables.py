@@ -131,8 +131,7 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
     mesh, topology = membrane.mesh, membrane.mesh.mesh.topology
     with raised_together(mesh.comm):
         for cable in cables:
-            if not isinstance(cable, FormCable):
-                raise InputError(f"find_form: {cable!r} is not a FormCable.")
+            checks.of_type("find_form: a cable", cable, FormCable)
             checks.named("edge group", mesh.edges, cable.group)
     dof_of = vertex_dofs(membrane.V)
     ends = topology.connectivity(1, 0).array.reshape(-1, 2)

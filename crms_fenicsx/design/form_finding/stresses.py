@@ -48,7 +48,11 @@ class PrescribedStress:
     ) -> PrescribedStress:
         """Check the user's arguments. Collective."""
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
-        forces = {part: _pair(part, value) for part, value in by_part.items()}
+        forces = {}
+        for part, value in by_part.items():
+            what = f"find_form: stress{_of(part)}"
+            s1, s2 = checks.pair(what, value)
+            forces[part] = checks.positive(what, s1), checks.positive(what, s2)
         given: dict[str, Direction | None] = (
             dict(warp) if isinstance(warp, Mapping) else dict.fromkeys(forces, warp)
         )
@@ -140,15 +144,6 @@ def _of(part: str) -> str:
 
 def _names(parts: Mapping[str, object]) -> str:
     return ", ".join(map(repr, parts)) if WHOLE not in parts else "the whole membrane"
-
-
-def _pair(part: str, value: object) -> tuple[float, float]:
-    """Section forces along warp and weft."""
-    what = f"find_form: stress{_of(part)}"
-    values = list(value) if isinstance(value, Sequence | np.ndarray) else [value, value]
-    if isinstance(value, str) or len(values) != 2:
-        raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
-    return checks.positive(what, values[0]), checks.positive(what, values[1])
 
 
 def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:

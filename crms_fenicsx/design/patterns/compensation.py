@@ -133,12 +133,9 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
             f"shrink_for: material = {material!r} has no linear law; use an IsotropicMembrane or "
             "OrthotropicMembrane, or pass a Shrink yourself."
         )
-    n: Array = np.asarray(forces, dtype=float)
-    n = np.repeat(n, 2) if n.ndim == 0 else n
-    if n.shape != (2,) or not np.isfinite(n).all() or (n < 0.0).any():
-        raise InputError(
-            f"shrink_for: forces = {forces!r}, expected one tension or two (warp, weft)."
-        )
+    n: Array = np.array(checks.pair("shrink_for: forces", forces))
+    if (n < 0.0).any():
+        raise InputError(f"shrink_for: forces = {forces!r} are compressive.")
     D = material.stiffness[:2, :2]
     stretch: Array = np.ones(2)
     for _ in range(100):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +14,7 @@ from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, CheckedSurface, check_shapes
 from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, lists, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     Edge,
@@ -36,30 +36,11 @@ LEAST_AREA = 0.3
 """Fraction of a cell's area that must remain."""
 
 
-@dataclass(frozen=True)
-class CutSurface:
-    """A surface whose seams are mesh edges."""
-
-    surface: CheckedSurface  # with all groups of the original surface
-    lines: dict[str, Integers]  # vertices (k,) along each seam, by seam name
-
-    @cached_property
-    def seam_of(self) -> dict[Edge, str]:
-        """The seam's name by edge."""
-        found: dict[Edge, str] = {}
-        for name, line in self.lines.items():
-            for a, b in pairwise(ints(line)):
-                if found.setdefault(edge_of(a, b), name) != name:
-                    place = as_text(self.surface.points[a])
-                    raise PathError(
-                        f"the seams {found[edge_of(a, b)]!r} and {name!r} run along one edge at "
-                        f"{place}; move one of them, or end it there."
-                    )
-        return found
-
-
-def cut_along(surface: PatternSurface, seams: Sequence[Seam]) -> CutSurface:
-    """Divide the cells that seams cross; existing vertices keep their numbers."""
+def cut_along(
+    surface: PatternSurface, seams: Sequence[Seam]
+) -> tuple[CheckedSurface, dict[str, Integers]]:
+    """The surface with all groups whose cells are divided where seams cross them, and the vertices
+    (k,) along each seam by name; existing vertices keep their numbers."""
     _check_ends(surface, seams)
     points, lines = _snapped(surface, seams)
     nodes = _CutNodes(surface, points)
@@ -92,7 +73,7 @@ def cut_along(surface: PatternSurface, seams: Sequence[Seam]) -> CutSurface:
         parts={name: np.flatnonzero(np.isin(parents, own)) for name, own in surface.parts.items()},
         hidden=np.flatnonzero(np.isin(parents, surface.hidden)), seam_links=table.seam_links(),
     )  # fmt: skip
-    return CutSurface(cut, ordered)
+    return cut, ordered
 
 
 def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:

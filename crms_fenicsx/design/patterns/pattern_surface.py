@@ -220,11 +220,17 @@ def straight_walk(
 ) -> tuple[SurfacePoint, ...]:
     """Edge crossings from a point to the rim, none if the direction leaves the surface. A function
     `direction_at` of points (3,), if given, sets the direction in each cell."""
-    at = surface.places((start,))[0]
-    first = _first_cell(surface, start, direction)
-    if first is None:
+    x, at = surface.points, surface.places((start,))[0]
+    for row in sorted(surface.target.cells_at(start)):
+        cell: Support = tuple(surface.cells[row].tolist())
+        normal, along = _normal(surface, cell), _within(surface, cell, direction)
+        # on the inner side of the cell's sides at the point
+        sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
+        met = [(a, b) for a, b in sides if {*start.support} <= {a, b}]
+        if all(np.cross(normal, x[b] - x[a]) @ along >= 0.0 for a, b in met):
+            break
+    else:
         return ()
-    cell, along = first
     points: list[SurfacePoint] = []
     entered: Support = start.support if len(start.support) < 3 else ()
     for _ in range(4 * len(surface.cells)):
@@ -238,7 +244,7 @@ def straight_walk(
         if direction_at is None:
             along = _unfolded(surface, cell, edge, beyond[0], along)
         else:
-            along = _within(surface, ahead, direction_at(surface.points[list(ahead)].mean(axis=0)))
+            along = _within(surface, ahead, direction_at(x[list(ahead)].mean(axis=0)))
         cell, entered = ahead, edge
     raise PathError(
         f"the line straight on from {as_text(surface.places((start,))[0])} does not reach a rim; "
@@ -251,25 +257,6 @@ def _normal(surface: PatternSurface, cell: Support) -> Array:
     a, b, c = surface.points[list(cell)]
     normal = np.cross(b - a, c - a)
     return np.asarray(normal / np.linalg.norm(normal))
-
-
-def _first_cell(
-    surface: PatternSurface, start: SurfacePoint, direction: Array
-) -> tuple[Support, Array] | None:
-    """The cell at a point into which a direction leads, and the direction within it."""
-    for row in sorted(surface.target.cells_at(start)):
-        cell = tuple(surface.cells[row].tolist())
-        normal, along = _normal(surface, cell), _within(surface, cell, direction)
-        # on the inner side of the cell's sides at the point
-        sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
-        inward = [
-            np.cross(normal, surface.points[b] - surface.points[a]) @ along
-            for a, b in sides
-            if {*start.support} <= {a, b}
-        ]
-        if all(value >= 0.0 for value in inward):
-            return cell, along
-    return None
 
 
 def _within(surface: PatternSurface, cell: Support, direction: Array) -> Array:
@@ -289,24 +276,20 @@ def _exit(
     surface: PatternSurface, cell: Support, at: Array, along: Array, entered: Support
 ) -> tuple[Edge, float]:
     """The edge, and fraction along it, at which a straight line leaves a cell."""
-    best: tuple[float, Edge, float] | None = None
-    normal = _normal(surface, cell)
+    normal, found = _normal(surface, cell), list[tuple[float, Edge, float]]()
     for k in range(3):
         a, b = edge_of(cell[k], cell[(k + 1) % 3])
-        if {*entered} & {a, b} == {*entered} != set():
+        if entered and {*entered} <= {a, b}:
             continue  # the side or vertex at which the line entered
         side = surface.points[b] - surface.points[a]
         across = np.cross(normal, side)
         speed = along @ across
-        if speed == 0.0:
-            continue
-        s = (surface.points[a] - at) @ across / speed
-        t = (at + s * along - surface.points[a]) @ side / (side @ side)
-        outside = max(-t, t - 1.0, 0.0) + (s < 0.0)
-        if best is None or outside < best[0]:
-            best = outside, (a, b), t
-    assert best is not None
-    return best[1], float(np.clip(best[2], ASIDE, 1.0 - ASIDE))
+        if speed != 0.0:
+            s = (surface.points[a] - at) @ across / speed
+            t = (at + s * along - surface.points[a]) @ side / (side @ side)
+            found.append((max(-t, t - 1.0, 0.0) + (s < 0.0), (a, b), t))
+    _, edge, t = min(found, key=lambda one: one[0])
+    return edge, float(np.clip(t, ASIDE, 1.0 - ASIDE))
 
 
 def _unfolded(

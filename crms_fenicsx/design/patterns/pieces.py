@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.cutting import CutSurface, cut_along
+from crms_fenicsx.design.patterns.cutting import cut_along
 from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
 from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
@@ -17,7 +18,7 @@ from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, EMPTY, CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, double_areas, lists, norm
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import (
     InputError,
@@ -205,19 +206,32 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     if twice:
         raise InputError(f"cut: two seams have the name {twice[0]!r}.")
     with raised_together(mesh.comm):
-        whole = cut_along(surface, seams)
-        pieces, joints = _pieces(whole)
-    parts = whole.surface.parts | {piece.name: piece.cells for piece in pieces}
-    named = replace(whole.surface, parts=parts)
+        whole, lines = cut_along(surface, seams)
+        pieces, joints = _pieces(whole, lines)
+    parts = whole.parts | {piece.name: piece.cells for piece in pieces}
+    named = replace(whole, parts=parts)
     first = named if mesh.comm.rank == 0 else EMPTY
     return Pieces(
-        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
+        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, lines
     )
 
 
-def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
+def _seam_of(cut: CheckedSurface, lines: Mapping[str, Integers]) -> dict[Edge, str]:
+    """The seam's name by edge."""
+    found: dict[Edge, str] = {}
+    for name, line in lines.items():
+        for a, b in pairwise(ints(line)):
+            if found.setdefault(edge_of(a, b), name) != name:
+                raise PathError(
+                    f"the seams {found[edge_of(a, b)]!r} and {name!r} run along one edge at "
+                    f"{as_text(cut.points[a])}; move one of them, or end it there."
+                )
+    return found
+
+
+def _pieces(cut: CheckedSurface, lines: Mapping[str, Integers]) -> tuple[tuple[Piece, ...], Joints]:
     """The pieces of a cut surface and their joints."""
-    points, cells, seam_of = cut.surface.points, cut.surface.cells, cut.seam_of
+    points, cells, seam_of = cut.points, cut.cells, _seam_of(cut, lines)
     table = EdgeTable.of(cells)
     edges = [(a, b) for a, b in lists(table.vertices)]
     sewn = np.array([edge in seam_of for edge in edges])
@@ -238,8 +252,8 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
-    names, found = _names(cut), []
-    labels = np.argsort(_in_order(cut, labels))[labels]
+    names = _group_of(cut) | seam_of
+    found, labels = [], np.argsort(_in_order(cut, lines, labels))[labels]
     for k in range(labels.max() + 1):
         own = np.flatnonzero(labels == k)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
@@ -271,9 +285,18 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     return tuple(found), joints
 
 
-def _in_order(cut: CutSurface, labels: Integers) -> Integers:
+def _group_of(cut: CheckedSurface) -> dict[Edge, str]:
+    """The group's name by edge; the boundary's only where there is no other."""
+    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.edges[BOUNDARY]), BOUNDARY)
+    for name, keys in cut.edges.items():
+        if name != BOUNDARY:
+            found |= dict.fromkeys(edges_of(keys), name)
+    return found
+
+
+def _in_order(cut: CheckedSurface, lines: Mapping[str, Integers], labels: Integers) -> Integers:
     """Piece labels in order across the surface, in the seams' sense."""
-    points, cells = cut.surface.points, cut.surface.cells
+    points, cells = cut.points, cut.cells
     area = norm(double_areas(points[cells]))
     centres = (
         np.stack([np.bincount(labels, area * x) for x in points[cells].mean(axis=1).T], axis=1)
@@ -282,20 +305,11 @@ def _in_order(cut: CutSurface, labels: Integers) -> Integers:
     away = centres - centres.mean(axis=0)
     _, _, axes = np.linalg.svd(away, full_matrices=False)
     axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]) > 1e-6)])
-    of_seams = [float(points[line].mean(axis=0) @ axis) for line in cut.lines.values()]
+    of_seams = [float(points[line].mean(axis=0) @ axis) for line in lines.values()]
     size = np.abs(away).max() or 1.0
     if of_seams and of_seams[-1] < of_seams[0] - 1e-6 * size:
         axis = -axis
     return np.lexsort((*np.round(centres.T / size, 6), np.round(away @ axis / size, 6)))
-
-
-def _names(cut: CutSurface) -> dict[Edge, str]:
-    """Names of the edges at the rims of pieces: seams before groups, the boundary last."""
-    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.surface.edges[BOUNDARY]), BOUNDARY)
-    for name, keys in cut.surface.edges.items():
-        if name != BOUNDARY:
-            found |= dict.fromkeys(edges_of(keys), name)
-    return found | cut.seam_of
 
 
 def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:

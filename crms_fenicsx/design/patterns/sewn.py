@@ -195,7 +195,7 @@ def compare(
             "patterns.sew(pattern), or of an adjusted one."
         )
     values = _cells(solver)
-    wanted = None if forces is None else np.broadcast_to(np.asarray(forces, float), (2,)).copy()
+    wanted = None if forces is None else np.array(checks.pair("compare: forces", forces))
     pieces = tuple(_piece_results(one.name, values[one.piece.cells]) for one in pattern.flat)
     return Comparison(wanted, pieces, _piece_results("all", values), values[:, 1:5])
 

@@ -294,10 +294,6 @@ def convergence(
         quantities=quantities, project=project,
     )  # fmt: skip
     levels = checks.whole("convergence: levels", levels, 2)
-    if isinstance(points, Mapping):
-        points = checks.in_one_order(comm, points)
-    if isinstance(quantities, Mapping):
-        quantities = checks.in_one_order(comm, quantities)
     rows, cells, seconds, scattered = [], [], [], False
     for level in range(levels):
         began = time.perf_counter()

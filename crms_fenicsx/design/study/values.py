@@ -59,9 +59,10 @@ class Quantities:
             checks.collection(f"convergence: {name}", groups, Sequence, f'{name}=["..."]')
         self.points = {
             name: checks.vector(f"convergence: the point {name!r}", place)
-            for name, place in (points or {}).items()
+            for name, place in checks.in_one_order(scene.comm, points or {}).items()
         }
-        self.reactions, self.stresses, self.others = reactions, stresses, others or {}
+        self.reactions, self.stresses = reactions, stresses
+        self.others = checks.in_one_order(scene.comm, others or {})
         if self.points:
             _refuse_off(scene, self.points)
         for group in reactions:

@@ -97,6 +97,14 @@ def direction(what: str, value: object, sizes: Sequence[int] = (3,)) -> Array:
     return numbers
 
 
+def pair(what: str, value: Any) -> tuple[float, float]:
+    """Return one number, or two along warp and weft, as two finite floats; errors as `finite`."""
+    values = list(value) if np.ndim(value) else [value, value]
+    if len(values) != 2:
+        raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
+    return finite(what, values[0]), finite(what, values[1])
+
+
 def text(what: str, value: object) -> str:
     """Return a non-empty string; `what` and errors as for `finite`."""
     if not isinstance(value, str) or not value:

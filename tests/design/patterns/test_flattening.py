@@ -313,7 +313,7 @@ class TestCompensation:
             (lambda: patterns.Shrink("much"), "number"),
             (lambda: patterns.EdgeShrink(0.0, band=0.0), "band"),
             (lambda: patterns.EdgeShrink(1.0), "shorter"),
-            (lambda: patterns.shrink_for(FILM, (-1.0, 2.0)), "tension"),
+            (lambda: patterns.shrink_for(FILM, (-1.0, 2.0)), "compressive"),
             (lambda: patterns.shrink_for(FILM, 1e6), "use smaller ones"),
             (lambda: patterns.shrink_for(None, 1.0), "no linear law"),  # type: ignore[arg-type]
         ],
