@@ -176,8 +176,8 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
     for name, kind in kinds.items():
         groups.setdefault(kind, [None]).append(name)
     for chosen in product(*groups.values()):  # at most one load of each kind acts
-        acting = [name for name in chosen if name is not None]
-        for lead in acting or [None]:
+        acting = tuple(name for name in chosen if name is not None)
+        for lead in acting or (None,):
             others = {name: psi[name] for name in acting if name != lead}
             if state == "characteristic":
                 steady, first, rest = (1.0,), 1.0, {k: p[0] for k, p in others.items()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -151,9 +151,8 @@ class Chart:
                 for k, (last, new) in enumerate(pairwise(line), start=1):
                     if norm(new - last) > self.width * (1 - SAME_POINT):
                         self.nodes[k * i, k * j] = new
-        for p in (1, -1):
-            for q in (1, -1):
-                self._fill(p, q)
+        for p, q in product((1, -1), repeat=2):
+            self._fill(p, q)
 
     def _fill(self, p: int, q: int) -> None:
         """Find the nodes of a quadrant, in order of their distance from the origin."""
@@ -177,9 +176,9 @@ class Chart:
         if beside in nodes and below in nodes and (i - p, j - q) in nodes:
             return self._by_compass((i, j), nodes[beside], nodes[below], nodes[i - p, j - q])
         if beside in nodes and not any((i, k) in nodes for k in range(0, j, q)):
-            return self._straight_on((i, j), beside, (i - 2 * p, j))
+            return self._straight_on(beside, (i - 2 * p, j))
         if below in nodes and not any((k, j) in nodes for k in range(0, i, p)):
-            return self._straight_on((i, j), below, (i, j - 2 * q))
+            return self._straight_on(below, (i, j - 2 * q))
         return None
 
     def _by_compass(self, node: Node, a: Array, b: Array, corner: Array) -> Array | None:
@@ -196,7 +195,7 @@ class Chart:
             return None
         return np.asarray(new)
 
-    def _straight_on(self, node: Node, last: Node, before: Node) -> Array | None:
+    def _straight_on(self, last: Node, before: Node) -> Array | None:
         """The node straight ahead on a line whose adjacent line has ended at the rim."""
         if before not in self.nodes:
             return None

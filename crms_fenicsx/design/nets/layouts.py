@@ -53,11 +53,8 @@ def geodesics_between(
     """
     call = "geodesics_between"
     surface = WholeSurface.of(call, scene, edges=edges, n=n)
-    many = isinstance(edges, list | tuple)
-    pairs = (
-        [one for one in edges if isinstance(one, list | tuple) and len(one) == 2] if many else []
-    )
-    if not pairs or len(pairs) != len(edges):
+    pairs = list(edges) if isinstance(edges, list | tuple) else []
+    if not pairs or not all(isinstance(one, list | tuple) and len(one) == 2 for one in pairs):
         raise InputError(
             f'{call}: edges = {edges!r}, expected pairs of groups, as in [("left", "right")].'
         )

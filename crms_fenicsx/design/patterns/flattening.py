@@ -25,6 +25,8 @@ from scipy.sparse.linalg import splu
 
 from crms_fenicsx.design.patterns.conformal import double_areas_in_plane, sides_of
 from crms_fenicsx.design.patterns.pieces import Piece
+from crms_fenicsx.foundation.meshes.cell_division import QUARTERS
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, raised_together
 
@@ -251,17 +253,13 @@ def columns_of(piece: Piece, flat: Array) -> float:
 def divided(piece: Piece) -> tuple[Piece, Integers]:
     """A piece with cells divided into four, and the ends (k, 2) of the edges halved by new
     vertices, which follow the old ones."""
-    t, n = piece.triangles, len(piece.points)
-    keys = np.unique([np.minimum(p, q) * n + np.maximum(p, q) for p, q in zip(
-        t.T, np.roll(t, -1, axis=1).T, strict=True)])  # fmt: skip
+    t, n, table = piece.triangles, len(piece.points), EdgeTable.of(piece.triangles)
 
     def between(p: Integers, q: Integers) -> Integers:
-        return n + np.searchsorted(keys, np.minimum(p, q) * n + np.maximum(p, q))
+        keys = edge_keys(np.stack([p, q], axis=-1))
+        return n + np.searchsorted(table.keys, keys).reshape(p.shape)
 
-    ends = np.stack([keys // n, keys % n], axis=1)
-    a, b, c = t.T
-    ab, bc, ca = between(a, b), between(b, c), between(c, a)
-    cells = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    around = np.concatenate([t, between(t, np.roll(t, -1, axis=1))], axis=1)
     edges = []
     for edge in piece.edges:
         run = np.empty(2 * len(edge.vertices) - 1, dtype=np.int64)
@@ -269,10 +267,10 @@ def divided(piece: Piece) -> tuple[Piece, Integers]:
         edges.append(replace(edge, vertices=run))
     finer = replace(
         piece, cells=np.tile(piece.cells, 4), edges=tuple(edges),
-        triangles=np.concatenate([np.stack(corners, axis=1) for corners in cells]),
-        points=np.concatenate([piece.points, piece.points[ends].mean(axis=1)]),
+        triangles=np.concatenate([around[:, corners] for corners in QUARTERS]),
+        points=np.concatenate([piece.points, piece.points[table.vertices].mean(axis=1)]),
     )  # fmt: skip
-    return finer, ends
+    return finer, table.vertices
 
 
 def fine_energies(piece: Piece, flat: Array, problem_of: ProblemOf) -> list[float]:
