@@ -45,10 +45,8 @@ def report_sections(
 
     Parameters
     ----------
-    pattern
-        The pattern.
-    sheet
-        Roll, allowances and marks.
+    pattern, sheet
+        As for `draw_sheets`.
     comparison
         Comparison of the sewn roof by `compare`, for a section of its own.
     unit, force

@@ -217,12 +217,10 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
 
     Parameters
     ----------
-    pattern
-        The pattern.
+    pattern, sheet
+        As for `draw_sheets`.
     filename
         File ending in .dxf; an existing one is replaced once the new one is complete.
-    sheet
-        Roll, allowances and marks.
     unit
         Unit of length of the pattern: "mm", "cm", "m", "in" or "ft".
 
