@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -256,20 +257,18 @@ class _FeatureLines:
 
     def __init__(self, surface: PatternSurface) -> None:
         self.surface, table = surface, surface.table
-        groups = {n: k for n, k in surface.edges.items() if n != BOUNDARY}
-        groups[BOUNDARY] = edge_keys(table.vertices[table.counts != 2])
-        self.of: dict[Edge, set[str]] = {}
-        self.at: dict[int, list[Edge]] = {}
-        for name, keys in groups.items():
+        rims = edge_keys(table.vertices[table.counts != 2])
+        self.of: dict[Edge, set[str]] = defaultdict(set)
+        self.at: dict[int, set[Edge]] = defaultdict(set)
+        for name, keys in (surface.edges | {BOUNDARY: rims}).items():
             for edge in edges_of(keys):
-                if edge not in self.of:
-                    for v in edge:
-                        self.at.setdefault(v, []).append(edge)
-                self.of.setdefault(edge, set()).add(name)
+                self.of[edge].add(name)
+                for v in edge:
+                    self.at[v].add(edge)
 
     def allow(self, v: int, edge: Edge) -> bool:
         """Whether a vertex may be moved along an edge."""
-        own = self.at.get(v, [])
+        own = sorted(self.at[v])
         if not own:
             return True
         if edge not in own or len(own) != 2 or self.of[own[0]] != self.of[own[1]]:

@@ -271,8 +271,9 @@ def _pieces(cut: CheckedSurface, lines: Mapping[str, Integers]) -> tuple[tuple[P
             )
         on = [edges[edge_of_side[side]] for side in loop]
         rims = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
-        corners = local.reshape(-1, 3)
-        found.append(Piece(f"piece {k + 1}", own, corners, vertices, points[vertices], rims))
+        found.append(
+            Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices], rims)
+        )
     s, t = table.linked_sides(sewn & (table.counts == 2))
     one, other = (np.stack([sides, following[sides]], axis=1) for sides in (s, t))
     alike = cells.ravel()[s] == cells.ravel()[t]
