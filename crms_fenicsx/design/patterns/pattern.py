@@ -287,14 +287,16 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
     stiffness, warps = of_cells(pieces, material, made.warp)
     problem_of = partial(_problem, pieces, stiffness, made)
     mine = range(comm.rank, len(pieces.pieces), comm.size)
-    problems, starts, sides = {}, {}, {}
+    problems, starts, sides, stretches = {}, {}, {}, {}
     with raised_together(comm):
         for k in mine:
             piece = pieces.pieces[k]
             own = None if warps is None else warps[piece.cells]
             start = aligned(piece, conformal(piece.points, piece.triangles), own)
             problems[k] = problem = problem_of(piece, start)
-            start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
+            mean = piece.areas @ problem.wanted / piece.area
+            stretches[k] = np.sqrt(1.0 + 2.0 * mean[:2])
+            start = start / stretches[k]
             for _ in range(2):  # the conformal map rotates its ends
                 start = aligned(piece, problem.solve(start), own)
             row, side = np.nonzero(pieces.joints.pieces == k)
@@ -304,8 +306,7 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
     shapes = flat_shapes(problems, starts, sides, joints, comm)
     found = {}
     for k, problem in problems.items():
-        stretches = np.sqrt(1.0 + 2.0 * _mean(pieces.pieces[k], problem.wanted)[:2])
-        found[k] = 1.0 - 1.0 / stretches, problem.strains(shapes[k]) - problem.wanted
+        found[k] = 1.0 - 1.0 / stretches[k], problem.strains(shapes[k]) - problem.wanted
     every = {k: one for part in comm.allgather(found) for k, one in part.items()}
     flat = tuple(
         FlatPiece(piece, shapes[k] - shapes[k].min(axis=0), shrink, strains, problem_of)
@@ -395,11 +396,6 @@ def _edge_strains(
     own = (1.0 / (1.0 - edge.part) ** 2 - 1.0) / 2.0
     excess = near * (own - np.einsum("ni,ni->n", wanted, tt))
     return np.asarray(excess[:, None] * tt * (1.0, 1.0, 2.0))
-
-
-def _mean(piece: Piece, values: Array) -> Array:
-    """Area-weighted mean of a piece's cell values (m, k)."""
-    return np.asarray(piece.areas @ values / piece.area)
 
 
 def _check(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...], limit: float | None) -> None:
