@@ -99,7 +99,7 @@ def direction(what: str, value: object, sizes: Sequence[int] = (3,)) -> Array:
 
 def pair(what: str, value: Any) -> tuple[float, float]:
     """Return one number, or two along warp and weft, as two finite floats; errors as `finite`."""
-    values = list(value) if np.ndim(value) else [value, value]
+    values = list(value) if np.iterable(value) and not isinstance(value, str) else [value, value]
     if len(values) != 2:
         raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
     return finite(what, values[0]), finite(what, values[1])
