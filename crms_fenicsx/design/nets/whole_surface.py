@@ -212,4 +212,4 @@ def _crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
 def crossed(edges: Array, heights: Array) -> Array:
     """Points (k, d) of the edges (e, 2, d) between whose ends the heights (e, 2) change sign."""
     cut = (heights[:, 0] >= 0.0) != (heights[:, 1] >= 0.0)
-    return _crossing(*np.moveaxis(edges[cut], 1, 0), *heights[cut].T)
+    return _crossing(edges[cut, 0], edges[cut, 1], heights[cut, 0], heights[cut, 1])
