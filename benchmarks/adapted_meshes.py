@@ -25,7 +25,7 @@ from scipy.spatial import ConvexHull
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.design.study import adapt, marked_cells
-from crms_fenicsx.design.study.build import Build
+from crms_fenicsx.design.study.values import Build
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 

@@ -2,9 +2,9 @@
 
     ./run python benchmarks/constants.py [--names PULL DEPTH ...] [--to FILE]
 
-The numbers are those of the class "answer" in `docs/theory/constants.md`. The scenes are random ones
-(`fuzz.py`) with cables, sliding, with friction, crossing and lifting off, that take a second or less.
-A state counts as another one if its energy differs by more than 1e-6, a tension by more than 1e-4.
+The numbers are those of the class "answer" in `docs/theory/constants.md`. The scenes are random
+ones of `fuzz.py` with cables that slide, have friction, cross and lift off, and take a second or
+less. A state counts as another one if an energy differs by 1e-6, or a tension by 1e-4.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import crms_fenicsx
 from fuzzing.runs import SAME_ENERGY, SAME_TENSION, run
 from fuzzing.scenes import scene
+
+import crms_fenicsx
 
 REGISTER = Path(crms_fenicsx.__file__).parents[1] / "docs" / "theory" / "constants.md"
 SCENES = [

@@ -17,8 +17,7 @@ import ufl
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import Scene, Solver, UflMembrane, meshes
-from crms_fenicsx.design.study import convergence
-from crms_fenicsx.design.study.values import Quantity
+from crms_fenicsx.design.study import Quantity, convergence
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, over_sizes, panels, report, save
 

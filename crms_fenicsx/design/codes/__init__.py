@@ -31,23 +31,7 @@ from crms_fenicsx.design.codes.wind import (
 )
 
 __all__ = [
-    "ArchWind",
-    "CanopyWind",
-    "CombinationRules",
-    "CylindricalSnow",
-    "DriftedSnow",
-    "DuopitchSnow",
-    "PitchedSnow",
-    "asce7",
-    "asce7_16",
-    "asce7_22",
-    "asce7_arch_zones",
-    "canopy",
-    "combinations",
-    "dome",
-    "en1990",
-    "en1991_vault_zones",
-    "snow_load",
-    "snow_on_pitch",
-    "vault",
-]
+    "ArchWind", "CanopyWind", "CombinationRules", "CylindricalSnow", "DriftedSnow",
+    "DuopitchSnow", "PitchedSnow", "asce7", "asce7_16", "asce7_22", "asce7_arch_zones", "canopy",
+    "combinations", "dome", "en1990", "en1991_vault_zones", "snow_load", "snow_on_pitch", "vault",
+]  # fmt: skip

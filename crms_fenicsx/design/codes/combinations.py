@@ -147,9 +147,9 @@ def _kinds(
     names = [checks.text("combinations: a load", name) for name in (*permanent, *variable)]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"combinations: the load {twice!r} comes twice; name it once.")
+        raise InputError(f"combinations: the load {twice!r} is listed twice.")
     if not names:
-        raise InputError("combinations: there are no loads; name permanent or variable ones.")
+        raise InputError("combinations: there are no loads, permanent or variable.")
     found = {}
     for name in variable:
         given = variable[name] if isinstance(variable, Mapping) else name
@@ -160,20 +160,11 @@ def _kinds(
         if not fitting:
             raise InputError(
                 f"combinations: the variable load {name!r} has the kind {given!r}, which "
-                f"{rules.name} does not have; say which of {', '.join(map(repr, rules.kinds))} it "
-                f"is, as variable={{{name!r}: {next(iter(rules.kinds))!r}}}."
+                f"{rules.name} does not have; name one of {', '.join(map(repr, rules.kinds))}, as "
+                f"in variable={{{name!r}: {next(iter(rules.kinds))!r}}}."
             )
         found[name] = max(fitting, key=len)
     return found
-
-
-def _sets(kinds: Mapping[str, str]) -> list[tuple[str, ...]]:
-    """All sets of loads that act together: at most one of each kind."""
-    groups: dict[str, list[str | None]] = {}
-    for name, kind in kinds.items():
-        groups.setdefault(kind, [None]).append(name)
-    chosen = product(*groups.values())
-    return [tuple(name for name in one if name is not None) for one in chosen]
 
 
 def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[str, float]]]:
@@ -181,7 +172,11 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
     found: list[tuple[float, dict[str, float]]] = []
     steady: tuple[float, ...]
     psi = {name: PSI[kind] for name, kind in kinds.items()}
-    for acting in _sets(kinds):
+    groups: dict[str, list[str | None]] = {}
+    for name, kind in kinds.items():
+        groups.setdefault(kind, [None]).append(name)
+    for chosen in product(*groups.values()):  # at most one load of each kind acts
+        acting = tuple(name for name in chosen if name is not None)
         for lead in acting or (None,):
             others = {name: psi[name] for name in acting if name != lead}
             if state == "characteristic":

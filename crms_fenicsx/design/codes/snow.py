@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from crms_fenicsx.design.codes.footprint import Along, checked_within
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -26,10 +25,10 @@ MU_1 = 0.8
 MOST_MU_3 = 2.0
 """Recommended upper value of mu_3, 5.3.5(1), note 1."""
 
-LEAST_DRIFT, MOST_DRIFT = 0.8, 4.0
+MU_W = (0.8, 4.0)
 """Recommended range of mu_w, 5.3.6(1), note 1."""
 
-SHORTEST, LONGEST = 5.0, 15.0
+DRIFTS = (5.0, 15.0)
 """Recommended range of the drift's length l_s (m), 5.3.6(1), note 2."""
 
 SLIDES = 15.0
@@ -72,16 +71,14 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     return np.full_like(mu, MU_1) if retained else mu
 
 
-def _slopes(pitch: float | None, normals: Array) -> Array:
-    """Pitches (degrees): the roof's, or the local slopes."""
-    if pitch is not None:
-        return np.full(normals.shape[1], pitch)
-    return np.degrees(np.arccos(np.clip(np.abs(normals[2]), 0.0, 1.0)))
-
-
-def _checked_pitch(call: str, pitch: float | None) -> None:
-    if pitch is not None:
-        checked_within(f"{call}: pitch", pitch, 0.0, 90.0, "degrees")
+def _along(
+    call: str, direction: Sequence[float], origin: Sequence[float]
+) -> Callable[[Array], Array]:
+    """Coordinates (n,) (length) of points (3, n) along a direction in plan, from an origin."""
+    what = f"{call}: direction"
+    way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
+    unit, start = way / np.hypot(*way), checks.vector(f"{call}: point", origin, (2, 3))[:2]
+    return lambda x: np.asarray(unit @ (x[:2] - start[:, None]))
 
 
 @dataclass(frozen=True)
@@ -105,11 +102,15 @@ class PitchedSnow:
     retained: bool = False
 
     def __post_init__(self) -> None:
-        _checked_pitch("PitchedSnow", self.pitch)
+        if self.pitch is not None:
+            checks.within("PitchedSnow: pitch", self.pitch, 0.0, 90.0, "degrees")
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        return snow_on_pitch(_slopes(self.pitch, n), retained=self.retained)
+        slopes: Array = np.degrees(np.arccos(np.clip(np.abs(n[2]), 0.0, 1.0)))
+        if self.pitch is not None:
+            slopes = np.full(n.shape[1], self.pitch)
+        return snow_on_pitch(slopes, retained=self.retained)
 
 
 @dataclass(frozen=True)
@@ -141,13 +142,13 @@ class DuopitchSnow:
 
     def __post_init__(self) -> None:
         checks.one_of("DuopitchSnow: case", self.case, ("i", "ii", "iii"))
-        _checked_pitch("DuopitchSnow", self.pitch)
-        Along("DuopitchSnow", self.across, self.ridge)
+        PitchedSnow(self.pitch)
+        _along("DuopitchSnow", self.across, self.ridge)
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        mu = snow_on_pitch(_slopes(self.pitch, n), retained=self.retained)
-        second = Along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
+        mu = PitchedSnow(self.pitch, self.retained)(x, n)
+        second = _along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
         halved = {"i": np.zeros_like(second), "ii": ~second, "iii": second}[self.case]
         return np.where(halved, 0.5 * mu, mu)
 
@@ -190,8 +191,8 @@ class CylindricalSnow:
         checks.one_of("CylindricalSnow: case", self.case, ("i", "ii"))
         checks.positive("CylindricalSnow: span", self.span)
         checks.positive("CylindricalSnow: rise", self.rise)
-        checked_within("CylindricalSnow: rise / span", self.rise / self.span, 0.0, 0.5)
-        Along("CylindricalSnow", self.across, self.crown)
+        checks.within("CylindricalSnow: rise / span", self.rise / self.span, 0.0, 0.5)
+        _along("CylindricalSnow", self.across, self.crown)
 
     @property
     def width(self) -> float:
@@ -206,7 +207,7 @@ class CylindricalSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = Along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
+        part = _along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
         if self.case == "i":
             return np.where(np.abs(part) <= 1.0, MU_1, 0.0)
         hat = np.clip(1.0 - np.abs(2 * np.abs(part) - 1.0), 0.0, None)  # 1 at a quarter of l_s
@@ -264,22 +265,22 @@ class DriftedSnow:
     def __post_init__(self) -> None:
         for name in ("height", "upper", "lower", "s_k", "weight"):
             checks.positive(f"DriftedSnow: {name}", getattr(self, name))
-        _checked_pitch("DriftedSnow", self.upper_pitch)
+        checks.within("DriftedSnow: upper_pitch", self.upper_pitch, 0.0, 90.0, "degrees")
         if self.upper_pitch > SLIDES:
             checks.positive("DriftedSnow: upper_slope", self.upper_slope)
-        Along("DriftedSnow", self.away, self.wall)
+        _along("DriftedSnow", self.away, self.wall)
 
     @property
     def length(self) -> float:
         """Length l_s of the drift (m), expression (5.9)."""
-        return min(max(2 * self.height, SHORTEST), LONGEST)
+        return min(max(2 * self.height, DRIFTS[0]), DRIFTS[1])
 
     @property
     def mu_w(self) -> float:
         """Coefficient mu_w due to wind, expression (5.8)."""
         drift = min((self.upper + self.lower) / (2 * self.height),
                     self.weight * self.height / self.s_k)  # fmt: skip
-        return min(max(drift, LEAST_DRIFT), MOST_DRIFT)
+        return min(max(drift, MU_W[0]), MU_W[1])
 
     @property
     def mu_s(self) -> float:
@@ -290,7 +291,7 @@ class DriftedSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = np.clip(Along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
+        part = np.clip(_along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
         highest = max(self.mu_s + self.mu_w, MU_1)
         return np.asarray(highest + (MU_1 - highest) * part)
 
@@ -331,7 +332,9 @@ def snow_load(
     load *= checks.positive("snow_load: thermal", thermal)
     shape = PitchedSnow() if shape is None else shape
     if not callable(shape):
-        raise InputError(f"snow_load: shape = {shape!r} is no shape; give PitchedSnow() or alike.")
+        raise InputError(
+            f"snow_load: shape = {shape!r} is not a snow shape; use PitchedSnow(), for example."
+        )
 
     def force(x: Array, n: Array) -> Array:
         mu = shape(x, n)

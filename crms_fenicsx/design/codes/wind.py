@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.design.codes.footprint import Footprint, checked_within, footprint
+from crms_fenicsx.foundation.meshes.membrane_mesh import cells_of
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError, collective
@@ -34,68 +35,64 @@ VAULT_ENDS = {"A": (0.1, 0.8), "B": (-0.8, -1.2), "C": (-0.4, -0.4)}
 HEMISPHERE: Zones = (0.8, -1.2, 0.0)
 """Figure 7.12 for f/d = 0.5 and h/d = 0."""
 
-MONOPITCH = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Pitches (degrees) of table 7.6."""
-
-DUOPITCH = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Pitches (degrees) of table 7.7; negative for trough roofs."""
-
 Rows = dict[str, tuple[float, ...]]
+"""Net coefficients by zones, for the pitches of a table."""
 
-MONOPITCH_MOST: Rows = {
-    "overall": (0.2, 0.4, 0.5, 0.7, 0.8, 1.0, 1.2),
-    "A": (0.5, 0.8, 1.2, 1.4, 1.7, 2.0, 2.2),
-    "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
-    "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
+CANOPIES: dict[str, tuple[tuple[float, ...], Rows, Rows, Rows]] = {
+    "monopitch": (
+        (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0),
+        {
+            "overall": (0.2, 0.4, 0.5, 0.7, 0.8, 1.0, 1.2),
+            "A": (0.5, 0.8, 1.2, 1.4, 1.7, 2.0, 2.2),
+            "B": (1.8, 2.1, 2.4, 2.7, 2.9, 3.1, 3.2),
+            "C": (1.1, 1.3, 1.6, 1.8, 2.1, 2.3, 2.4),
+        },
+        {
+            "overall": (-0.5, -0.7, -0.9, -1.1, -1.3, -1.6, -1.8),
+            "A": (-0.6, -1.1, -1.5, -1.8, -2.2, -2.6, -3.0),
+            "B": (-1.3, -1.7, -2.0, -2.4, -2.8, -3.2, -3.8),
+            "C": (-1.4, -1.8, -2.1, -2.5, -2.9, -3.2, -3.6),
+        },
+        {
+            "overall": (-1.3, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
+            "A": (-1.5, -1.6, -2.1, -1.6, -1.6, -1.5, -1.5),
+            "B": (-1.8, -2.2, -2.6, -2.9, -2.9, -2.5, -2.2),
+            "C": (-2.2, -2.5, -2.7, -3.0, -3.0, -2.8, -2.7),
+        },
+    ),
+    "duopitch": (
+        (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0),
+        {
+            "overall": (0.7, 0.5, 0.4, 0.3, 0.3, 0.4, 0.4, 0.6, 0.7, 0.9),
+            "A": (0.8, 0.6, 0.6, 0.5, 0.6, 0.7, 0.9, 1.1, 1.2, 1.3),
+            "B": (1.6, 1.5, 1.4, 1.5, 1.8, 1.8, 1.9, 1.9, 1.9, 1.9),
+            "C": (0.6, 0.7, 0.8, 0.8, 1.3, 1.4, 1.4, 1.5, 1.6, 1.6),
+            "D": (1.7, 1.4, 1.1, 0.8, 0.4, 0.4, 0.4, 0.4, 0.5, 0.7),
+        },
+        {
+            "overall": (-0.7, -0.6, -0.6, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, -1.0),
+            "A": (-0.9, -0.8, -0.8, -0.7, -0.6, -0.7, -0.9, -1.2, -1.4, -1.4),
+            "B": (-1.3, -1.3, -1.3, -1.3, -1.4, -1.5, -1.7, -1.8, -1.9, -1.9),
+            "C": (-1.6, -1.6, -1.5, -1.6, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
+            "D": (-0.6, -0.6, -0.6, -0.6, -1.1, -1.4, -1.8, -2.0, -2.0, -2.0),
+        },
+        {
+            "overall": (-1.3, -1.4, -1.4, -1.3, -1.3, -1.3, -1.3, -1.4, -1.3, -1.3),
+            "A": (-1.5, -1.6, -1.6, -1.5, -1.3, -1.3, -1.3, -1.4, -1.4, -1.4),
+            "B": (-2.4, -2.7, -2.7, -2.4, -2.0, -2.0, -2.2, -2.2, -2.0, -1.8),
+            "C": (-2.4, -2.6, -2.6, -2.4, -1.8, -1.8, -1.6, -1.6, -1.5, -1.4),
+            "D": (-0.6, -0.6, -0.6, -0.6, -1.5, -1.8, -2.1, -2.1, -2.0, -2.0),
+        },
+    ),
 }
-"""Table 7.6: largest net coefficients for any blockage, from BS 6399-2, table 13."""
+"""Tables 7.6 and 7.7: pitches (degrees; negative for trough roofs); largest net coefficients for
+any blockage; least ones without blockage, and with full blockage.
 
-MONOPITCH_LEAST: tuple[Rows, Rows] = (
-    {
-        "overall": (-0.5, -0.7, -0.9, -1.1, -1.3, -1.6, -1.8),
-        "A": (-0.6, -1.1, -1.5, -1.8, -2.2, -2.6, -3.0),
-        "B": (-1.3, -1.7, -2.0, -2.4, -2.8, -3.2, -3.8),
-        "C": (-1.4, -1.8, -2.1, -2.5, -2.9, -3.2, -3.6),
-    },
-    {
-        "overall": (-1.3, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
-        "A": (-1.5, -1.6, -2.1, -1.6, -1.6, -1.5, -1.5),
-        "B": (-1.8, -2.2, -2.6, -2.9, -2.9, -2.5, -2.2),
-        "C": (-2.2, -2.5, -2.7, -3.0, -3.0, -2.8, -2.7),
-    },
-)
-"""Table 7.6: least net coefficients without blockage, equal to BS 6399-2, table 13, and with full
-blockage, different from it; "overall" as in a second implementation. Zone A at 10 degrees is -2.1
+Table 7.6: the largest are from BS 6399-2, table 13; the least without blockage equal it, those with
+full blockage differ from it; "overall" as in a second implementation. Zone A at 10 degrees is -2.1
 in copies of the Spanish DB SE-AE, table D.10, of SANS 10160-3, table 13, and of this table, and
--1.6 in one program: the safe value is taken."""
-
-DUOPITCH_MOST: Rows = {
-    "overall": (0.7, 0.5, 0.4, 0.3, 0.3, 0.4, 0.4, 0.6, 0.7, 0.9),
-    "A": (0.8, 0.6, 0.6, 0.5, 0.6, 0.7, 0.9, 1.1, 1.2, 1.3),
-    "B": (1.6, 1.5, 1.4, 1.5, 1.8, 1.8, 1.9, 1.9, 1.9, 1.9),
-    "C": (0.6, 0.7, 0.8, 0.8, 1.3, 1.4, 1.4, 1.5, 1.6, 1.6),
-    "D": (1.7, 1.4, 1.1, 0.8, 0.4, 0.4, 0.4, 0.4, 0.5, 0.7),
-}
-"""Table 7.7: largest net coefficients for any blockage."""
-
-DUOPITCH_LEAST: tuple[Rows, Rows] = (
-    {
-        "overall": (-0.7, -0.6, -0.6, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, -1.0),
-        "A": (-0.9, -0.8, -0.8, -0.7, -0.6, -0.7, -0.9, -1.2, -1.4, -1.4),
-        "B": (-1.3, -1.3, -1.3, -1.3, -1.4, -1.5, -1.7, -1.8, -1.9, -1.9),
-        "C": (-1.6, -1.6, -1.5, -1.6, -1.4, -1.4, -1.4, -1.4, -1.4, -1.4),
-        "D": (-0.6, -0.6, -0.6, -0.6, -1.1, -1.4, -1.8, -2.0, -2.0, -2.0),
-    },
-    {
-        "overall": (-1.3, -1.4, -1.4, -1.3, -1.3, -1.3, -1.3, -1.4, -1.3, -1.3),
-        "A": (-1.5, -1.6, -1.6, -1.5, -1.3, -1.3, -1.3, -1.4, -1.4, -1.4),
-        "B": (-2.4, -2.7, -2.7, -2.4, -2.0, -2.0, -2.2, -2.2, -2.0, -1.8),
-        "C": (-2.4, -2.6, -2.6, -2.4, -1.8, -1.8, -1.6, -1.6, -1.5, -1.4),
-        "D": (-0.6, -0.6, -0.6, -0.6, -1.5, -1.8, -2.1, -2.1, -2.0, -2.0),
-    },
-)
-"""Table 7.7: least net coefficients without and with full blockage; "overall" at 20 degrees with
-blockage is -1.3 in one program and -1.4 in another: the safe value is taken."""
+-1.6 in one program: the safe value is taken. Table 7.7: "overall" at 20 degrees with blockage is
+-1.3 in one program and -1.4 in another: the safe value is taken."""
 
 
 def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
@@ -112,24 +109,24 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     -------
     tuple
         Coefficients in the zones A, B and C. They approximate the figure's lines and were not
-        compared with a copy of it; for a design read them there and give ``zones=``.
+        compared with a copy of it; for a design read them there and pass ``zones=``.
 
     Raises
     ------
     InputError
         A rise outside the figure, or walls, for which the figure is ambiguous in part of its range:
-        read it and give ``zones=`` to `vault`.
+        read it and pass ``zones=`` to `vault`.
 
     Examples
     --------
     >>> en1991_vault_zones(0.5)
     (0.8, -1.2, -0.4)
     """
-    rise = checked_within("en1991_vault_zones: f/d", rise, *VAULT_RISES)
+    rise = checks.within("en1991_vault_zones: f/d", rise, *VAULT_RISES)
     if checks.finite("en1991_vault_zones: h/d", height) != 0.0:
         raise InputError(
             f"en1991_vault_zones: h/d = {height:g} is outside what is known here, h/d = 0; read A, "
-            "B and C off figure 7.11, where some rises have two values of A, and give zones=."
+            "B and C off figure 7.11, where some rises have two values of A, and pass zones=."
         )
     a, b, c = (float(np.interp(rise, VAULT_RISES, ends)) for ends in VAULT_ENDS.values())
     return a, b, c
@@ -164,7 +161,7 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
     (0.7, -1.2, -0.5)
     """
     rise = checks.positive("asce7_arch_zones: rise", rise)
-    checked_within("asce7_arch_zones: rise", rise, 0.0, 0.6)
+    checks.within("asce7_arch_zones: rise", rise, 0.0, 0.6)
     if alternative and not (raised and 0.2 <= rise <= 0.3):
         raise InputError(
             f"asce7_arch_zones: alternative, with the rise {rise:g} and raised = {raised!r}, is "
@@ -179,6 +176,62 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
     else:
         windward = 1.5 * rise - 0.3 if rise < 0.3 else 2.75 * rise - 0.7
     return windward, -0.7 - rise, -0.5
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Dimensions of a roof in its current shape (length), along a direction in plan."""
+
+    direction: tuple[float, float]
+    start: tuple[float, float]  # its start along the direction and, from the left, across it
+    depth: float  # d, along the direction
+    breadth: float  # b, across it
+    low: float  # z of its lowest and highest point
+    high: float
+
+    @property
+    def rise(self) -> float:
+        """f, from the lowest to the highest point (length)."""
+        return self.high - self.low
+
+    def parts(self, x: Array) -> tuple[Array, Array]:
+        """Relative positions of points (3, n) along depth and breadth, 0 to 1."""
+        c, s = self.direction
+        along, across = c * x[0] + s * x[1], c * x[1] - s * x[0]
+        return (along - self.start[0]) / self.depth, (across - self.start[1]) / self.breadth
+
+    def arcs(self, x: Array) -> Array:
+        """Positions of points (3, n) along a circular arc of this depth and rise, from -1 to 1."""
+        half, rise = self.depth / 2, max(self.rise, EPSILON**0.25 * self.depth)
+        radius = max((half**2 + rise**2) / (2 * rise), half)
+        distance = half * np.clip(2 * self.parts(x)[0] - 1.0, -1.0, 1.0)
+        return np.asarray(np.arcsin(distance / radius) / np.arcsin(half / radius))
+
+
+def _footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
+    """Dimensions of a scene's membrane, or of a part. Collective."""
+    checks.of_type(f"{call}: scene", scene, Scene)
+    checks.same(scene.comm, call, direction=direction, part=part)
+    what = f"{call}: direction"
+    way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
+    c, s = map(float, way / np.hypot(*way))
+    membrane = scene.membrane
+    membrane.check_finite(call)
+    cells = np.arange(membrane.mesh.mesh.topology.index_map(2).size_local)
+    if part is not None:
+        checks.named("part", membrane.mesh.parts, part)
+        cells = np.flatnonzero(cells_of(membrane.mesh, (part,))[: len(cells)])
+    points = membrane.positions()[membrane.V.dofmap.list[cells]].reshape(-1, 3)
+    x, y, z = points.T
+    values = np.array([c * x + s * y, c * y - s * x, z])
+    low, high = np.empty(3), np.empty(3)
+    membrane.comm.Allreduce(values.min(axis=1, initial=np.inf), low, op=MPI.MIN)
+    membrane.comm.Allreduce(values.max(axis=1, initial=-np.inf), high, op=MPI.MAX)
+    depth, breadth = float(high[0] - low[0]), float(high[1] - low[1])
+    if depth <= 0.0 or breadth <= 0.0:
+        raise InputError(f"{call}: the roof has no area in plan; set part= to the roof.")
+    first, left, bottom = map(float, low)
+    return Footprint((c, s), (first, left), depth, breadth, bottom, float(high[2]))
 
 
 @dataclass(frozen=True)
@@ -249,11 +302,8 @@ class CanopyWind:
 
 
 def _checked_zones(call: str, zones: object) -> Zones:
-    checks.collection(f"{call}: zones", zones, Sequence, "zones=(0.8, -1.2, -0.4)", 3)
-    values = [checks.finite(f"{call}: zones", one) for one in zones]  # type: ignore[attr-defined]
-    if len(values) != 3:
-        raise InputError(f"{call}: zones = {zones!r} are not three; give those of A, B and C.")
-    return values[0], values[1], values[2]
+    a, b, c = map(float, checks.vector(f"{call}: zones of A, B and C", zones))
+    return a, b, c
 
 
 @collective
@@ -299,10 +349,10 @@ def vault(
     --------
     >>> scene.put_wind(0.8, vault(scene, (1.0, 0.0)), name="wind x")
     """
-    roof = footprint("vault", scene, direction, part)
+    roof = _footprint("vault", scene, direction, part)
     checks.same(scene.comm, "vault", height=height, zones=zones)
-    tall = checked_within("vault: height / d", checks.finite("vault: height", height) / roof.depth,
-                          0.0, np.inf)  # fmt: skip
+    tall = checks.finite("vault: height", height) / roof.depth
+    checks.within("vault: height / d", tall, 0.0, np.inf)
     if zones is None:
         return ArchWind(roof, en1991_vault_zones(roof.rise / roof.depth, tall), stepped=True)
     return ArchWind(roof, _checked_zones("vault", zones), stepped=True)
@@ -336,20 +386,20 @@ def dome(
     Raises
     ------
     InputError
-        On all ranks: as for `vault`, or no zones for a dome that is no hemisphere.
+        On all ranks: as for `vault`, or no zones for a dome that is not a hemisphere.
 
     Examples
     --------
     >>> scene.put_wind(0.8, dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1)), name="wind")
     """
-    roof = footprint("dome", scene, direction, part)
+    roof = _footprint("dome", scene, direction, part)
     checks.same(scene.comm, "dome", zones=zones)
     if roof.rise <= 0.0:
-        raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is no dome.")
+        raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is not a dome.")
     if zones is None and abs(roof.rise / roof.depth - 0.5) > 0.01:
         raise InputError(
             f"dome: f/d = {roof.rise / roof.depth:.3g} is outside what is known here, f/d = 0.5; "
-            "read A, B and C off figure 7.12 and give zones=."
+            "read A, B and C off figure 7.12 and pass zones=."
         )
     found = HEMISPHERE if zones is None else _checked_zones("dome", zones)
     return ArchWind(roof, found, stepped=False)
@@ -406,12 +456,12 @@ def canopy(
     checks.same(
         scene.comm, "canopy", kind=kind, pitch=pitch, effect=effect, blockage=blockage, take=take
     )
-    checks.one_of("canopy: kind", kind, ("monopitch", "duopitch"))
+    checks.one_of("canopy: kind", kind, CANOPIES)
     checks.one_of("canopy: effect", effect, ("down", "up"))
     checks.one_of("canopy: take", take, ("zones", "overall", "first", "second"))
-    phi = checked_within("canopy: blockage", blockage, 0.0, 1.0)
-    pitches = MONOPITCH if kind == "monopitch" else DUOPITCH
-    angle = checked_within(f"canopy: pitch of a {kind} roof", pitch, pitches[0], pitches[-1],
+    phi = checks.within("canopy: blockage", blockage, 0.0, 1.0)
+    pitches, most, least, blocked = CANOPIES[kind]
+    angle = checks.within(f"canopy: pitch of a {kind} roof", pitch, pitches[0], pitches[-1],
                            "degrees")  # fmt: skip
     if kind == "duopitch" and abs(angle) < 5.0:
         raise InputError(
@@ -419,14 +469,9 @@ def canopy(
             "5 degrees and more or -5 and less; use a monopitch roof."
         )
     if kind == "monopitch" and take in ("first", "second"):
-        raise InputError(f"canopy: take = {take!r} is for duopitch roofs; give 'overall'.")
-    roof = footprint("canopy", scene, direction, part)
-    most, least = (
-        (MONOPITCH_MOST, MONOPITCH_LEAST)
-        if kind == "monopitch"
-        else (DUOPITCH_MOST, DUOPITCH_LEAST)
-    )
-    empty, full = (most, most) if effect == "down" else least
+        raise InputError(f"canopy: take = {take!r} is for duopitch roofs; use 'overall'.")
+    roof = _footprint("canopy", scene, direction, part)
+    empty, full = (most, most) if effect == "down" else (least, blocked)
     names = [name for name in most if (name == "overall") != (take == "zones")]
     values = {
         name: float((1 - phi) * np.interp(angle, pitches, empty[name])

@@ -171,10 +171,6 @@ class Film:
         return np.asarray(np.einsum("nij,nia,njb->nab", S, sides, sides))
 
 
-MIDDLE = 1e-6
-"""Height that outweighs a unit of distance from the centre in the choice of the crown."""
-
-
 class Inflation:
     """The inner pressure (force per area), given or sought for a volume or a rise.
 
@@ -208,7 +204,7 @@ class Inflation:
             x, comm = x[: len(self.growth)], self.film.comm
             # on a flat mesh all vertices are equally high: take the central one
             away = np.linalg.norm(x, axis=1)
-            heights = np.where(self._free, x[:, 2] - MIDDLE * away, -np.inf)
+            heights = np.where(self._free, x[:, 2] - 1e-6 * away, -np.inf)
             own = (float(np.max(heights, initial=-np.inf)), comm.rank)
             _, rank = comm.allreduce(own, op=MPI.MAXLOC)
             top, self.gap_slope = 0.0, np.zeros_like(self.growth)

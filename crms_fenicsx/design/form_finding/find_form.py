@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.design.form_finding.film import Film, Inflation
-from crms_fenicsx.design.form_finding.form_cables import FormCable, edge_lines, places_of
+from crms_fenicsx.design.form_finding.form_cables import EdgeLine, FormCable, edge_lines, places_of
 from crms_fenicsx.design.form_finding.form_search import NO_FORM, FormSearch
 from crms_fenicsx.design.form_finding.found_form import FormCableFound, FoundForm
 from crms_fenicsx.design.form_finding.stresses import Direction, PrescribedStress, Stress
-from crms_fenicsx.design.form_finding.supports import (
-    Lift,
-    check_free_edges,
-    group_sums,
-    hold,
-    lifts,
-    rim_centre,
-)
+from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.meshes.membrane_mesh import moved
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import (
+    ConvergenceError,
+    InputError,
+    as_text,
+    collective,
+    raised_together,
+)
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 
@@ -36,6 +36,10 @@ REPORTED_DEVIATION, COARSE = 0.05, 0.1
 the first, refused above the second, plus the relative difference of warp and weft forces."""
 REPORTED_DISTURBANCE = 0.01
 """Relative change of area and forces by the residual section forces above which it is reported."""
+
+
+Lift = Sequence[float] | Callable[[Array], Array]
+"""A displacement (3,), or a function of start positions (3, n) that returns (3, n)."""
 
 
 @collective
@@ -118,11 +122,11 @@ def find_form(
     )  # fmt: skip
     prescribed = PrescribedStress.of(mesh, stress, warp)
     membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
-    supports = hold(membrane, fixed)
-    lift = lifts(membrane, lifted or {})
+    supports = _hold(membrane, fixed)
+    lift = _lifts(membrane, lifted or {})
     lines = edge_lines(membrane, cables)
-    check_free_edges(membrane, lines)
-    centre = rim_centre(membrane, lift, inflated)
+    _check_free_edges(membrane, lines)
+    centre = _rim_centre(membrane, lift, inflated)
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
     n = membrane.V.dofmap.index_map.size_local
     inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
@@ -137,15 +141,11 @@ def find_form(
     deviation = largest / film.largest
     found = tuple(
         FormCableFound(
-            line.cable.group,
-            line.tension,
-            line.length,
-            places_of(membrane, line.ids),
-            line.cable.bonded,
+            one.cable.group, one.tension, one.length, places_of(membrane, one.ids), one.cable.bonded
         )
-        for line in lines
+        for one in lines
     )
-    reactions = group_sums(membrane, supports, search.support_forces)
+    reactions = _group_sums(membrane, supports, search.support_forces)
     disturbance = _disturbance(membrane, supports, search)
     _check_deviation(deviation, disturbance, prescribed, mesh)
     return FoundForm(
@@ -162,7 +162,7 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
     named = {name: value for name, value in inflations.items() if value is not None}
     if len(named) > 1:
         raise InputError(
-            f"find_form: {' and '.join(named)} are given; give one of {', '.join(inflations)}."
+            f"find_form: {' and '.join(named)} are given, expected one of {', '.join(inflations)}."
         )
     for name, value in named.items():
         (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
@@ -180,9 +180,9 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
         return 0.0
     (before, free), (numbers, held) = search.freely, search.figures()
     changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
-    changes = group_sums(membrane, supports, held - free)
+    changes = _group_sums(membrane, supports, held - free)
     sizes = np.linalg.norm(held, axis=1)[:, None]
-    largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
+    largest = max(float(size[0]) for size in _group_sums(membrane, supports, sizes).values())
     moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
     return max(float(changed.max()), moved_by / largest if largest else 0.0)
 
@@ -212,3 +212,96 @@ def _check_deviation(
             "the mesh is coarse, or different ones along warp and weft do not balance each other",
             100 * deviation,
         )
+
+
+def _hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    """Hold groups; return the held directions by group. Collective."""
+    if isinstance(fixed, str) or not isinstance(fixed, Sequence | Mapping) or not fixed:
+        raise InputError(
+            f'find_form: fixed = {fixed!r}, expected the groups to hold, as in ["boundary"].'
+        )
+    supports = dict(fixed) if isinstance(fixed, Mapping) else dict.fromkeys(fixed, "xyz")
+    for group, directions in supports.items():
+        if not isinstance(group, str):
+            raise InputError(f"find_form: fixed has {group!r}, expected names of groups.")
+        membrane.hold(group, directions, new_edges=True)
+    held = membrane.comm.allreduce(membrane.held.any(axis=0).astype(int))
+    free = "".join(letter for letter, count in zip("xyz", held, strict=True) if not count)
+    if free:
+        raise InputError(
+            f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
+        )
+    return supports
+
+
+def _group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
+    """Sum (3,) of the forces (n, 3) on this rank's owned vertices, per group. Collective."""
+    sums = {}
+    for group in groups:
+        dofs = membrane.vertices(group)
+        sums[group] = membrane.comm.allreduce(forces[dofs[dofs < len(forces)]].sum(axis=0))
+    return sums
+
+
+def _lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
+    """Displacements of this rank's owned vertices, (n, 3). Collective."""
+    lift = np.full_like(membrane.stress_free, np.nan)
+    for group, by in lifted.items():
+        dofs = membrane.vertices(group)
+        with raised_together(membrane.comm):
+            places = membrane.stress_free[dofs]
+            if callable(by):
+                what = f"find_form: the function that lifts {group!r}"
+                ways = checks.returned(what, by(places.T), places.T, places.T.shape).T
+            else:
+                ways = np.tile(checks.vector(f"find_form: lifted[{group!r}]", by), (len(dofs), 1))
+            for bad, what in (
+                (~membrane.held[dofs] & (ways != 0.0), "is not held in that direction"),
+                (~np.isnan(lift[dofs]) & (lift[dofs] != ways), "another group moves elsewhere"),
+            ):
+                if bad.any():
+                    k = int(np.argmax(bad.any(axis=1)))
+                    raise InputError(
+                        f"find_form: {group!r} is lifted by {as_text(ways[k])} at "
+                        f"{as_text(places[k])}, which {what}; hold what is lifted, to one place."
+                    )
+            lift[dofs] = ways
+    return np.nan_to_num(lift, nan=0.0)
+
+
+def _check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
+    """Refuse free edges without a cable. Collective."""
+    topology = membrane.mesh.mesh.topology
+    edges = membrane.mesh.edges["boundary"]
+    edges = edges[edges < topology.index_map(1).size_local]
+    held = [membrane.mesh.edges[line.cable.group] for line in lines]
+    edges = np.setdiff1d(edges, np.concatenate([*held, np.zeros(0, np.int32)]))
+    ends = edge_ends(membrane.V)[edges]
+    fixed = np.asarray(membrane.held[ends].any(axis=2))
+    free = ends[~fixed.all(axis=1)]
+    count = membrane.comm.allreduce(len(free))
+    places = membrane.comm.allgather(membrane.stress_free[free[:1]].mean(axis=1))
+    if count:
+        place = as_text(np.concatenate(places)[0])
+        raise InputError(
+            f"find_form: {count} edges at the rim are neither held nor supported by a cable, one "
+            f"at {place}; the film would draw them in. Fix them, or add a FormCable."
+        )
+
+
+def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
+    """Mean position of the rim, or centre of a membrane without a rim. Collective."""
+    edges = membrane.open_edges
+    ends = np.unique(edges.vertices)
+    if inflated:
+        free = ends[~membrane.held[ends].all(axis=1)]
+        found = np.concatenate(membrane.comm.allgather(membrane.stress_free[free[:1]]))
+        if len(found):
+            raise InputError(
+                "find_form: there is pressure, but the rim is not held in all directions at "
+                f"{as_text(found[0])}."
+            )
+    own = ends[ends < membrane.V.dofmap.index_map.size_local]
+    places = (membrane.stress_free + lift)[own]
+    total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
+    return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre

@@ -10,14 +10,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.foundation.dofs.layout import vertex_dofs
-from crms_fenicsx.foundation.meshes.edge_table import line_of
+from crms_fenicsx.foundation.meshes.edge_table import whole_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.membrane import Membrane
-
-LAWS = ("tension", "force_density", "length")
 
 
 @dataclass(frozen=True)
@@ -54,11 +52,12 @@ class FormCable:
     bonded: bool = False
 
     def __post_init__(self) -> None:
-        given = [name for name in LAWS if getattr(self, name) is not None]
+        laws = ("tension", "force_density", "length")
+        given = [name for name in laws if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(
                 f"FormCable: {self.group!r} has {' and '.join(given) or 'nothing'} prescribed; "
-                "give one of tension, force_density and length."
+                "expected one of tension, force_density and length."
             )
         checks.positive(f"FormCable: {given[0]} of {self.group!r}", getattr(self, given[0]))
 
@@ -132,8 +131,7 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
     mesh, topology = membrane.mesh, membrane.mesh.mesh.topology
     with raised_together(mesh.comm):
         for cable in cables:
-            if not isinstance(cable, FormCable):
-                raise InputError(f"find_form: {cable!r} is no FormCable; write FormCable(group).")
+            checks.of_type("find_form: a cable", cable, FormCable)
             checks.named("edge group", mesh.edges, cable.group)
     dof_of = vertex_dofs(membrane.V)
     ends = topology.connectivity(1, 0).array.reshape(-1, 2)
@@ -146,10 +144,9 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
         pairs = np.concatenate(mesh.comm.allgather(ids[ends[own]].reshape(-1, 2)))
         with raised_together(mesh.comm):
             if taken[own].any():
-                raise InputError(
-                    f"find_form: {cable.group!r} has edges of another cable; give each edge one."
-                )
-            chain = chained(pairs, cable.group)
+                raise InputError(f"find_form: {cable.group!r} has edges of another cable.")
+            ordered = whole_line("find_form", cable.group, [(int(a), int(b)) for a, b in pairs])
+            chain = np.array(ordered, dtype=np.int64)
         number = np.argsort(chain)
         at = number[np.searchsorted(chain, ids[ends[own]], sorter=number)]
         edges = dof_of[np.where(at[:, :1] < at[:, 1:], ends[own], ends[own][:, ::-1])]
@@ -161,23 +158,10 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
     return lines
 
 
-def chained(pairs: Integers, name: str) -> Integers:
-    """Vertices of a line of edges from end to end, (k + 1,), from vertex pairs (k, 2)."""
-    line, ends = line_of((int(a), int(b)) for a, b in pairs)
-    if ends != 2 or len(line) != len(pairs) + 1:
-        raise InputError(
-            f"find_form: the {len(pairs)} edges of group {name!r} are not one line from end to end "
-            f"(they have {ends} ends); give each cable an edge group of its own."
-        )
-    return np.array(line, dtype=np.int64)
-
-
 def places_of(membrane: Membrane, ids: Integers) -> Array:
     """Current positions (length) of vertices numbered as in the mesh given. Collective."""
     n = membrane.V.dofmap.index_map.size_local
-    numbers = np.zeros(len(membrane.held), dtype=np.int64)
-    numbers[vertex_dofs(membrane.V)] = vertex_ids(membrane.mesh.mesh)
-    own, x = numbers[:n], membrane.positions()[:n]
+    own, x = membrane.vertex_ids[:n], membrane.positions()[:n]
     here = np.isin(own, ids)
     found = membrane.comm.allgather((own[here], x[here]))
     numbers = np.concatenate([numbers for numbers, _ in found])

@@ -7,8 +7,8 @@ from mpi4py import MPI
 
 from crms_fenicsx.design.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
-from crms_fenicsx.design.form_finding.linear_system import LinearSystem
-from crms_fenicsx.design.form_finding.supports import Directions
+from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
+from crms_fenicsx.foundation.meshes.triangles import double_areas, longest_sides, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, as_text
 from crms_fenicsx.foundation.runtime.progress import progress
@@ -110,7 +110,7 @@ class FormSearch:
             if line.tension <= 1e-9 * self._force:
                 group = line.cable.group
                 raise ConvergenceError(
-                    f"find_form: the cable {group!r} would be slack; give it less length."
+                    f"find_form: the cable {group!r} would be slack; prescribe a smaller length."
                 )
 
     def _can_release(self) -> bool:
@@ -257,9 +257,7 @@ class FormSearch:
     def _shapes(self) -> Array:
         """Area over the square of the longest side of this rank's cells, (n,)."""
         corners = self.film.positions()[self.membrane.V.dofmap.list]
-        sides = np.roll(corners, -1, axis=1) - corners
-        areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
-        return np.asarray(areas / np.einsum("nij,nij->ni", sides, sides).max(axis=1, initial=0.0))
+        return np.asarray(norm(double_areas(corners)) / 2 / longest_sides(corners) ** 2)
 
     def _check_cells(self, newton: bool) -> bool:
         """Whether no cell has collapsed; an error if updates collapse them. Collective."""

@@ -1,4 +1,4 @@
-"""Linear system of a form-finding iteration."""
+"""Directions in which the vertices of a form move, and the linear system of an iteration."""
 
 from __future__ import annotations
 
@@ -10,13 +10,57 @@ from petsc4py import PETSc
 
 from crms_fenicsx.design.form_finding.film import SOFTEST, Film
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
-from crms_fenicsx.design.form_finding.supports import Directions
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.model.membrane import Membrane
 
-WORKSPACE = 100
-"""Memory for MUMPS beyond its estimate, in per cent."""
-STRAIGHT = 1e-12
-"""Relative size of singular values taken as zero in the cables' equations."""
+LYING = 0.1
+"""Part of a direction left free by supports up to which the direction counts as held."""
+
+
+class Directions:
+    """Splits the free directions of vertices into those across a form and those within it.
+
+    Across are the surface normal, at cables the two directions square to the cable, and where
+    cables end or meet all directions; a vertex that moves within leaves the form unchanged. At a
+    `guided` vertex, held in some directions, forces within the surface count as well. `across`,
+    `within`, `counted` (where forces must balance) and `along` (cables) are projectors, (n, 3, 3).
+    """
+
+    def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:
+        self._film, self._lines = film, lines
+        n = membrane.V.dofmap.index_map.size_local
+        self.free = ~membrane.held[:n]
+        ids = membrane.vertex_ids[:n]
+        vertices = np.concatenate([np.zeros(0, dtype=np.int64), *(line.ids for line in lines)])
+        numbers, count = np.unique(vertices, return_counts=True)
+        ends = [line.ids[[0, -1]] for line in lines]
+        inner = np.setdiff1d(numbers[count == 1], np.concatenate([numbers[:0], *ends]))
+        self.on_cable = np.isin(ids, inner)
+        on_any = np.isin(ids, numbers)
+        self._joint = on_any & ~self.on_cable
+        self.guided = ~on_any & self.free.any(axis=1) & ~self.free.all(axis=1)
+        self.across, self.within, self.counted, self.along = np.zeros((4, n, 3, 3))
+
+    def take(self) -> None:
+        """Update the directions to the current shape. Collective."""
+        film, free = self._film, self.free[:, :, None] * np.eye(3)
+        normal = self._freed(film.growth())
+        along = sum((line.tangents(len(film.start)) for line in self._lines), 0.0 * film.start)
+        tangent = self._freed(film.gathered(along)) * self.on_cable[:, None]
+        held = self.on_cable | self._joint
+        self.across = normal[:, :, None] * normal[:, None, :]
+        self.across[held] = (free - tangent[:, :, None] * tangent[:, None, :])[held]
+        self.within = free - self.across
+        self.counted = np.where(self.guided[:, None, None], free, self.across)
+        self.along = np.where(self.on_cable[:, None, None], self.within, 0.0)
+
+    def _freed(self, vectors: Array) -> Array:
+        """Free components of vectors (n, 3) as unit vectors, zero if almost none is free."""
+        lengths = np.linalg.norm(vectors, axis=1)
+        parts = np.where(self.free, vectors, 0.0)
+        sizes = np.linalg.norm(parts, axis=1)
+        sizes = np.where(sizes > LYING * lengths, sizes, np.inf)
+        return np.asarray(parts / sizes[:, None])
 
 
 class LinearSystem:
@@ -45,9 +89,9 @@ class LinearSystem:
         self._pc.setType(PETSc.PC.Type.LU)
         self._pc.setFactorSolverType("mumps")
         self._pc.setFromOptions()
-        if self._pc.getFactorSolverType() == "mumps":  # its estimate may be too small
+        if self._pc.getFactorSolverType() == "mumps":  # twice its estimate, which may be too small
             self._pc.setFactorSetUpSolverType()
-            self._pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+            self._pc.getFactorMatrix().setMumpsIcntl(14, 100)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -129,5 +173,5 @@ class LinearSystem:
             system = np.diag(diagonal) - total[:, :-1]
             if np.isfinite(total).all():  # else cells have collapsed, which is detected later
                 # singular if cables are straight
-                change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
+                change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=1e-12)[0]
         return way, ways, change

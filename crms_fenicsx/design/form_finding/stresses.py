@@ -48,22 +48,22 @@ class PrescribedStress:
     ) -> PrescribedStress:
         """Check the user's arguments. Collective."""
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
-        forces = {part: _pair(part, value) for part, value in by_part.items()}
+        forces = {}
+        for part, value in by_part.items():
+            what = f"find_form: stress{_of(part)}"
+            s1, s2 = checks.pair(what, value)
+            forces[part] = checks.positive(what, s1), checks.positive(what, s2)
         given: dict[str, Direction | None] = (
             dict(warp) if isinstance(warp, Mapping) else dict.fromkeys(forces, warp)
         )
         if given.keys() != forces.keys():
             raise InputError(
                 f"find_form: warp is given for {_names(given)}, but stress for {_names(forces)}; "
-                "give both for the same parts, or one direction for all."
+                "both must be for the same parts, or the warp for all."
             )
         for part, direction in given.items():
-            if direction is None:
-                continue
-            if not checks.vector(f"find_form: warp{_of(part)}", direction).any():
-                raise InputError(
-                    f"find_form: warp{_of(part)} = {direction} is no direction; one is not zero."
-                )
+            if direction is not None:
+                checks.direction(f"find_form: warp{_of(part)}", direction)
         number = _part_numbers(mesh, list(forces))
         values = np.array(list(forces.values()))
         along = [ALONG_X if given[part] is None else given[part] for part in forces]
@@ -76,7 +76,7 @@ class PrescribedStress:
             if len(bad):
                 raise InputError(
                     f"find_form: the warp direction {directions[bad[0]]} is normal to the start "
-                    "mesh somewhere; give one that has a part in the surface everywhere."
+                    "mesh somewhere."
                 )
         return cls(forces, given, cell_forces, directions)
 
@@ -101,7 +101,7 @@ class PrescribedStress:
         if material.keys() != self.forces.keys():
             raise InputError(
                 f"FoundForm.scene: materials are given for {_names(material)}, but the form has "
-                f"section forces of {_names(self.forces)}; give the same parts."
+                f"section forces of {_names(self.forces)}."
             )
         return {part: self._stressed(own, part, part) for part, own in material.items()}
 
@@ -109,25 +109,22 @@ class PrescribedStress:
         if not isinstance(material, IsotropicMembrane | OrthotropicMembrane):
             raise InputError(
                 f"FoundForm.scene: the material{_of(owner)} is a {type(material).__name__}, "
-                "whose prestress cannot be set; give an IsotropicMembrane or OrthotropicMembrane."
+                "whose prestress cannot be set; use an IsotropicMembrane or OrthotropicMembrane."
             )
         s1, s2 = self.forces[part]
-        if isinstance(material, IsotropicMembrane):
-            if s1 == s2:
-                return dataclasses.replace(material, prestress=s1)
+        prestress, given = s1 if s1 == s2 else (s1, s2), self.warps[part]
+        if isinstance(material, IsotropicMembrane) and s1 != s2:
             raise InputError(
                 f"FoundForm.scene: the material{_of(owner)} is isotropic, but has the section "
-                f"forces {(s1, s2)} along warp and weft; give an OrthotropicMembrane."
+                f"forces {(s1, s2)} along warp and weft; use an OrthotropicMembrane."
             )
-        prestress = s1 if s1 == s2 else (s1, s2)
-        given = self.warps[part]
-        if given is None and s1 == s2:
+        if isinstance(material, IsotropicMembrane) or (given is None and s1 == s2):
             return dataclasses.replace(material, prestress=prestress)
         x, y, z = (float(value) for value in (ALONG_X if given is None else given))
         if not _named_alike(material.warp, (x, y, z)):
             raise InputError(
                 f"FoundForm.scene: the material{_of(owner)} has the warp {material.warp}, but the "
-                f"form {(x, y, z)}; give it to find_form only."
+                f"form {(x, y, z)}; pass it to find_form only."
             )
         return dataclasses.replace(material, prestress=prestress, warp=(x, y, z))
 
@@ -149,28 +146,19 @@ def _names(parts: Mapping[str, object]) -> str:
     return ", ".join(map(repr, parts)) if WHOLE not in parts else "the whole membrane"
 
 
-def _pair(part: str, value: object) -> tuple[float, float]:
-    """Section forces along warp and weft."""
-    what = f"find_form: stress{_of(part)}"
-    values = list(value) if isinstance(value, Sequence | np.ndarray) else [value, value]
-    if isinstance(value, str) or len(values) != 2:
-        raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
-    return checks.positive(what, values[0]), checks.positive(what, values[1])
-
-
 def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
     """Index of the part of each local cell, (n,). Collective."""
     n = mesh.mesh.topology.index_map(2).size_local
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)
-    inner_last = outer_first(mesh, "find_form", "stress", parts)
+    ordered = outer_first(mesh, "find_form", "stress", parts)
     number = np.full(n, -1)
     with raised_together(mesh.comm):
-        for part in inner_last:
+        for part in ordered:
             number[mesh.parts[part]] = parts.index(part)
         if (number < 0).any():
             raise InputError(
-                f"find_form: {np.count_nonzero(number < 0)} cells have no stress, with that of "
-                f"{_names(dict.fromkeys(parts))}; give each cell one."
+                f"find_form: {np.count_nonzero(number < 0)} cells are in none of the parts with a "
+                f"stress, {_names(dict.fromkeys(parts))}."
             )
     return number

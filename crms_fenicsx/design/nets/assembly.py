@@ -10,20 +10,18 @@ from string import ascii_uppercase
 
 import numpy as np
 
-from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.paths.routes import shortened, traced, traced_over_holes
 from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
 from crms_fenicsx.foundation.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError
+from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
-from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 
 APART = 0.01
-"""Least distance of a line's points relative to the cell size; laying may merge closer ones."""
+"""Least distance of a line's points, relative to the cell size."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +32,6 @@ class _TracedLine:
     path: Path
     points: Array  # (k, 3), including anchors (length)
     steps: Array  # (k - 1,) lengths of its segments
-
-
-def checked_scene(call: str, scene: object) -> Scene:
-    """Checked scene of a net."""
-    if not isinstance(scene, Scene):
-        raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
-    scene.membrane.check_finite(call)
-    return scene
 
 
 def assembled(
@@ -72,18 +62,12 @@ def assembled(
                 raise PathError(text) from None
             points, lengths = _measured(surface, path)
             ways.append(_TracedLine(name, path, points, lengths))
-            lines.append(
-                NetLine(name, _thinned(points, APART * surface.size), float(lengths.sum()))
-            )
+            kept = [points[0]]  # laying may merge points closer to the previous or the last one
+            for point in points[1:-1]:
+                if np.all(norm(point - np.array([kept[-1], points[-1]])) > APART * surface.size):
+                    kept.append(point)
+            lines.append(NetLine(name, np.array([*kept, points[-1]]), float(lengths.sum())))
     return Net(tuple(lines), _crossings(surface, ways), nodes)
-
-
-def route_of_call(call: str, route: object) -> Array:
-    """The points of a route, (k, 2) or (k, 3)."""
-    try:
-        return route_points(route)
-    except PathError as error:
-        raise PathError(f"{call}: {error}") from None
 
 
 def _crosses_hole(membrane: Membrane, route: Array) -> bool:
@@ -102,22 +86,13 @@ def _measured(surface: WholeSurface, path: Path) -> tuple[Array, Array]:
     offsets, normals = surface.smooth.raised(np.array(rows), weights)
     points = path.positions(ids, surface.points)
     lengths = arc_lengths_on(points + offsets, normals, np.zeros(len(points) - 1, dtype=bool))
-    for end, anchor in ((0, path.start_anchor), (-1, path.end_anchor)):
-        if anchor is not None:
-            lengths = np.insert(
-                lengths, 0 if end == 0 else len(lengths), norm(points[end] - anchor)
-            )
-            points = np.insert(points, 0 if end == 0 else len(points), anchor, axis=0)
+    if path.start_anchor is not None:
+        lengths = np.insert(lengths, 0, norm(points[0] - path.start_anchor))
+        points = np.insert(points, 0, path.start_anchor, axis=0)
+    if path.end_anchor is not None:
+        lengths = np.append(lengths, norm(points[-1] - path.end_anchor))
+        points = np.append(points, [path.end_anchor], axis=0)
     return points, lengths
-
-
-def _thinned(points: Array, apart: float) -> Array:
-    """Points (m, 3) without inner ones closer than `apart` to the previous or the last."""
-    kept = [points[0]]
-    for point in points[1:-1]:
-        if np.all(norm(point - np.array([kept[-1], points[-1]])) > apart):
-            kept.append(point)
-    return np.array([*kept, points[-1]])
 
 
 def _crossings(surface: WholeSurface, ways: Sequence[_TracedLine]) -> tuple[NetCrossing, ...]:

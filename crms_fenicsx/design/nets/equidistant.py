@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.design.nets.assembly import assembled, checked_scene
+from crms_fenicsx.design.nets.assembly import assembled
 from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime import checks
@@ -30,9 +31,6 @@ from crms_fenicsx.foundation.runtime.errors import (
 from crms_fenicsx.model.net import Net
 
 Node = tuple[int, int]
-
-AXES: tuple[Node, ...] = ((1, 0), (-1, 0), (0, 1), (0, -1))
-"""Directions from the origin along the two first lines, in node numbers."""
 
 APART = 0.51
 """Distance from other nodes, relative to the width, below which a line has come around a tube; the
@@ -93,19 +91,17 @@ def equidistant(
     >>> net = nets.equidistant(scene, 2.0, origin=(0.0, 0.0), directions=[(1, 1), (-1, 1)])
     """
     call = "equidistant"
-    scene = checked_scene(call, scene)
-    checks.same(
-        scene.comm, call, width=width, origin=origin, directions=directions, least_angle=least_angle
+    surface = WholeSurface.of(
+        call, scene, width=width, origin=origin, directions=directions, least_angle=least_angle
     )
     width = checks.positive(f"{call}: width", width)
     least_angle = checks.positive(f"{call}: least_angle", least_angle)
     if least_angle >= 90.0:
         raise InputError(f"{call}: least_angle = {least_angle:g} must be less than 90 degrees.")
-    start = _vector(f"{call}: origin", origin)
+    start = checks.vector(f"{call}: origin", origin, (2, 3))
     if not isinstance(directions, Sequence | np.ndarray) or len(directions) != 2:
-        raise InputError(f"{call}: directions = {directions!r}; give two, one of each family.")
-    ways = [_vector(f"{call}: direction", one) for one in directions]
-    surface = WholeSurface.of(scene.membrane)
+        raise InputError(f"{call}: directions = {directions!r}, expected one for each family.")
+    ways = [checks.direction(f"{call}: direction", one, (2, 3)) for one in directions]
     try:
         place = surface.place(start)
         u, v = (surface.tangent(place, way) for way in ways)
@@ -114,14 +110,14 @@ def equidistant(
     if np.degrees(np.arcsin(min(1.0, float(norm(cross(u, v)))))) < least_angle:
         raise InputError(
             f"{call}: the directions {as_text(ways[0])} and {as_text(ways[1])} make an angle of "
-            f"less than {least_angle:g} degrees; give directions that cross at a larger one."
+            f"less than {least_angle:g} degrees; use directions that cross at a larger one."
         )
     chart = Chart(surface, width, least_angle)
     chart.grow(place, (u, -u, v, -v))
     if not any(i and j for i, j in chart.nodes):
         raise InputError(
             f"{call}: no mesh of width = {width:g} has room around the origin {as_text(place)}; "
-            "give a smaller width, or an origin farther from the rim."
+            "use a smaller width, or an origin farther from the rim."
         )
     if chart.folds and scene.comm.rank == 0:
         _, angle, at = min(chart.folds)
@@ -132,7 +128,7 @@ def equidistant(
             NetWarning,
             stacklevel=3,
         )
-    return assembled(call, surface, chart.lines(), nodes=chart.table())
+    return assembled(call, surface, [chart.family(0), chart.family(1)], nodes=chart.table())
 
 
 class Chart:
@@ -148,21 +144,15 @@ class Chart:
     def grow(self, origin: Array, ways: Sequence[Array]) -> None:
         """Find the nodes along the two first lines, then those between."""
         self.nodes[0, 0] = origin
-        for (i, j), way in zip(AXES, ways, strict=True):
-            self._grow_axis(i, j, origin, way)
-        for p in (1, -1):
-            for q in (1, -1):
-                self._fill(p, q)
-
-    def _grow_axis(self, i: int, j: int, point: Array, way: Array) -> None:
-        """Extend a line from the origin to the rim, or until it closes."""
-        first = self.surface.step(point, way, self.width)
-        if first is None:
-            return
-        line = self.surface.to_rim([point, first], self.width)
-        for k, new in enumerate(line[1:], start=1):
-            if norm(new - line[k - 1]) > self.width * (1 - SAME_POINT):
-                self.nodes[k * i, k * j] = new
+        axes = ((1, 0), (-1, 0), (0, 1), (0, -1))
+        for (i, j), way in zip(axes, ways, strict=True):  # to the rim, or until the line closes
+            if (first := self.surface.step(origin, way, self.width)) is not None:
+                line = self.surface.to_rim([origin, first], self.width)
+                for k, (last, new) in enumerate(pairwise(line), start=1):
+                    if norm(new - last) > self.width * (1 - SAME_POINT):
+                        self.nodes[k * i, k * j] = new
+        for p, q in product((1, -1), repeat=2):
+            self._fill(p, q)
 
     def _fill(self, p: int, q: int) -> None:
         """Find the nodes of a quadrant, in order of their distance from the origin."""
@@ -186,9 +176,9 @@ class Chart:
         if beside in nodes and below in nodes and (i - p, j - q) in nodes:
             return self._by_compass((i, j), nodes[beside], nodes[below], nodes[i - p, j - q])
         if beside in nodes and not any((i, k) in nodes for k in range(0, j, q)):
-            return self._straight_on((i, j), beside, (i - 2 * p, j))
+            return self._straight_on(beside, (i - 2 * p, j))
         if below in nodes and not any((k, j) in nodes for k in range(0, i, p)):
-            return self._straight_on((i, j), below, (i, j - 2 * q))
+            return self._straight_on(below, (i, j - 2 * q))
         return None
 
     def _by_compass(self, node: Node, a: Array, b: Array, corner: Array) -> Array | None:
@@ -205,7 +195,7 @@ class Chart:
             return None
         return np.asarray(new)
 
-    def _straight_on(self, node: Node, last: Node, before: Node) -> Array | None:
+    def _straight_on(self, last: Node, before: Node) -> Array | None:
         """The node straight ahead on a line whose adjacent line has ended at the rim."""
         if before not in self.nodes:
             return None
@@ -224,12 +214,8 @@ class Chart:
         table[tuple((numbers - low).T)] = list(self.nodes.values())
         return table
 
-    def lines(self) -> list[list[Array]]:
-        """Routes of the lines of both families, from rim to rim."""
-        return [self._family(0), self._family(1)]
-
-    def _family(self, along: Literal[0, 1]) -> list[Array]:
-        """Routes of the lines along which one of the node numbers increases."""
+    def family(self, along: Literal[0, 1]) -> list[Array]:
+        """Routes, from rim to rim, of the lines along which one of the node numbers increases."""
         found = []
         for other in sorted({node[1 - along] for node in self.nodes}):
             own = sorted(node[along] for node in self.nodes if node[1 - along] == other)
@@ -247,14 +233,3 @@ def _angle(corner: Array, a: Array, b: Array) -> float:
     """Angle at a corner (degrees)."""
     a, b = a - corner, b - corner
     return float(np.degrees(np.arctan2(norm(cross(a, b)), a @ b)))
-
-
-def _vector(what: str, value: object) -> Array:
-    """A vector of two or three finite numbers, (2,) or (3,)."""
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        numbers = np.zeros(0)
-    if numbers.shape not in ((2,), (3,)) or not np.isfinite(numbers).all():
-        raise InputError(f"{what} = {value!r} must be two finite numbers (x, y) or three.")
-    return numbers

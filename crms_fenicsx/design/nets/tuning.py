@@ -2,50 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping
 
 import numpy as np
-from mpi4py import MPI
 from scipy.optimize import least_squares
 
-from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, collective
-from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import last_doubt
-from crms_fenicsx.results.sensitivities import Sensitivities
+from crms_fenicsx.solver import Solver
 
 
 class _Ended(Exception):  # noqa: N818 - no error: the end of a search
     """The wanted tensions are reached, or a load step failed, which is then the cause."""
 
 
-class Tuned(Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
-
-    scene: ReadOnly[Scene]
-    comm: MPI.Intracomm
-
-    def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
-        """Solve at other unstressed lengths."""
-
-    def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
-        """Derivatives of tensions."""
-
-    def snapshot(self) -> SceneState:
-        """The current state."""
-
-    def restore(self, snapshot: SceneState) -> None:
-        """Restore a state of the scene."""
-
-
 @collective
 def tune(
-    solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
+    solver: Solver, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
 ) -> dict[LaidCable, float]:
     """Find the unstressed lengths of cables for prescribed tensions under the present loads.
 
@@ -80,14 +56,13 @@ def tune(
     """
     scene = solver.scene
     checks.same(scene.comm, "tune", tensions=tensions, rtol=rtol, most=most)
-    if not isinstance(tensions, Mapping) or not tensions:
-        raise InputError(f"tune: tensions = {tensions!r}; write {{cable: force, ...}}.")
+    checks.collection("tune: tensions", tensions, Mapping, "{cable: force, ...}", 1)
     for cable, force in tensions.items():
         if not isinstance(cable, LaidCable) or cable not in scene.cables:
             raise InputError(f"tune: {cable!r} is not a cable of this scene.")
         checks.positive(f"tune: tension of {cable.name!r}", force)
         if not cable.taut:
-            raise InputError(f"tune: {cable.name!r} is slack; shorten it before.")
+            raise InputError(f"tune: {cable.name!r} is slack; shorten it first.")
     cables = sorted(tensions, key=scene.cables.index)
     wanted = np.array([float(tensions[cable]) for cable in cables])
     first = np.array([cable.L0 for cable in cables])
@@ -127,6 +102,6 @@ def tune(
         solver.restore(before)
         raise InputError(
             f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; the search "
-            f"ended at {reached[k]:.6g} (load steps: {count}). Give tensions that balance the "
+            f"ended at {reached[k]:.6g} (load steps: {count}). Use tensions that balance the "
             "loads, or fewer."
         ) from cause

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape, whole
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
@@ -20,7 +21,8 @@ from crms_fenicsx.foundation.meshes.triangles import (
     mix,
     norm,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface, places_in_plan
 from crms_fenicsx.foundation.surface.feet import feet_of
@@ -43,8 +45,12 @@ class WholeSurface:
     cells: Integers  # (m, 3) rows of `points`
 
     @classmethod
-    def of(cls, membrane: Membrane) -> WholeSurface:
-        """Gather the current shape. Collective."""
+    def of(cls, call: str, scene: Scene, **arguments: object) -> WholeSurface:
+        """The current shape; the arguments must agree on all ranks. Collective."""
+        checks.of_type(f"{call}: scene", scene, Scene)
+        scene.membrane.check_finite(call)
+        checks.same(scene.comm, call, **arguments)
+        membrane = scene.membrane
         strip = whole(membrane)
         shape = StripShape.of(membrane, strip)
         rows = np.searchsorted(strip.vertices, strip.outer_cells)
@@ -84,7 +90,7 @@ class WholeSurface:
             if foot.distance > foot.size:
                 raise PathError(
                     f"{as_text(point)} is {foot.distance:.6g} from the membrane, nearest to "
-                    f"{as_text(foot.position)}; give a point on the membrane"
+                    f"{as_text(foot.position)}"
                 )
             return foot.position
         target = TargetSurface.checked(self.strip.vertices, self.points, self.cells)
@@ -111,14 +117,13 @@ class WholeSurface:
             if abs(normal[2]) < 1e-6:
                 raise PathError(
                     f"the membrane is vertical at {as_text(point)}, so that a direction in plan "
-                    "has no meaning there; give it in space"
+                    "has no meaning there; use one in space"
                 )
             way[2] = -(way @ normal) / normal[2]
         way = way - (way @ normal) * normal
         if norm(way) < 1e-6 * np.linalg.norm(direction):
             raise PathError(
-                f"direction {as_text(direction)} is normal to the membrane at {as_text(point)}; "
-                "give one along it"
+                f"direction {as_text(direction)} is normal to the membrane at {as_text(point)}"
             )
         return np.asarray(way / norm(way))
 
@@ -133,73 +138,53 @@ class WholeSurface:
         height = dot(normals, x[:, 0] - middle)
         foot = height[:, None] * cross(across, line) / square[:, None]
         left = reach**2 - across @ across / 4 - dot(foot, foot)
-        found = [
-            self._inside(near, middle + foot + sign * root[:, None] * line)
-            for root in [np.sqrt(np.maximum(left, 0.0) / square)]
-            for sign in (-1.0, 1.0)
-        ]
-        hits = np.concatenate([y[holds & (left >= 0.0)] for y, holds in found])
-        return _distinct(hits, SAME_POINT * reach)
-
-    def _inside(self, rows: Integers, y: Array) -> tuple[Array, Booleans]:
-        """Points (k, 3) in the planes of cells, and whether each lies in its cell, (k,)."""
-        x = self._corners[rows]
-        normals = double_areas(x)
-        opposite = cross(x[:, [1, 2, 0]] - y[:, None], x[:, [2, 0, 1]] - y[:, None])
-        weights = dot(opposite, normals[:, None]) / dot(normals, normals)[:, None]
-        return y, np.all(weights >= -ON_CELL, axis=1)
+        root = np.sqrt(np.maximum(left, 0.0) / square)
+        kept: list[Array] = []
+        for sign in (-1.0, 1.0):
+            y = middle + foot + sign * root[:, None] * line
+            opposite = cross(x[:, [1, 2, 0]] - y[:, None], x[:, [2, 0, 1]] - y[:, None])
+            weights = dot(opposite, normals[:, None]) / dot(normals, normals)[:, None]
+            for point in y[np.all(weights >= -ON_CELL, axis=1) & (left >= 0.0)]:
+                if all(norm(point - other) > SAME_POINT * reach for other in kept):
+                    kept.append(point)
+        return np.array(kept).reshape(-1, 3)
 
     def step(self, point: Array, way: Array, length: float) -> Array | None:
         """The point straight ahead at a distance; None if the surface ends before."""
         across = cross(self.normal(point), way)
-        starts, sides = self._section(self._corners[self._near(point, length)], point, across)
-        from_start = starts - point
-        a, b = dot(sides, sides), dot(sides, from_start)
-        left = b**2 - a * (dot(from_start, from_start) - length**2)
-        meets = (left >= 0.0) & (a > 0.0)
-        starts, sides, a, b, left = (v[meets] for v in (starts, sides, a, b, left))
-        ends = [(-b + sign * np.sqrt(left)) / a for sign in (-1.0, 1.0)]
-        inside = [(-ON_CELL <= s) & (s <= 1 + ON_CELL) for s in ends]
-        found = np.concatenate([
-            (starts + s[:, None] * sides)[on] for s, on in zip(ends, inside, strict=True)
-        ])  # fmt: skip
-        ahead = dot(found - point, way)
-        return found[np.argmax(ahead)] if np.any(ahead > 0.0) else None
-
-    @staticmethod
-    def _section(x: Array, origin: Array, across: Array) -> tuple[Array, Array]:
-        """Segments of triangles (k, 3, 3) cut by a plane: start points and vectors to the ends."""
-        height = dot(x - origin, across)
+        x = self._corners[self._near(point, length)]
+        height = dot(x - point, across)
         above = height >= 0.0
         cut = above.any(axis=1) & ~above.all(axis=1)
         x, height, above = x[cut], height[cut], above[cut]
         every = np.arange(len(x))
         alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
-        ends = []
-        for k in (1, 2):
-            other = (alone + k) % 3
-            first, second = height[every, alone], height[every, other]
-            t = first / (first - second)
-            ends.append(x[every, alone] + t[:, None] * (x[every, other] - x[every, alone]))
-        return ends[0], ends[1] - ends[0]
+        starts, ends = (
+            _crossing(x[every, alone], x[every, k], height[every, alone], height[every, k])
+            for k in ((alone + 1) % 3, (alone + 2) % 3)
+        )
+        sides = ends - starts
+        from_start = starts - point
+        a, b = dot(sides, sides), dot(sides, from_start)
+        left = b**2 - a * (dot(from_start, from_start) - length**2)
+        meets = (left >= 0.0) & (a > 0.0)
+        starts, sides, a, b, left = (v[meets] for v in (starts, sides, a, b, left))
+        roots = [(-b + sign * np.sqrt(left)) / a for sign in (-1.0, 1.0)]
+        found = np.concatenate(
+            [(starts + s[:, None] * sides)[(-ON_CELL <= s) & (s <= 1 + ON_CELL)] for s in roots]
+        )
+        ahead = dot(found - point, way)
+        return found[np.argmax(ahead)] if np.any(ahead > 0.0) else None
 
     @cached_property
-    def _rim(self) -> tuple[Array, cKDTree, float]:
-        """Boundary edges (e, 2, 3), a tree of their midpoints, and half the longest edge."""
+    def rim(self) -> Array:
+        """Boundary edges (e, 2, 3)."""
         table = EdgeTable.of(self.cells)
-        ends = self.points[table.vertices[table.counts == 1]]
-        half = float(norm(ends[:, 1] - ends[:, 0]).max(initial=0.0)) / 2
-        return ends, cKDTree(ends.mean(axis=1)), half
+        return self.points[table.vertices[table.counts == 1]]
 
     def rim_ahead(self, point: Array, way: Array, reach: float) -> Array | None:
         """First crossing of the rim straight ahead, within reach; None if there is none."""
-        ends, tree, half = self._rim
-        ends = ends[np.array(tree.query_ball_point(point, reach + half), dtype=np.int64)]
-        height = dot(ends - point, cross(self.normal(point), way))
-        cut = (height[:, 0] >= 0.0) != (height[:, 1] >= 0.0)
-        ends, height = ends[cut], height[cut]
-        t = height[:, 0] / (height[:, 0] - height[:, 1])
-        found = ends[:, 0] + t[:, None] * (ends[:, 1] - ends[:, 0])
+        found = crossed(self.rim, dot(self.rim - point, cross(self.normal(point), way)))
         away = norm(found - point)
         ahead = (dot(found - point, way) > SAME_POINT * reach) & (away <= reach * (1 + ON_CELL))
         return found[ahead][np.argmin(away[ahead])] if ahead.any() else None
@@ -219,10 +204,12 @@ class WholeSurface:
             line.append(new)
 
 
-def _distinct(points: Array, apart: float) -> Array:
-    """Points (k, 3), each farther than `apart` from all earlier ones."""
-    kept: list[Array] = []
-    for point in points:
-        if all(norm(point - other) > apart for other in kept):
-            kept.append(point)
-    return np.array(kept).reshape(-1, 3)
+def _crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:
+    """Points (k, d) where edges from a to b (k, d) have the height zero."""
+    return a + (height_a / (height_a - height_b))[:, None] * (b - a)
+
+
+def crossed(edges: Array, heights: Array) -> Array:
+    """Points (k, d) of the edges (e, 2, d) between whose ends the heights (e, 2) change sign."""
+    cut = (heights[:, 0] >= 0.0) != (heights[:, 1] >= 0.0)
+    return _crossing(edges[cut, 0], edges[cut, 1], heights[cut, 0], heights[cut, 1])

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import UFL_LAW, MembraneMaterial
 
@@ -48,7 +48,7 @@ class Shrink:
             given = getattr(self, name)
             stations = _stations(f"Shrink: {name}", given)
             for _, part in stations:
-                checked_part(f"Shrink: {name}", part)
+                _check_part(f"Shrink: {name}", part)
             if any(b[0] <= a[0] for a, b in pairwise(stations)):
                 raise InputError(f"Shrink: the places of {name} = {given!r} must ascend.")
 
@@ -67,19 +67,17 @@ def _stations(what: str, given: object) -> list[tuple[float, float]]:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{what} = {given!r}; give a number, or pairs of place and part."
+            f"{what} = {given!r}, expected a number, or pairs of place and part."
         ) from None
 
 
-def checked_part(what: str, value: object) -> float:
-    """A checked compensation."""
+def _check_part(what: str, value: object) -> None:
     part = checks.finite(what, value)
     if not -MOST < part < MOST:
         raise InputError(
-            f"{what} = {part:g}: no fabric is cut {part:.0%} shorter than its form; give less "
+            f"{what} = {part:g}: no fabric is cut {part:.0%} shorter than its form; use less "
             f"than {MOST:.0%}, .01 for 1 %."
         )
-    return part
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class EdgeShrink:
     band: float = 0.5
 
     def __post_init__(self) -> None:
-        checked_part("EdgeShrink: part", self.part)
+        _check_part("EdgeShrink: part", self.part)
         checks.positive("EdgeShrink: band", self.band)
 
 
@@ -130,25 +128,14 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
     --------
     >>> patterns.shrink_for(fabric, (2.0, 2.0))
     """
-    stretches = stretches_for("shrink_for", material, forces)
-    return Shrink(*(float(1.0 - 1.0 / stretch) for stretch in stretches))
-
-
-def stretches_for(
-    call: str, material: MembraneMaterial, forces: float | tuple[float, float]
-) -> Array:
-    """Stretches (2,) along warp and weft at the given section forces per current length."""
     if not isinstance(material, MembraneMaterial) or material.law == UFL_LAW:
         raise InputError(
-            f"{call}: material = {material!r} has no linear law; give an IsotropicMembrane or "
-            "OrthotropicMembrane, or a Shrink by hand."
+            f"shrink_for: material = {material!r} has no linear law; use an IsotropicMembrane or "
+            "OrthotropicMembrane, or pass a Shrink yourself."
         )
-    n: Array = np.asarray(forces, dtype=float)
-    n = np.repeat(n, 2) if n.ndim == 0 else n
-    if n.shape != (2,) or not np.isfinite(n).all() or (n < 0.0).any():
-        raise InputError(
-            f"{call}: forces = {forces!r}; give tension along warp and weft, in force per length."
-        )
+    n: Array = np.array(checks.pair("shrink_for: forces", forces))
+    if (n < 0.0).any():
+        raise InputError(f"shrink_for: forces = {forces!r} are compressive.")
     D = material.stiffness[:2, :2]
     stretch: Array = np.ones(2)
     for _ in range(100):
@@ -158,10 +145,10 @@ def stretches_for(
             break
         stretch = np.sqrt(1.0 + 2.0 * strain)
         if np.abs(stretch - before).max() < 1e-15:
-            return stretch
+            return Shrink(*(float(1.0 - 1.0 / one) for one in stretch))
     raise InputError(
-        f"{call}: {material} has no stretches with the section forces {n[0]:g} and {n[1]:g}; give "
-        "less."
+        f"shrink_for: {material} has no stretches with the section forces {n[0]:g} and {n[1]:g}; "
+        "use smaller ones."
     )
 
 
@@ -203,21 +190,14 @@ def width_in_tension(modulus: float, force: float, curvature: float) -> float:
 
 
 def shrinks_of(
-    call: str, given: Shrink | Mapping[str, Shrink] | None, known: Iterable[str]
+    given: Shrink | Mapping[str, Shrink] | None, parts: Mapping[str, Integers]
 ) -> dict[str, Shrink]:
     """Compensations by names of pieces and parts; "" stands for all."""
     if given is None:
         return {}
     found = dict(given) if isinstance(given, Mapping) else {"": given}
     for name, one in found.items():
-        if name and name not in known:
-            raise InputError(
-                f"{call}: shrink has {name!r}, which is no piece or part; there are "
-                f"{', '.join(map(repr, known))}."
-            )
-        if not isinstance(one, Shrink):
-            raise InputError(
-                f"{call}: shrink = {one!r}; give a Shrink(warp, weft), as patterns.shrink_for "
-                "finds it."
-            )
+        if name:
+            checks.named("piece or part", parts, name)
+        checks.of_type("flatten: shrink", one, Shrink)
     return found

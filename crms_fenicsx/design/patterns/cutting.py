@@ -1,56 +1,51 @@
-"""Cells divided along seams, so that all seams are mesh edges."""
+"""Cells divided along seams, so that all seams are mesh edges; vertices near seams moved there."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of, integers
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
 from crms_fenicsx.design.patterns.seams import Seam
-from crms_fenicsx.design.patterns.snapping import snapped
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, CheckedSurface, check_shapes
-from crms_fenicsx.foundation.meshes.triangles import lists
+from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, lists, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.points import Edge, Support, SurfacePoint, VertexPoint, edge_of
+from crms_fenicsx.foundation.surface.points import (
+    Edge,
+    EdgePoint,
+    Support,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
 
 SAME = 1e-6
 """Crossings of an edge by two seams closer than this fraction of the edge are one point."""
+NEAR = 0.2
+"""Fraction of an edge within which a vertex is moved to a seam's crossing of the edge. The smallest
+angle of random cells falls from 26 to 11 degrees, and to 1.4 without moving."""
+STRAIGHT = np.cos(np.radians(15.0))
+"""Cosine of the largest turn of a rim or edge group at a vertex that may be moved along it."""
+LEAST_AREA = 0.3
+"""Fraction of a cell's area that must remain."""
 
 
-@dataclass(frozen=True)
-class CutSurface:
-    """A surface whose seams are mesh edges."""
-
-    surface: CheckedSurface  # with all groups of the original surface
-    lines: dict[str, Integers]  # vertices (k,) along each seam, by seam name
-
-    @cached_property
-    def seam_of(self) -> dict[Edge, str]:
-        """The seam's name by edge."""
-        found: dict[Edge, str] = {}
-        for name, line in self.lines.items():
-            for a, b in pairwise(integers(line)):
-                if found.setdefault(edge_of(a, b), name) != name:
-                    place = as_text(self.surface.points[a])
-                    raise PathError(
-                        f"the seams {found[edge_of(a, b)]!r} and {name!r} run along one edge at "
-                        f"{place}; move one of them, or end it there."
-                    )
-        return found
-
-
-def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
-    """Divide the cells that seams cross; existing vertices keep their numbers."""
+def cut_along(
+    surface: PatternSurface, seams: Sequence[Seam]
+) -> tuple[CheckedSurface, dict[str, Integers]]:
+    """The surface with all groups whose cells are divided where seams cross them, and the vertices
+    (k,) along each seam by name; existing vertices keep their numbers."""
     _check_ends(surface, seams)
-    points, lines = snapped(surface, seams)
+    points, lines = _snapped(surface, seams)
     nodes = _CutNodes(surface, points)
-    courses = [nodes.course(line) for line in lines]
+    courses = [[nodes.node(p) for p in line] for line in lines]
     chords: dict[Support, list[tuple[int, int, str]]] = {}
     ordered: dict[str, Integers] = {}
     for seam, line, course in zip(seams, lines, courses, strict=True):
@@ -66,8 +61,7 @@ def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
     cells, parents = _divided(surface, nodes, chords)
     new = np.array(nodes.places).reshape(-1, 3)
     check_shapes(new, cells)
-    old = surface.checked
-    edges = {name: nodes.divided(keys) for name, keys in old.edges.items()}
+    edges = {name: nodes.divided(keys) for name, keys in surface.edges.items()}
     edges |= {
         name: edge_keys(np.stack([line[:-1], line[1:]], axis=1))
         for name, line in ordered.items()
@@ -76,11 +70,11 @@ def cut_along(surface: PatternSurface, seams: list[Seam]) -> CutSurface:
     table = EdgeTable.of(cells)
     edges[BOUNDARY] = table.keys[table.counts == 1]
     cut = replace(
-        old, points=new, cells=cells, edges=edges,
-        parts={name: np.flatnonzero(np.isin(parents, own)) for name, own in old.parts.items()},
-        hidden=np.flatnonzero(np.isin(parents, old.hidden)), seam_links=table.seam_links(),
+        surface, points=new, cells=cells, edges=edges,
+        parts={name: np.flatnonzero(np.isin(parents, own)) for name, own in surface.parts.items()},
+        hidden=np.flatnonzero(np.isin(parents, surface.hidden)), seam_links=table.seam_links(),
     )  # fmt: skip
-    return CutSurface(cut, ordered)
+    return cut, ordered
 
 
 def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:
@@ -104,11 +98,8 @@ class _CutNodes:
         self.places = list(points)
         self.on: dict[Edge, list[tuple[float, int]]] = {}
 
-    def course(self, line: tuple[SurfacePoint, ...]) -> list[int]:
-        """The nodes along a seam."""
-        return [self._node(p) for p in line]
-
-    def _node(self, p: SurfacePoint) -> int:
+    def node(self, p: SurfacePoint) -> int:
+        """The node at a point of a seam, new if it is the first there."""
         if isinstance(p, VertexPoint):
             return p.vertex
         a, b = p.support
@@ -188,30 +179,18 @@ def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
     if n == 3:
         return [tuple(polygon)]
     x = places[polygon]
-    best: dict[tuple[int, int], tuple[float, int]] = {}
-    for span in range(2, n):
-        for i in range(n - span):
-            j = i + span
-            best[i, j] = max(
-                (
-                    min(
-                        _least_sine(x[[i, k, j]]),
-                        best.get((i, k), (np.inf, 0))[0],
-                        best.get((k, j), (np.inf, 0))[0],
-                    ),
-                    -k,
-                )
-                for k in range(i + 1, j)
-            )
 
-    def triangles(i: int, j: int) -> list[tuple[int, ...]]:
-        if j - i < 2:
-            return []
-        k = -best[i, j][1]
-        own = (polygon[i], polygon[k], polygon[j])
-        return [*triangles(i, k), own, *triangles(k, j)]
+    @cache
+    def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
+        """Quality and triangles of the part from i to j; of equal ones that of the least k."""
+        found: list[tuple[float, int, list[tuple[int, ...]]]] = []
+        for k in range(i + 1, j):
+            (before, _, left), (after, _, right) = best(i, k), best(k, j)
+            quality = min(_least_sine(x[[i, k, j]]), before, after)
+            found.append((quality, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
+        return max(found, default=(np.inf, 0, []))
 
-    return triangles(0, n - 1)
+    return best(0, n - 1)[2]
 
 
 def _least_sine(corners: Array) -> float:
@@ -220,3 +199,81 @@ def _least_sine(corners: Array) -> float:
     area = np.cross(p, q)
     sides = sorted((p @ p, q @ q, r @ r))
     return float((area @ area) / max(sides[1] * sides[2], 1e-300))
+
+
+def _snapped(
+    surface: PatternSurface, seams: Sequence[Seam]
+) -> tuple[Array, list[tuple[SurfacePoint, ...]]]:
+    """Coordinates (n, 3) of the vertices after moving those near seams, and the seams' points."""
+    points, lines = surface.points.copy(), [list(seam.points) for seam in seams]
+    fixed = {p.vertex for line in lines for p in line if isinstance(p, VertexPoint)}
+    fixed |= {int(v) for ids in surface.point_groups.values() for v in ids}
+    bound = _FeatureLines(surface)
+    found: list[tuple[float, int, int, EdgePoint]] = []
+    for k, line in enumerate(lines):
+        for p in line:
+            if isinstance(p, EdgePoint):
+                for v, part in zip(p.edge, (p.fraction, 1.0 - p.fraction), strict=True):
+                    if part < NEAR and v not in fixed and bound.allow(v, p.edge):
+                        found.append((part, v, k, p))
+    for _, v, k, p in sorted(found, key=lambda one: one[:3]):
+        if v in fixed or p not in lines[k]:
+            continue
+        place = surface.places((p,))[0]
+        if _keeps_cells(surface, points, v, place):
+            points[v] = place
+            fixed.add(v)
+            for line in lines:
+                _lead_through(line, v, p)
+    return points, [tuple(line) for line in lines]
+
+
+def _lead_through(line: list[SurfacePoint], v: int, p: EdgePoint) -> None:
+    """Replace a line's crossings of a vertex's edges, including point p, by the vertex."""
+    if p not in line:
+        return
+    beside = [isinstance(q, EdgePoint) and v in q.edge for q in line]
+    first = last = line.index(p)
+    while first > 0 and beside[first - 1]:
+        first -= 1
+    while last + 1 < len(line) and beside[last + 1]:
+        last += 1
+    line[first : last + 1] = [VertexPoint(v)]
+
+
+def _keeps_cells(surface: PatternSurface, points: Array, v: int, place: Array) -> bool:
+    """Whether the cells around a vertex stay valid when it is moved."""
+    cells = surface.cells[sorted(surface.target.around[v])]
+    before = double_areas(points[cells])
+    corners = points[cells]
+    corners[cells == v] = place
+    after = double_areas(corners)
+    kept = (dot(after, before) >= LEAST_AREA * dot(before, before)) & (norm(after) > 0.0)
+    return bool(kept.all())
+
+
+class _FeatureLines:
+    """Rims and edge groups, along which their vertices must stay."""
+
+    def __init__(self, surface: PatternSurface) -> None:
+        self.surface, table = surface, surface.table
+        rims = edge_keys(table.vertices[table.counts != 2])
+        self.of: dict[Edge, set[str]] = defaultdict(set)
+        self.at: dict[int, set[Edge]] = defaultdict(set)
+        for name, keys in (surface.edges | {BOUNDARY: rims}).items():
+            for edge in edges_of(keys):
+                self.of[edge].add(name)
+                for v in edge:
+                    self.at[v].add(edge)
+
+    def allow(self, v: int, edge: Edge) -> bool:
+        """Whether a vertex may be moved along an edge."""
+        own = sorted(self.at[v])
+        if not own:
+            return True
+        if edge not in own or len(own) != 2 or self.of[own[0]] != self.of[own[1]]:
+            return False
+        a, b = ((set(e) - {v}).pop() for e in own)
+        x = self.surface.points
+        p, q = x[v] - x[a], x[b] - x[v]
+        return bool(p @ q >= STRAIGHT * np.linalg.norm(p) * np.linalg.norm(q))

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.alignment import aligned
 from crms_fenicsx.design.patterns.compensation import (
     EdgeShrink,
     Shrink,
@@ -20,10 +19,17 @@ from crms_fenicsx.design.patterns.compensation import (
     warp_moduli,
     width_in_tension,
 )
-from crms_fenicsx.design.patterns.conformal import conformal, double_areas_in_plane
-from crms_fenicsx.design.patterns.fine_energy import ProblemOf, columns_of, fine_energies, limit_of
-from crms_fenicsx.design.patterns.flattening import FlatProblem, Sides, flat_shapes
-from crms_fenicsx.design.patterns.pieces import COLUMNS, Piece, PieceEdge, Pieces
+from crms_fenicsx.design.patterns.conformal import aligned, conformal, double_areas_in_plane
+from crms_fenicsx.design.patterns.flattening import (
+    FlatProblem,
+    ProblemOf,
+    Sides,
+    columns_of,
+    fine_energies,
+    flat_shapes,
+    limit_of,
+)
+from crms_fenicsx.design.patterns.pieces import COLUMNS, Piece, Pieces
 from crms_fenicsx.foundation.meshes.membrane_mesh import outer_first
 from crms_fenicsx.foundation.meshes.triangles import closest
 from crms_fenicsx.foundation.runtime import checks
@@ -39,8 +45,6 @@ from crms_fenicsx.model.materials import MembraneMaterial, check_warp
 Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 
-REALIGNMENTS = 2
-"""Realignments of a flat piece with its warp."""
 WARNED_STRAIN = 1e-3
 """Estimated strain of a piece above which too few columns of cells are warned of."""
 
@@ -107,17 +111,14 @@ class FlatPiece:
         modulus = float(self.piece.areas @ moduli) / self.piece.area
         return width_in_tension(modulus, force, self.piece.curvature)
 
-    def edge_length(self, edge: PieceEdge) -> float:
-        """Length of one of its edges when flat (length)."""
-        return float(norm_rows(np.diff(self.shape[edge.vertices], axis=0)).sum())
-
 
 @dataclass(frozen=True)
 class CutOptions:
     """Options of a pattern; see `flatten`."""
 
     warp: Warp | None = None
-    shrink: Shrink | Mapping[str, Shrink] | None = None
+    shrinks: Mapping[str, Shrink] = field(default_factory=dict)
+    """By names of pieces and parts; "" stands for all."""
     edges: Mapping[str, EdgeShrink] = field(default_factory=dict)
     equal: bool = True
     limit: float | None = None
@@ -175,7 +176,7 @@ class Pattern:
         for k, one in enumerate(self.flat):
             own = joints.pieces == k
             sides = one.shape[joints.ends[own]]
-            lengths[own] = norm_rows(sides[:, 1] - sides[:, 0])
+            lengths[own] = np.hypot(*(sides[:, 1] - sides[:, 0]).T)
         names = np.array(joints.seams)
         return {seam: lengths[names == seam] for seam in dict.fromkeys(joints.seams)}
 
@@ -193,11 +194,12 @@ class Pattern:
         Pattern
             New pattern of the same pieces.
         """
-        both = {
-            one.name: tuple(np.multiply(self.made.factors.get(one.name, (1.0, 1.0)),
-                                        factors.get(one.name, (1.0, 1.0))).tolist())
-            for one in self.flat
-        }  # fmt: skip
+        both = {}
+        for one in self.flat:
+            before, after = (
+                each.get(one.name, (1.0, 1.0)) for each in (self.made.factors, factors)
+            )
+            both[one.name] = (before[0] * after[0], before[1] * after[1])
         return made_pattern(self.pieces, self.material, replace(self.made, factors=both))
 
 
@@ -238,11 +240,6 @@ def flatten(
     limit
         Largest accepted strain of the distortion.
 
-    Returns
-    -------
-    Pattern
-        The flat pieces.
-
     Raises
     ------
     InputError
@@ -267,8 +264,7 @@ def flatten(
     --------
     >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
     """
-    if not isinstance(pieces, Pieces):
-        raise InputError(f"flatten: pieces = {pieces!r}; give what patterns.cut returned.")
+    checks.of_type("flatten: pieces", pieces, Pieces)
     checks.same(
         pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
         equal=equal, limit=limit,
@@ -278,47 +274,50 @@ def flatten(
     limit = None if limit is None else checks.positive("flatten: limit", limit)
     for name, one in (edges or {}).items():
         checks.named("group of edges", pieces.surface.edges, name)
-        if not isinstance(one, EdgeShrink):
-            raise InputError(f"flatten: edges has {one!r}; give an EdgeShrink(part, band).")
-    shrinks_of("flatten", shrink, pieces.surface.parts)
-    return made_pattern(pieces, material, CutOptions(warp, shrink, edges or {}, bool(equal), limit))
+        checks.of_type(f"flatten: edges[{name!r}]", one, EdgeShrink)
+    shrinks = shrinks_of(shrink, pieces.surface.parts)
+    return made_pattern(
+        pieces, material, CutOptions(warp, shrinks, edges or {}, bool(equal), limit)
+    )
 
 
 def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
     """The pattern of checked options. Collective."""
     comm = pieces.comm
-    stiffness, warps = of_cells(pieces, material, made)
+    stiffness, warps = of_cells(pieces, material, made.warp)
     problem_of = partial(_problem, pieces, stiffness, made)
     mine = range(comm.rank, len(pieces.pieces), comm.size)
-    problems, starts, sides = {}, {}, {}
+    problems, starts, sides, stretches = {}, {}, {}, {}
     with raised_together(comm):
         for k in mine:
             piece = pieces.pieces[k]
             own = None if warps is None else warps[piece.cells]
             start = aligned(piece, conformal(piece.points, piece.triangles), own)
             problems[k] = problem = problem_of(piece, start)
-            start = start / np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
-            for _ in range(REALIGNMENTS):  # the conformal map rotates its ends
+            mean = piece.areas @ problem.wanted / piece.area
+            stretches[k] = np.sqrt(1.0 + 2.0 * mean[:2])
+            start = start / stretches[k]
+            for _ in range(2):  # the conformal map rotates its ends
                 start = aligned(piece, problem.solve(start), own)
-            starts[k], sides[k] = start, _sides(pieces, k)
+            row, side = np.nonzero(pieces.joints.pieces == k)
+            ends = pieces.joints.ends[row, side]
+            starts[k], sides[k] = start, Sides(row, ends, np.where(side == 0, 1.0, -1.0))
     joints = len(pieces.joints.seams) if made.equal else 0
     shapes = flat_shapes(problems, starts, sides, joints, comm)
     found = {}
     for k, problem in problems.items():
-        stretches = np.sqrt(1.0 + 2.0 * _mean(pieces.pieces[k], problem.wanted)[:2])
-        found[k] = 1.0 - 1.0 / stretches, problem.strains(shapes[k]) - problem.wanted
+        found[k] = 1.0 - 1.0 / stretches[k], problem.strains(shapes[k]) - problem.wanted
     every = {k: one for part in comm.allgather(found) for k, one in part.items()}
     flat = tuple(
         FlatPiece(piece, shapes[k] - shapes[k].min(axis=0), shrink, strains, problem_of)
         for k, piece in enumerate(pieces.pieces)
         for shrink, strains in [every[k]]
     )
-    _check(flat, made.limit)
-    _warn(comm, flat)
+    _check(comm, flat, made.limit)
     return Pattern(pieces, material, flat, made)
 
 
-def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Array, Array | None]:
+def of_cells(pieces: Pieces, material: Materials, warp: Warp | None) -> tuple[Array, Array | None]:
     """Stiffness (m, 3, 3) and warp (m, 3) of all cells; None as the warp if along seams."""
     surface = pieces.surface
     m, centres = len(surface.cells), surface.points[surface.cells].mean(axis=1)
@@ -327,13 +326,15 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
         named = outer_first(pieces.mesh, "flatten", "material", material)
         given = [(surface.parts[part], material[part]) for part in named]
     stiffness, warps = np.zeros((m, 3, 3)), np.zeros((m, 3))
-    along_seams = isinstance(made.warp, str)
+    along_seams = isinstance(warp, str)
     for cells, own in given:
         if not isinstance(own, MembraneMaterial):
-            raise InputError(f"flatten: material = {own!r} is none; give one of the fabric.")
+            raise InputError(
+                f"flatten: material = {own!r} is not a material; pass that of the fabric."
+            )
         stiffness[cells] = own.stiffness
-        direction = own.warp if made.warp is None else made.warp
-        if made.warp is None and direction is None:
+        direction = own.warp if warp is None else warp
+        if direction is None:
             along_seams = True
         elif not along_seams:
             found = direction(centres[cells].T) if callable(direction) else direction
@@ -345,13 +346,8 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
                 )
             warps[cells] = given_warps
     if not stiffness.any(axis=(1, 2)).all():
-        raise InputError("flatten: there are cells without a material; give one for every part.")
+        raise InputError("flatten: there are cells without a material; every part needs one.")
     return stiffness, None if along_seams else warps
-
-
-def norm_rows(vectors: Array) -> Array:
-    """Lengths (n,) of plane vectors."""
-    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
 
 
 def _problem(
@@ -370,11 +366,10 @@ def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Arr
     centres = start[piece.triangles].mean(axis=1)
     along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])
     parts = np.zeros((len(along), 2))
-    given = shrinks_of("flatten", made.shrink, pieces.surface.parts)
-    for name in sorted(given, key=lambda name: (name != "", name == piece.name)):
+    for name in sorted(made.shrinks, key=lambda name: (name != "", name == piece.name)):
         own = pieces.surface.parts[name] if name else piece.cells
         inside = np.isin(piece.cells, own)
-        parts[inside] = given[name].at(along)[inside]
+        parts[inside] = made.shrinks[name].at(along)[inside]
     stretches = np.array(made.factors.get(piece.name, (1.0, 1.0))) / (1.0 - parts)
     wanted = np.column_stack([(stretches**2 - 1.0) / 2.0, np.zeros(len(along))])
     for name, edge in made.edges.items():
@@ -396,56 +391,34 @@ def _edge_strains(
     corner = np.take_along_axis(piece.triangles, away.argmin(axis=1)[:, None], axis=1)[:, 0]
     nearest, near = gaps.argmin(axis=1)[corner], np.maximum(1.0 - away.min(axis=1) / edge.band, 0.0)
     t = np.diff(start[run], axis=0)[nearest]
-    t /= norm_rows(t)[:, None]
+    t /= np.hypot(*t.T)[:, None]
     tt = np.stack([t[:, 0] ** 2, t[:, 1] ** 2, t[:, 0] * t[:, 1]], axis=1)
     own = (1.0 / (1.0 - edge.part) ** 2 - 1.0) / 2.0
     excess = near * (own - np.einsum("ni,ni->n", wanted, tt))
     return np.asarray(excess[:, None] * tt * (1.0, 1.0, 2.0))
 
 
-def _mean(piece: Piece, values: Array) -> Array:
-    """Area-weighted mean of a piece's cell values (m, k)."""
-    return np.asarray(piece.areas @ values / piece.area)
-
-
-def _sides(pieces: Pieces, k: int) -> Sides:
-    """The seam segments of a piece."""
-    row, side = np.nonzero(pieces.joints.pieces == k)
-    return Sides(row, pieces.joints.ends[row, side], np.where(side == 0, 1.0, -1.0))
-
-
-def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
-    """Raise an error for pieces distorted beyond the limit."""
-    bad = [one for one in flat if limit is not None and one.distortion > limit]
-    if bad and limit is not None:
-        told = "; ".join(
-            f"{one.name} ({one.width:.4g} wide) by {one.distortion:.2g}: cut it into "
-            f"{math.ceil(math.sqrt(one.distortion / limit))} strips"
-            for one in bad
-        )
+def _check(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...], limit: float | None) -> None:
+    """Refuse pieces distorted beyond the limit; warn on rank 0 of too few columns of cells across
+    curved pieces."""
+    told = [
+        f"{one.name} ({one.width:.4g} wide) by {one.distortion:.2g}: cut it into "
+        f"{math.ceil(math.sqrt(one.distortion / limit))} strips"
+        for one in flat
+        if limit is not None and one.distortion > limit
+    ]
+    if told:
         raise InputError(
-            f"flatten: pieces are strained by more than {limit:g} to lie flat: {told}."
+            f"flatten: pieces are strained by more than {limit:g} to lie flat: {'; '.join(told)}."
         )
-
-
-def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
-    """Warn on rank 0 of too few columns of cells across curved pieces."""
-    if comm.rank > 0:
-        return
-    few = {}
-    for one in flat:
-        columns = columns_of(one.piece, one.shape)
-        if (
-            round(columns) < COLUMNS / 2
-            and abs(one.piece.curvature) * one.width**2 / 12 > WARNED_STRAIN
-        ):
-            few[one.name] = columns
-    if few:
-        name = min(few, key=lambda name: few[name])
+    curved = [one for one in flat if abs(one.piece.curvature) * one.width**2 / 12 > WARNED_STRAIN]
+    columns = {one.name: columns_of(one.piece, one.shape) for one in curved}
+    name = min(columns, key=lambda name: columns[name], default="")
+    if comm.rank == 0 and curved and round(columns[name]) < COLUMNS / 2:
         warnings.warn(
-            f"flatten: there are {few[name]:.0f} columns of cells across {name}, which is curved "
-            f"in two directions: its strains, and the scatter of section forces in the sewn roof, "
-            f"are found too large; refine the mesh to {COLUMNS} columns.",
+            f"flatten: there are {columns[name]:.0f} columns of cells across {name}, which is "
+            "curved in two directions: its strains, and the scatter of section forces in the sewn "
+            f"roof, are overestimated; refine the mesh to {COLUMNS} columns.",
             PatternWarning,
             stacklevel=4,
         )

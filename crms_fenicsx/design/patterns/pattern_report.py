@@ -9,13 +9,12 @@ from typing import Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.nesting import Nesting, nest
 from crms_fenicsx.design.patterns.pattern import Pattern
 from crms_fenicsx.design.patterns.sewn import Comparison
-from crms_fenicsx.design.patterns.sheet import Sheet
-from crms_fenicsx.design.patterns.sheet_pictures import roll_figure, sewn_figure
+from crms_fenicsx.design.patterns.sheet import Nesting, Sheet, nest
+from crms_fenicsx.design.patterns.sheet_files import roll_figure, sewn_figure
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import collective
 from crms_fenicsx.results.output.report.page import (
     Figure,
     Figures,
@@ -46,10 +45,8 @@ def report_sections(
 
     Parameters
     ----------
-    pattern
-        The pattern.
-    sheet
-        Roll, allowances and marks.
+    pattern, sheet
+        As for `draw_sheets`.
     comparison
         Comparison of the sewn roof by `compare`, for a section of its own.
     unit, force
@@ -69,25 +66,23 @@ def report_sections(
     --------
     >>> solver.report("report.html", sections=patterns.report_sections(pattern, sheet))
     """
-    if not isinstance(pattern, Pattern):
-        raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
+    checks.of_type("report_sections: pattern", pattern, Pattern)
     checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
-    waste = (
-        f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
-        f"{nesting.waste:.1%} of it waste."
-    )
+    m = units.plain("length")
+    waste = f"{nesting.length:.4g}{m} of the roll, {nesting.roll:.4g}{m} wide, "
+    waste += f"{nesting.waste:.1%} of it waste."
     body: list[PagePart] = [
-        Paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
+        Paragraph(TEXT), _piece_table(pattern, nesting, units), _seam_table(pattern, units),
         Paragraph(waste),
-        _figure(pattern.comm, partial(roll_figure, nesting, unit), "The pieces on the roll"),
+        _figure(pattern.comm, partial(roll_figure, nesting, units), "The pieces on the roll"),
     ]  # fmt: skip
     found = [PageSection("Cutting pattern", body)]
     if comparison is not None:
         text = "Section forces per current length with the pieces sewn together, and how far the "
         text += "roof is from its wanted form."
-        table = comparison_table(pattern, comparison, units)
-        drawn = partial(sewn_figure, pattern, comparison, unit, units["stress"])
+        table = _comparison_table(pattern, comparison, units)
+        drawn = partial(sewn_figure, pattern, comparison, units)
         picture = _figure(pattern.comm, drawn, "What the pieces have got, on their flat shapes")
         found.append(PageSection("Sewn of its pieces", [Paragraph(text), table, picture], 3))
     return found
@@ -101,53 +96,40 @@ def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figur
     return Figures([Figure(comm.bcast(buffer.getvalue()), caption)])
 
 
-def _plain(unit: str) -> str:
-    return f" {unit}" if unit else ""
-
-
-def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
+def _piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
     """Table of sizes, compensation and distortion of all pieces."""
-    m = units["length"]
     rows = [
         (one.name, one.area, one.length, one.width, float(drawing.extent[1]),
          float(100 * one.shrink[0]), float(100 * one.shrink[1]), float(100 * one.distortion))
         for one, drawing in zip(pattern.flat, nesting.drawings, strict=True)
     ]  # fmt: skip
-    return Table(
-        "Pieces",
-        ("Piece", f"Area{units['area']}", f"Length{m}", f"Width{m}", f"Width on the roll{m}",
-         "Compensation, warp [%]", "weft [%]", "Distortion [%]"),
-        rows, "pieces",
-    )  # fmt: skip
+    heads = "Piece|Area{area}|Length{length}|Width{length}|Width on the roll{length}|"
+    heads += "Compensation, warp [%]|weft [%]|Distortion [%]"
+    return Table("Pieces", units.headings(heads), rows, "pieces")
 
 
-def seam_table(pattern: Pattern, units: Units) -> Table:
+def _seam_table(pattern: Pattern, units: Units) -> Table:
     """Table of the lengths of both sides of each seam."""
-    m, rows = units["length"], list[tuple[str | float, ...]]()
-    for seam, lengths in pattern.seam_lengths().items():
-        one, other = lengths.sum(axis=0).tolist()
-        rows.append((seam, one, other, abs(one - other)))
-    return Table(
-        "Seams", ("Seam", f"One side{m}", f"Other side{m}", f"Difference{m}"), rows, "seams"
-    )
+    sums = {seam: lengths.sum(axis=0).tolist() for seam, lengths in pattern.seam_lengths().items()}
+    rows = [(seam, one, other, abs(one - other)) for seam, (one, other) in sums.items()]
+    heads = "Seam|One side{length}|Other side{length}|Difference{length}"
+    return Table("Seams", units.headings(heads), rows, "seams")
 
 
-def comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
+def _comparison_table(pattern: Pattern, comparison: Comparison, units: Units) -> Table:
     """Table of section forces, deviation, wrinkles and width without compression."""
-    s, m, rows = units["stress"], units["length"], list[tuple[str | float, ...]]()
+    rows = list[tuple[str | float, ...]]()
     for k, one in enumerate((*comparison.pieces, comparison.whole)):
         forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]
         rows.append((one.name, *forces, one.deviation, 100 * one.wrinkled))
         if comparison.wanted is not None and comparison.wanted[0] > 0.0:
             each = pattern.flat[k : k + 1] or pattern.flat
             rows[-1] += (min(flat.largest_width(float(comparison.wanted[0])) for flat in each),)
-    further = ("Width without compression" + m,) if len(rows[0]) > 9 else ()
-    wanted = "" if comparison.wanted is None else (
-        f"; wanted {comparison.wanted[0]:.4g} along warp and {comparison.wanted[1]:.4g} along weft"
-    )  # fmt: skip
-    return Table(
-        f"Section forces of the sewn roof{wanted}",
-        ("Piece", f"Warp, mean{s}", f"scatter{s}", f"least{s}", f"Weft, mean{s}", f"scatter{s}",
-         f"least{s}", f"Off the form{m}", "Wrinkled [%]", *further),
-        rows, "sewn",
-    )  # fmt: skip
+    caption = "Section forces of the sewn roof"
+    if comparison.wanted is not None:
+        warp, weft = comparison.wanted
+        caption += f"; wanted {warp:.4g} along warp and {weft:.4g} along weft"
+    heads = "Piece|Warp, mean{stress}|scatter{stress}|least{stress}|Weft, mean{stress}|"
+    heads += "scatter{stress}|least{stress}|Off the form{length}|Wrinkled [%]"
+    heads += "|Width without compression{length}" if len(rows[0]) > 9 else ""
+    return Table(caption, units.headings(heads), rows, "sewn")

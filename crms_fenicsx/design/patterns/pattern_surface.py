@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
-from typing import cast
 
 import numba
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, line_of
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, whole_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, gathered
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import closest, lists
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints, pointers
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface
 from crms_fenicsx.foundation.surface.intrinsic import Ring, ring_of
 from crms_fenicsx.foundation.surface.points import (
     Edge,
     EdgePoint,
+    Support,
     SurfacePoint,
     VertexPoint,
     edge_of,
@@ -29,45 +30,25 @@ from crms_fenicsx.foundation.surface.points import (
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""
-
-
-def integers(values: Integers) -> list[int]:
-    """Elements of a vector (n,) as a list, for loops."""
-    return cast(list[int], values.tolist())
+ASIDE = 1e-6
+"""Fraction of an edge by which a line that hits a vertex passes beside it."""
 
 
 def edges_of(keys: Integers) -> list[Edge]:
     """Edges from their `edge_keys` (k,)."""
-    return [(key >> 32, key & 0xFFFFFFFF) for key in integers(keys)]
+    return [(key >> 32, key & 0xFFFFFFFF) for key in ints(keys)]
 
 
 @dataclass(frozen=True)
-class PatternSurface:
+class PatternSurface(CheckedSurface):
     """A surface with its groups, for geodesics, sections and distances."""
-
-    checked: CheckedSurface
 
     @classmethod
     def of(cls, call: str, mesh: MembraneMesh, **arguments: object) -> PatternSurface:
         """The whole surface of a mesh; the arguments must agree on all ranks. Collective."""
-        if not isinstance(mesh, MembraneMesh):
-            raise InputError(
-                f"{call}: mesh is of type {type(mesh).__name__}; give a MembraneMesh, such as "
-                "found.mesh."
-            )
+        checks.of_type(f"{call}: mesh", mesh, MembraneMesh)
         checks.same(mesh.comm, call, **arguments)
-        surface: CheckedSurface = mesh.comm.bcast(gathered(mesh)[0])
-        return cls(surface)
-
-    @property
-    def points(self) -> Array:
-        """Coordinates (n, 3) of the vertices (length)."""
-        return self.checked.points
-
-    @property
-    def cells(self) -> Integers:
-        """Vertices of the cells (m, 3)."""
-        return self.checked.cells
+        return cls(**vars(mesh.comm.bcast(gathered(mesh)[0])))
 
     @cached_property
     def table(self) -> EdgeTable:
@@ -80,14 +61,6 @@ class PatternSurface:
         return TargetSurface.checked(np.arange(len(self.points)), self.points, self.cells)
 
     @cached_property
-    def _opposite(self) -> dict[Edge, tuple[int, ...]]:
-        found: dict[Edge, tuple[int, ...]] = {}
-        for a, b, c in lists(self.cells):
-            for i, j, k in ((a, b, c), (b, c, a), (c, a, b)):
-                found[edge_of(i, j)] = (*found.get(edge_of(i, j), ()), k)
-        return found
-
-    @cached_property
     def rim_vertices(self) -> frozenset[int]:
         """Vertices of edges with one cell."""
         return frozenset(self.table.vertices[self.table.counts == 1].ravel().tolist())
@@ -98,7 +71,8 @@ class PatternSurface:
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge, as `IntrinsicSurface`."""
-        return self._opposite.get(edge, ())
+        rows = sorted(self.target.around[edge[0]] & self.target.around[edge[1]])
+        return tuple(v for cell in lists(self.cells[rows]) for v in cell if v not in edge)
 
     def ring(self, vertex: int) -> Ring:
         """The neighbours around a vertex in order, as `IntrinsicSurface`."""
@@ -119,18 +93,8 @@ class PatternSurface:
 
     def line_of_group(self, call: str, group: str) -> tuple[SurfacePoint, ...]:
         """The vertices of an edge group from end to end, or around to the first again."""
-        known = self.checked.edges
-        if not isinstance(group, str) or group not in known:
-            names = ", ".join(map(repr, sorted(known)))
-            raise InputError(f"{call}: there is no group of edges {group!r}; there are {names}.")
-        edges = edges_of(known[group])
-        walk, _ = line_of(edges)
-        if len(walk) - 1 != len(edges):
-            raise PathError(
-                f"{call}: the edges of the group {group!r} are no single line: it branches, or has "
-                "gaps; give a group that goes from end to end."
-            )
-        return tuple(map(VertexPoint, walk))
+        edges = edges_of(checks.named("group of edges", self.edges, group))
+        return tuple(map(VertexPoint, whole_line(call, group, edges, closed=True)))
 
     def distances(self, line: tuple[SurfacePoint, ...]) -> Array:
         """Geodesic distances (n,) of the vertices from a line (length).
@@ -148,7 +112,7 @@ class PatternSurface:
             np.minimum.at(known, corners, closest(flat, self.points[corners])[2])
         order = np.argsort(self.cells.ravel(), kind="stable")
         starts = pointers(np.bincount(self.cells.ravel(), minlength=n))
-        march(self.points, self.cells, starts, order // 3, known)
+        _march(self.points, self.cells, starts, order // 3, known)
         return known
 
     def crossings(self, values: Array) -> list[tuple[SurfacePoint, ...]]:
@@ -174,10 +138,10 @@ class PatternSurface:
                 for p, q in (nodes, nodes[::-1]):
                     if q not in arcs.setdefault(p, []):
                         arcs[p].append(q)
-        return chains(arcs)
+        return _chains(arcs)
 
 
-def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
+def _chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePoint, ...]]:
     """The lines of a graph of points, in the order of their first points."""
     found: list[tuple[SurfacePoint, ...]] = []
     ends = [p for p, others in arcs.items() if len(others) != 2]
@@ -197,7 +161,7 @@ def chains(arcs: dict[SurfacePoint, list[SurfacePoint]]) -> list[tuple[SurfacePo
 
 
 @numba.njit(cache=True)
-def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
+def _march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
     """March distances d (n,), finite where known; `cells_at[starts[v] : starts[v + 1]]` are v's
     cells."""
     n = len(d)
@@ -224,14 +188,14 @@ def march(x, cells, starts, cells_at, d):  # type: ignore[no-untyped-def]
                     d[a] + np.linalg.norm(x[a] - x[w]), d[b] + np.linalg.norm(x[b] - x[w])
                 )  # fmt: skip
                 if d[a] < np.inf and d[b] < np.inf:
-                    best = min(best, front(x[a] - x[w], x[b] - x[w], d[a], d[b]))
+                    best = min(best, _front(x[a] - x[w], x[b] - x[w], d[a], d[b]))
                 if best < d[w] * (1.0 - 1e-15):
                     d[w] = best
                     heappush(heap, (best, w))
 
 
 @numba.njit(cache=True)
-def front(p, q, da, db):  # type: ignore[no-untyped-def]
+def _front(p, q, da, db):  # type: ignore[no-untyped-def]
     """Distance of a straight front at a cell's corner, or inf if it does not cross the cell; p
     and q are the sides to the corners at distances da and db."""
     pp, pq, qq = np.dot(p, p), np.dot(p, q), np.dot(q, q)
@@ -246,3 +210,96 @@ def front(p, q, da, db):  # type: ignore[no-untyped-def]
     u, v = da - d, db - d
     inside = qq * u - pq * v <= 0.0 and pp * v - pq * u <= 0.0
     return d if inside else np.inf
+
+
+def straight_walk(
+    surface: PatternSurface,
+    start: SurfacePoint,
+    direction: Array,
+    direction_at: Callable[[Array], Array] | None = None,
+) -> tuple[SurfacePoint, ...]:
+    """Edge crossings from a point to the rim, none if the direction leaves the surface. A function
+    `direction_at` of points (3,), if given, sets the direction in each cell."""
+    x, at = surface.points, surface.places((start,))[0]
+    for row in sorted(surface.target.cells_at(start)):
+        cell: Support = tuple(surface.cells[row].tolist())
+        normal, along = _normal(surface, cell), _within(surface, cell, direction)
+        # on the inner side of the cell's sides at the point
+        sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
+        met = [(a, b) for a, b in sides if {*start.support} <= {a, b}]
+        if all(np.cross(normal, x[b] - x[a]) @ along >= 0.0 for a, b in met):
+            break
+    else:
+        return ()
+    points: list[SurfacePoint] = []
+    entered: Support = start.support if len(start.support) < 3 else ()
+    for _ in range(4 * len(surface.cells)):
+        edge, fraction = _exit(surface, cell, at, along, entered)
+        points.append(EdgePoint(edge, fraction))
+        at = surface.places((points[-1],))[0]
+        if surface.on_rim(points[-1]):
+            return tuple(points)
+        beyond = [v for v in surface.opposite_vertices(edge) if v not in cell]
+        ahead = (*edge, beyond[0])
+        if direction_at is None:
+            along = _unfolded(surface, cell, edge, beyond[0], along)
+        else:
+            along = _within(surface, ahead, direction_at(x[list(ahead)].mean(axis=0)))
+        cell, entered = ahead, edge
+    raise PathError(
+        f"the line straight on from {as_text(surface.places((start,))[0])} does not reach a rim; "
+        "use another direction."
+    )
+
+
+def _normal(surface: PatternSurface, cell: Support) -> Array:
+    """Unit normal of a cell."""
+    a, b, c = surface.points[list(cell)]
+    normal = np.cross(b - a, c - a)
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _within(surface: PatternSurface, cell: Support, direction: Array) -> Array:
+    """Unit projection of a direction into a cell's plane."""
+    normal = _normal(surface, cell)
+    along = direction - (direction @ normal) * normal
+    size = np.linalg.norm(along)
+    if size <= 1e-6 * np.linalg.norm(direction):
+        raise PathError(
+            f"the direction {as_text(direction)} of a seam is normal to the surface near "
+            f"{as_text(surface.points[list(cell)].mean(axis=0))}."
+        )
+    return np.asarray(along / size)
+
+
+def _exit(
+    surface: PatternSurface, cell: Support, at: Array, along: Array, entered: Support
+) -> tuple[Edge, float]:
+    """The edge, and fraction along it, at which a straight line leaves a cell."""
+    normal, found = _normal(surface, cell), list[tuple[float, Edge, float]]()
+    for k in range(3):
+        a, b = edge_of(cell[k], cell[(k + 1) % 3])
+        if entered and {*entered} <= {a, b}:
+            continue  # the side or vertex at which the line entered
+        side = surface.points[b] - surface.points[a]
+        across = np.cross(normal, side)
+        speed = along @ across
+        if speed != 0.0:
+            s = (surface.points[a] - at) @ across / speed
+            t = (at + s * along - surface.points[a]) @ side / (side @ side)
+            found.append((max(-t, t - 1.0, 0.0) + (s < 0.0), (a, b), t))
+    _, edge, t = min(found, key=lambda one: one[0])
+    return edge, float(np.clip(t, ASIDE, 1.0 - ASIDE))
+
+
+def _unfolded(
+    surface: PatternSurface, cell: Support, edge: Edge, beyond: int, along: Array
+) -> Array:
+    """A direction in a cell, rotated about an edge into the next cell's plane."""
+    a, b = surface.points[list(edge)]
+    axis = (b - a) / np.linalg.norm(b - a)
+    (behind,) = set(cell) - set(edge)
+    out, on = a - surface.points[behind], surface.points[beyond] - a
+    out, on = out - (out @ axis) * axis, on - (on @ axis) * axis
+    ahead = along @ out / np.linalg.norm(out)
+    return np.asarray((along @ axis) * axis + ahead * on / np.linalg.norm(on))

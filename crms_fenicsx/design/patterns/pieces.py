@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.cutting import CutSurface, cut_along
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of, integers
+from crms_fenicsx.design.patterns.cutting import cut_along
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
 from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute
@@ -17,7 +18,7 @@ from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, EMPTY, CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, double_areas, lists, norm
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import (
     InputError,
@@ -197,35 +198,40 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     >>> pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=2.5))
     """
     surface = PatternSurface.of("cut", mesh, seams=seams)
-    with raised_together(mesh.comm):
-        whole = cut_along(surface, _checked(seams))
-        pieces, joints = _pieces(whole)
-    parts = whole.surface.parts | {piece.name: piece.cells for piece in pieces}
-    named = replace(whole.surface, parts=parts)
-    first = named if mesh.comm.rank == 0 else EMPTY
-    return Pieces(
-        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
-    )
-
-
-def _checked(seams: Sequence[Seam]) -> list[Seam]:
-    if isinstance(seams, Seam) or not isinstance(seams, Sequence):
-        raise InputError(f"cut: seams = {seams!r}; give a list of them.")
+    checks.collection("cut: seams", seams, Sequence, "[patterns.geodesic(...)]")
     for seam in seams:
-        if not isinstance(seam, Seam):
-            raise InputError(
-                f"cut: {seam!r} is no seam; give those of patterns.geodesic and the like."
-            )
+        checks.of_type("cut: a seam", seam, Seam)
     names = [seam.name for seam in seams]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise InputError(f"cut: two seams have the name {twice[0]!r}; give each one its own.")
-    return list(seams)
+        raise InputError(f"cut: two seams have the name {twice[0]!r}.")
+    with raised_together(mesh.comm):
+        whole, lines = cut_along(surface, seams)
+        pieces, joints = _pieces(whole, lines)
+    parts = whole.parts | {piece.name: piece.cells for piece in pieces}
+    named = replace(whole, parts=parts)
+    first = named if mesh.comm.rank == 0 else EMPTY
+    return Pieces(
+        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, lines
+    )
 
 
-def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
+def _seam_of(cut: CheckedSurface, lines: Mapping[str, Integers]) -> dict[Edge, str]:
+    """The seam's name by edge."""
+    found: dict[Edge, str] = {}
+    for name, line in lines.items():
+        for a, b in pairwise(ints(line)):
+            if found.setdefault(edge_of(a, b), name) != name:
+                raise PathError(
+                    f"the seams {found[edge_of(a, b)]!r} and {name!r} run along one edge at "
+                    f"{as_text(cut.points[a])}; move one of them, or end it there."
+                )
+    return found
+
+
+def _pieces(cut: CheckedSurface, lines: Mapping[str, Integers]) -> tuple[tuple[Piece, ...], Joints]:
     """The pieces of a cut surface and their joints."""
-    points, cells, seam_of = cut.surface.points, cut.surface.cells, cut.seam_of
+    points, cells, seam_of = cut.points, cut.cells, _seam_of(cut, lines)
     table = EdgeTable.of(cells)
     edges = [(a, b) for a, b in lists(table.vertices)]
     sewn = np.array([edge in seam_of for edge in edges])
@@ -246,10 +252,10 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
-    names = _names(cut)
-    found, order = [], integers(_in_order(cut, labels))
-    for k, label in enumerate(order):
-        own = np.flatnonzero(labels == label)
+    names = _group_of(cut) | seam_of
+    found, labels = [], np.argsort(_in_order(cut, lines, labels))[labels]
+    for k in range(labels.max() + 1):
+        own = np.flatnonzero(labels == k)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
         _, first, local = np.unique(corner[corners], return_index=True, return_inverse=True)
         number[corners] = local
@@ -264,19 +270,34 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
                 f"{'is closed' if not len(sides) else 'has a hole'}; add a seam that cuts it open."
             )
         on = [edges[edge_of_side[side]] for side in loop]
-        piece_edges = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
+        rims = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
         found.append(
-            Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices],
-                  piece_edges)
-        )  # fmt: skip
-    place = {label: k for k, label in enumerate(order)}
-    joints = _joints(table, sewn, cells, labels, number, following, place, seam_of)
+            Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices], rims)
+        )
+    s, t = table.linked_sides(sewn & (table.counts == 2))
+    one, other = (np.stack([sides, following[sides]], axis=1) for sides in (s, t))
+    alike = cells.ravel()[s] == cells.ravel()[t]
+    other = np.where(alike[:, None], other, other[:, ::-1])
+    joints = Joints(
+        tuple(seam_of[edge_of(a, b)] for a, b in lists(cells.ravel()[one])),
+        np.stack([labels[s // 3], labels[t // 3]], axis=1),
+        np.stack([number[one], number[other]], axis=1),
+    )
     return tuple(found), joints
 
 
-def _in_order(cut: CutSurface, labels: Integers) -> Integers:
+def _group_of(cut: CheckedSurface) -> dict[Edge, str]:
+    """The group's name by edge; the boundary's only where there is no other."""
+    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.edges[BOUNDARY]), BOUNDARY)
+    for name, keys in cut.edges.items():
+        if name != BOUNDARY:
+            found |= dict.fromkeys(edges_of(keys), name)
+    return found
+
+
+def _in_order(cut: CheckedSurface, lines: Mapping[str, Integers], labels: Integers) -> Integers:
     """Piece labels in order across the surface, in the seams' sense."""
-    points, cells = cut.surface.points, cut.surface.cells
+    points, cells = cut.points, cut.cells
     area = norm(double_areas(points[cells]))
     centres = (
         np.stack([np.bincount(labels, area * x) for x in points[cells].mean(axis=1).T], axis=1)
@@ -285,20 +306,11 @@ def _in_order(cut: CutSurface, labels: Integers) -> Integers:
     away = centres - centres.mean(axis=0)
     _, _, axes = np.linalg.svd(away, full_matrices=False)
     axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]) > 1e-6)])
-    of_seams = [float(points[line].mean(axis=0) @ axis) for line in cut.lines.values()]
+    of_seams = [float(points[line].mean(axis=0) @ axis) for line in lines.values()]
     size = np.abs(away).max() or 1.0
     if of_seams and of_seams[-1] < of_seams[0] - 1e-6 * size:
         axis = -axis
     return np.lexsort((*np.round(centres.T / size, 6), np.round(away @ axis / size, 6)))
-
-
-def _names(cut: CutSurface) -> dict[Edge, str]:
-    """Names of the edges at the rims of pieces: seams before groups, the boundary last."""
-    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.surface.edges[BOUNDARY]), BOUNDARY)
-    for name, keys in cut.surface.edges.items():
-        if name != BOUNDARY:
-            found |= dict.fromkeys(edges_of(keys), name)
-    return found | cut.seam_of
 
 
 def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
@@ -319,23 +331,3 @@ def _stretches(starts: Integers, kinds: list[tuple[str, bool]]) -> tuple[PieceEd
     ring = np.concatenate([starts, starts, starts[:1]])
     ends = [*breaks[1:], breaks[0] + n]
     return tuple(PieceEdge(*kinds[a], ring[a : b + 1]) for a, b in zip(breaks, ends, strict=True))
-
-
-def _joints(
-    table: EdgeTable, sewn: Array, cells: Integers, labels: Integers, number: Integers,
-    following: Integers, place: dict[int, int], seam_of: dict[Edge, str],
-) -> Joints:  # fmt: skip
-    """The seam segments between two sides."""
-    s, t = table.linked_sides(sewn & (table.counts == 2))
-    names, pieces, ends = [], [], []
-    for one, other in zip(integers(s), integers(t), strict=True):
-        a, b = integers(cells.ravel()[[one, following[one]]])
-        alike = cells.ravel()[other] == a
-        across = (other, following[other]) if alike else (following[other], other)
-        names.append(seam_of[edge_of(a, b)])
-        pieces.append([place[int(labels[side // 3])] for side in (one, other)])
-        ends.append([number[[one, following[one]]], number[list(across)]])
-    return Joints(
-        tuple(names), np.array(pieces, dtype=np.int64).reshape(-1, 2),
-        np.array(ends, dtype=np.int64).reshape(-1, 2, 2),
-    )  # fmt: skip

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
-from crms_fenicsx.design.patterns.straight_walk import straight_walk
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
@@ -60,7 +59,7 @@ Line = Seam | str
 def seam_of(surface: PatternSurface, name: str, points: Sequence[SurfacePoint]) -> Seam:
     """A seam through surface points."""
     if not isinstance(name, str) or not name.strip():
-        raise PathError(f"a seam with the name {name!r}; give one that is not empty.")
+        raise PathError(f"the name of a seam is {name!r}, expected a text.")
     return Seam(name, tuple(points), surface.places(tuple(points)))
 
 
@@ -85,11 +84,6 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     name
         Name of the seam.
 
-    Returns
-    -------
-    Seam
-        The seam.
-
     Raises
     ------
     PathError
@@ -103,23 +97,17 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     route = checked_route(points, SNAP)
     found: list[SurfacePoint] = []
     for k in range(len(route) - 1):
-        leg = _on_surface(surface, route[k : k + 2])
-        leg = shorten(leg, surface).points
-        found += leg[1:] if found and found[-1] == leg[0] else leg
-    return seam_of(surface, name, found)
-
-
-def _on_surface(surface: PatternSurface, route: Array) -> tuple[SurfacePoint, ...]:
-    """The plane section between two points, which must lie on the surface."""
-    ids = surface.target.ids
-    path = trace(ids, surface.points, surface.cells, route, snap=SNAP)
-    for anchor in (path.start_anchor, path.end_anchor):
+        ids = surface.target.ids
+        section = trace(ids, surface.points, surface.cells, route[k : k + 2], snap=SNAP)
+        anchor = section.end_anchor if section.start_anchor is None else section.start_anchor
         if anchor is not None:
             raise PathError(
-                f"geodesic: the point {as_text(anchor)} does not lie on the surface; give one that "
+                f"geodesic: the point {as_text(anchor)} does not lie on the surface; use one that "
                 "does, or a place in plan."
             )
-    return path.points
+        leg = shorten(section.points, surface).points
+        found += leg[1:] if found and found[-1] == leg[0] else leg
+    return seam_of(surface, name, found)
 
 
 @collective
@@ -132,19 +120,12 @@ def geodesic_along(
 
     Parameters
     ----------
-    mesh
-        The surface, such as `FoundForm.mesh`.
+    mesh, name
+        As for `geodesic`.
     start
         Point on the surface (3,) (length).
     direction
         Direction (3,), which is projected on the surface.
-    name
-        Name of the seam.
-
-    Returns
-    -------
-    Seam
-        The seam.
 
     Raises
     ------
@@ -157,10 +138,7 @@ def geodesic_along(
     along = checks.vector("geodesic_along: direction", direction)
     found = places_in_space(surface.target, place[None], SNAP, {})[0].point
     if found is None:
-        raise PathError(
-            f"geodesic_along: start = {as_text(place)} does not lie on the surface; give a place "
-            "that does."
-        )
+        raise PathError(f"geodesic_along: start = {as_text(place)} does not lie on the surface.")
     back, ahead = (straight_walk(surface, found, sign * along) for sign in (-1.0, 1.0))
     middle = () if isinstance(found, CellPoint) else (found,)
     return seam_of(surface, name, (*back[::-1], *middle, *ahead))
@@ -172,19 +150,12 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
 
     Parameters
     ----------
-    mesh
-        The surface, such as `FoundForm.mesh`.
+    mesh, name
+        As for `geodesic`.
     origin
         Point of the plane (3,) (length); of several lines, the nearest to it becomes the seam.
     normal
         Normal of the plane (3,).
-    name
-        Name of the seam.
-
-    Returns
-    -------
-    Seam
-        The seam.
 
     Raises
     ------
@@ -193,19 +164,17 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
     """
     surface = PatternSurface.of("plane_section", mesh, origin=origin, normal=normal, name=name)
     point = checks.vector("plane_section: origin", origin)
-    across = checks.vector("plane_section: normal", normal)
-    if not across.any():
-        raise PathError("plane_section: normal = (0, 0, 0) is no direction; one is not zero.")
+    across = checks.direction("plane_section: normal", normal)
     lines = surface.crossings((surface.points - point) @ (across / np.linalg.norm(across)))
     if not lines:
         raise PathError(
             f"plane_section: the plane through {as_text(point)} with the normal {as_text(across)} "
-            "does not cut the surface; move it."
+            "does not cut the surface."
         )
-    return seam_of(surface, name, nearest(surface, lines, point))
+    return seam_of(surface, name, _nearest(surface, lines, point))
 
 
-def nearest(
+def _nearest(
     surface: PatternSurface, lines: Sequence[tuple[SurfacePoint, ...]], point: Array
 ) -> tuple[SurfacePoint, ...]:
     """The line nearest to a point."""
@@ -220,16 +189,11 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     Parameters
     ----------
     mesh
-        The surface, such as `FoundForm.mesh`.
+        As for `geodesic`.
     group
         Name of a group of edges that form one line, open or closed.
     name
         Name of the seam; by default the group's.
-
-    Returns
-    -------
-    Seam
-        The seam.
 
     Raises
     ------
@@ -253,8 +217,8 @@ def parallel(
 
     Parameters
     ----------
-    mesh
-        The surface, such as `FoundForm.mesh`.
+    mesh, name
+        As for `geodesic`.
     line
         A seam, or the name of a group of edges, such as a side of the roof.
     distance
@@ -262,13 +226,6 @@ def parallel(
     toward
         Point (3,) (length) on the seam's side of `line`; of several lines at the distance, the
         nearest to it becomes the seam.
-    name
-        Name of the seam.
-
-    Returns
-    -------
-    Seam
-        The seam.
 
     Raises
     ------
@@ -285,6 +242,6 @@ def parallel(
     if not lines:
         raise PathError(
             f"parallel: the surface ends {away.max():.6g} from the line, less than distance = "
-            f"{apart:.6g}; give a smaller one."
+            f"{apart:.6g}."
         )
-    return seam_of(surface, name, nearest(surface, lines, point))
+    return seam_of(surface, name, _nearest(surface, lines, point))

@@ -1,20 +1,26 @@
-"""The roof sewn from the pieces of a cutting pattern, compared with the wanted form."""
+"""The roof sewn from the pieces of a pattern, compared with the wanted form, and adjusted to it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.design.patterns.conformal import cell_sides_in_plane
+from crms_fenicsx.design.patterns.conformal import gradients
 from crms_fenicsx.design.patterns.pattern import Materials, Pattern
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import (
+    ConvergenceError,
+    InputError,
+    collective,
+    raised_together,
+)
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.solver import Solver
@@ -41,11 +47,6 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     **options
         Options of `Scene`.
 
-    Returns
-    -------
-    Scene
-        The scene.
-
     Raises
     ------
     InputError
@@ -58,8 +59,7 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     >>> scene.fix("boundary")
     >>> Solver(scene).advance(pressure=0.3)
     """
-    if not isinstance(pattern, Pattern):
-        raise InputError(f"sew: pattern = {pattern!r}; give what patterns.flatten returned.")
+    checks.of_type("sew: pattern", pattern, Pattern)
     checks.same(pattern.comm, "sew", material=material)
     given = pattern.material if material is None else material
     for one in given.values() if isinstance(given, Mapping) else [given]:
@@ -70,15 +70,13 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
                 f"sew: the density of {one!r} has the slope {one.prestress_vector} at zero strain, "
                 "a prestress, which comes from the cut; subtract it from psi."
             )
-    fabric: Any = (
-        {part: relaxed(one) for part, one in given.items()}
-        if isinstance(given, Mapping)
-        else relaxed(given)
-    )
+    fabric: Any = _relaxed(given)
+    if isinstance(given, Mapping):
+        fabric = {part: _relaxed(one) for part, one in given.items()}
     return Scene(pattern.pieces.mesh, fabric, frames=frames_of(pattern), **options)
 
 
-def relaxed(material: MembraneMaterial) -> MembraneMaterial:
+def _relaxed(material: object) -> object:
     """The material without its prestress."""
     if isinstance(material, IsotropicMembrane | OrthotropicMembrane):
         return replace(material, prestress=0.0)
@@ -91,10 +89,7 @@ def frames_of(pattern: Pattern) -> Array:
     surface, mesh = pattern.pieces.surface, pattern.pieces.mesh.mesh
     frames = np.zeros((len(surface.cells), 2, 3))
     for one in pattern.flat:
-        x = one.piece.points[one.piece.triangles]
-        sides = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)
-        gradient = sides @ np.linalg.inv(cell_sides_in_plane(one.shape, one.piece.triangles))
-        frames[one.piece.cells] = np.swapaxes(gradient, 1, 2)
+        frames[one.piece.cells] = np.swapaxes(gradients(one.piece, one.shape), 1, 2)
     own = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
     with raised_together(pattern.comm):
         assert (np.sort(surface.cells[own]) == np.sort(cell_vertex_ids(mesh))).all()
@@ -191,16 +186,16 @@ def compare(
     InputError
         On all ranks: a solver of another scene.
     """
-    if not isinstance(solver, Solver) or not isinstance(pattern, Pattern):
-        raise InputError("compare: give the solver of a sewn roof and its pattern.")
+    checks.of_type("compare: solver", solver, Solver)
+    checks.of_type("compare: pattern", pattern, Pattern)
     checks.same(pattern.comm, "compare", forces=forces)
     if solver.scene.mesh is not pattern.pieces.mesh:
         raise InputError(
-            "compare: the solver's scene is not sewn of these pieces; give that of "
+            "compare: the solver's scene is not sewn of these pieces; use that of "
             "patterns.sew(pattern), or of an adjusted one."
         )
     values = _cells(solver)
-    wanted = None if forces is None else np.broadcast_to(np.asarray(forces, float), (2,)).copy()
+    wanted = None if forces is None else np.array(checks.pair("compare: forces", forces))
     pieces = tuple(_piece_results(one.name, values[one.piece.cells]) for one in pattern.flat)
     return Comparison(wanted, pieces, _piece_results("all", values), values[:, 1:5])
 
@@ -216,12 +211,12 @@ def _cells(solver: Solver) -> Array:
     dofs = scene.V.dofmap.list[:n]
     u = scene.u.x.array.reshape(-1, 3)[dofs]
     X = membrane.stress_free[dofs]
-    normal = np.cross(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    sides = X[:, 1:] - X[:, :1]
+    normal = np.cross(sides[:, 0], sides[:, 1])
     area = np.linalg.norm(normal, axis=1)
     off = np.abs(np.einsum("nki,ni->nk", u, normal / area[:, None])).max(axis=1)
     frames = membrane.frames[:n]
-    sides = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], axis=1)
-    moved = sides + np.stack([u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]], axis=1)
+    moved = sides + (u[:, 1:] - u[:, :1])
     G = np.einsum("nai,nbi->nab", frames, frames)
     parts = np.einsum("nki,nai->nka", sides, np.linalg.solve(G, frames))
     images = np.linalg.solve(parts, moved)
@@ -243,3 +238,148 @@ def _piece_results(name: str, values: Array) -> SewnPiece:
         name, mean, np.sqrt(share @ (forces - mean) ** 2), forces.min(axis=0), forces.max(axis=0),
         float(values[:, 3].max()), float(share @ values[:, 4]), form @ values[:, 5:7] / form.sum(),
     )  # fmt: skip
+
+
+Build = Callable[[Pattern], Solver]
+"""Function that sews a pattern, applies supports and loads and returns the solver."""
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An adjusted pattern.
+
+    Attributes
+    ----------
+    pattern
+        The pattern.
+    solver
+        Solver of the roof sewn from it.
+    comparisons
+        Comparisons before each update and at the end.
+    errors
+        Largest relative difference from the target in each comparison.
+    """
+
+    pattern: Pattern
+    solver: Solver = field(repr=False)
+    comparisons: tuple[Comparison, ...] = field(repr=False)
+    errors: tuple[float, ...]
+
+
+@collective
+def adjust(
+    pattern: Pattern,
+    build: Build,
+    *,
+    forces: float | tuple[float, float] | None = None,
+    each: bool = False,
+    tolerance: float = 1e-4,
+    updates: int = 10,
+) -> Adjusted:
+    """Adjust compensation until the sewn roof meets its target. Collective.
+
+    With `forces` the target is the mean section forces. On a pneumatic roof these follow from
+    pressure and shape, and compensation changes the shape: leave `forces` out there, and the target
+    is the mean lengths of the form along warp and weft.
+
+    Parameters
+    ----------
+    pattern
+        Initial pattern.
+    build
+        Function of a pattern that sews it, applies supports and loads, and returns the solver.
+    forces
+        Wanted section forces along warp and weft, or one for both (force per length).
+    each
+        Whether to adjust the compensation of each piece by its own means.
+    tolerance
+        Largest difference of the mean lengths, or of the mean forces relative to the larger wanted
+        one.
+    updates
+        Largest number of updates.
+
+    Returns
+    -------
+    Adjusted
+        The pattern, its solver, and the comparisons on the way.
+
+    Raises
+    ------
+    InputError
+        On all ranks: invalid arguments, or a `build` that returns another roof.
+    ConvergenceError
+        On all ranks: a roof that misses the target after all updates.
+
+    Examples
+    --------
+    >>> def build(pattern):
+    ...     scene = patterns.sew(pattern)
+    ...     scene.fix("boundary")
+    ...     solver = Solver(scene)
+    ...     solver.advance()
+    ...     return solver
+    >>> patterns.adjust(pattern, build, forces=(2.0, 2.0)).pattern
+    """
+    checks.of_type("adjust: pattern", pattern, Pattern)
+    comm = pattern.comm
+    checks.same(comm, "adjust", forces=forces, tolerance=tolerance, updates=updates)
+    checks.positive("adjust: tolerance", tolerance)
+    most = checks.whole("adjust: updates", updates, 0)
+    if forces is not None and isinstance(pattern.material, Mapping):
+        raise InputError("adjust: the roof has several materials; adjust its form, without forces.")
+    found: list[Comparison] = []
+    errors: list[float] = []
+    names = [one.name for one in pattern.flat]
+    # logarithms of the additional stretches, and the changes required at each iterate
+    places: list[Array] = [np.zeros(2 * len(names) if each else 2)]
+    changes: list[Array] = []
+    while True:
+        with raised_together(comm):
+            solver = build(pattern)
+            if not isinstance(solver, Solver):
+                raise InputError(f"adjust: build returned {solver!r}, expected a Solver.")
+        found.append(compare(solver, pattern, forces))
+        judged = found[-1].pieces if each else (found[-1].whole,)
+        errors.append(max(_error(found[-1].wanted, one) for one in judged))
+        if errors[-1] <= tolerance:
+            return Adjusted(pattern, solver, tuple(found), tuple(errors))
+        if len(errors) > most:
+            raise ConvergenceError(
+                f"adjust: after {most} updates of the compensation the roof still differs by "
+                f"{errors[-1]:.2g} from the wanted one (before: {errors[0]:.2g})."
+            )
+        changes.append(
+            np.array([_change(pattern.material, found[-1].wanted, one) for one in judged]).ravel()
+        )
+        step = _accelerated(places, changes)
+        places.append(places[-1] + step)
+        pairs = [(warp, weft) for warp, weft in np.exp(step).reshape(-1, 2)]
+        pattern = pattern.adjusted(dict(zip(names, cycle(pairs), strict=False)))
+
+
+def _accelerated(places: list[Array], changes: list[Array]) -> Array:
+    """Next step of the fixed-point iteration with Anderson acceleration (D. G. Anderson, J. ACM 12,
+    1965), which learns how flexible the roof's edges are."""
+    depth = min(len(places) - 1, len(changes[-1]), 3)
+    if depth == 0:
+        return changes[-1]
+    x, r = (np.diff(np.array(one[-depth - 1 :]), axis=0).T for one in (places, changes))
+    parts, *_ = np.linalg.lstsq(r, changes[-1], rcond=None)
+    return np.asarray(changes[-1] - (x + r) @ parts)
+
+
+def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[float, float]:
+    """Logarithms of the additional stretches along warp and weft if the edges were rigid."""
+    stretch = got.stretch  # a piece that is too short is cut longer, hence stretched less
+    if wanted is not None:
+        assert isinstance(material, MembraneMaterial)
+        stretch = 1.0 + np.linalg.solve(material.stiffness[:2, :2], wanted - got.mean)
+    warp, weft = map(float, np.log(stretch))
+    return warp, weft
+
+
+def _error(wanted: Array | None, got: SewnPiece) -> float:
+    """Largest relative error of the section forces, or of the lengths."""
+    if wanted is None:
+        return float(np.abs(got.stretch - 1.0).max())
+    return float(np.abs(got.mean - wanted).max() / np.abs(wanted).max())

@@ -1,4 +1,4 @@
-"""Drawings of pieces: seam and cut lines, match marks and names."""
+"""Sheets: drawings of pieces with seam and cut lines, match marks and names, laid on the roll."""
 
 from __future__ import annotations
 
@@ -9,18 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from crms_fenicsx.design.patterns.pattern import FlatPiece, Pattern
-from crms_fenicsx.design.patterns.pattern_surface import integers
 from crms_fenicsx.design.patterns.pieces import PieceEdge
 from crms_fenicsx.design.patterns.strip_layout import usable_width
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
 from crms_fenicsx.foundation.runtime.errors import InputError
 
 SHARP = 3.0
 """Mitre limit relative to the larger allowance; sharper corners of the cut line are bevelled."""
-ARROW = 0.3
-"""Length of the warp arrow relative to the piece."""
 
 
 @dataclass(frozen=True)
@@ -58,26 +55,14 @@ class Sheet:
     def __post_init__(self) -> None:
         usable_width("Sheet", self.roll, self.allowance)
         checks.positive("Sheet: marks", self.marks)
-        given = {
-            "rim": self.rim,
-            "gap": self.gap,
-            **{f"edges: {k}": v for k, v in self.edges.items()},
-        }
-        for name, value in given.items():
+        edges = {f"edges: {name}": value for name, value in self.edges.items()}
+        for name, value in ({"rim": self.rim, "gap": self.gap} | edges).items():
             if checks.finite(f"Sheet: {name}", value) < 0.0:
-                raise InputError(f"Sheet: {name} = {value:g} is negative; give 0 or more.")
+                raise InputError(f"Sheet: {name} = {value:g} is negative.")
 
     def of(self, edge: PieceEdge) -> float:
         """Allowance at an edge (length)."""
         return float(self.edges.get(edge.name, self.allowance if edge.sewn else self.rim))
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A match mark across a seam, from the seam line to the cut line."""
-
-    number: int  # counted along the seam from 1
-    line: Array  # (2, 2)
 
 
 @dataclass(frozen=True)
@@ -88,7 +73,8 @@ class Drawing:
     seam_line: Array  # (n, 2) closed: the stress-free shape
     cut_line: Array  # (k, 2) closed, with allowances
     overlaps: tuple[Array, ...]  # ends of the adjacent pieces' allowances
-    marks: tuple[Mark, ...]
+    # match marks: number along the seam, from 1, and a line (2, 2) from the seam to the cut line
+    marks: tuple[tuple[int, Array], ...]
     warp: Array  # (2, 2) from tail to tip
     names: tuple[tuple[str, Array, float], ...]  # of edges: position (2,) and angle (degrees)
 
@@ -97,7 +83,7 @@ class Drawing:
         return Drawing(
             self.name, self.seam_line + by, self.cut_line + by,
             tuple(line + by for line in self.overlaps),
-            tuple(Mark(mark.number, mark.line + by) for mark in self.marks), self.warp + by,
+            tuple((number, line + by) for number, line in self.marks), self.warp + by,
             tuple((name, at + by, angle) for name, at, angle in self.names),
         )  # fmt: skip
 
@@ -113,11 +99,8 @@ def drawings(pattern: Pattern, sheet: Sheet) -> list[Drawing]:
     for name in sheet.edges:
         checks.named("edge of a piece", dict.fromkeys(known), name)
     stations = _stations(pattern)
-    found = []
-    for one in pattern.flat:
-        drawing = _drawing(one, sheet, stations)
-        found.append(drawing.moved(-drawing.cut_line.min(axis=0)))
-    return found
+    found = [_drawing(one, sheet, stations) for one in pattern.flat]
+    return [one.moved(-one.cut_line.min(axis=0)) for one in found]
 
 
 def _stations(pattern: Pattern) -> dict[tuple[int, int], tuple[float, float]]:
@@ -125,7 +108,7 @@ def _stations(pattern: Pattern) -> dict[tuple[int, int], tuple[float, float]]:
     points, found = pattern.pieces.surface.points, dict[tuple[int, int], tuple[float, float]]()
     for line in pattern.pieces.lines.values():
         along = floats(arc_lengths(points[line]))
-        ends = zip(pairwise(integers(line)), pairwise(along), strict=True)
+        ends = zip(pairwise(ints(line)), pairwise(along), strict=True)
         for (a, b), (s, t) in ends:
             found[a, b], found[b, a] = (s, t), (t, s)
     return found
@@ -153,17 +136,17 @@ def _drawing(
         if width > 0.0:
             overlaps.append(offset(run, np.full(len(normals), -width), closed=False))
         tick = max(width, 0.01 * one.width)
-        ids = integers(one.piece.vertices[edge.vertices])
+        ids = ints(one.piece.vertices[edge.vertices])
         for k, (a, b) in enumerate(pairwise(ids)):
             s, t = stations[a, b]
             first = int(np.ceil(min(s, t) / sheet.marks - 1e-9))
             while (at := first * sheet.marks) < max(s, t) * (1 - 1e-12):
                 if first > 0 and at >= min(s, t):
                     place = run[k] + (at - s) / (t - s) * (run[k + 1] - run[k])
-                    marks.append(Mark(first, np.stack([place, place + tick * normals[k]])))
+                    marks.append((first, np.stack([place, place + tick * normals[k]])))
                 first += 1
     middle = outline.mean(axis=0)
-    arrow = np.array([ARROW / 2 * one.length, 0.0])
+    arrow = np.array([0.15 * one.length, 0.0])
     return Drawing(
         one.name, outline, offset(outline, distances, closed=True), tuple(overlaps), tuple(marks),
         np.stack([middle - arrow, middle + arrow]), tuple(names),
@@ -196,3 +179,79 @@ def offset(line: Array, distances: Array, closed: bool) -> Array:
     if not closed:
         found.append(line[-1] + distances[-1] * normals[-1])
     return np.array(found)
+
+
+@dataclass(frozen=True)
+class Nesting:
+    """Layout of pieces on the roll, x along it.
+
+    Attributes
+    ----------
+    roll
+        Width of the roll (length).
+    length
+        Used length of the roll (length).
+    waste
+        Share of the used roll outside of pieces and their allowances.
+    drawings
+        Drawings of the pieces in place.
+    rows
+        Starts, along the roll, of the rows of pieces across it.
+    """
+
+    roll: float
+    length: float
+    waste: float
+    drawings: tuple[Drawing, ...] = field(repr=False)
+    rows: tuple[float, ...] = field(repr=False)
+
+
+def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
+    """Lay pieces on the roll, warp along it, the longest first.
+
+    Pieces lie side by side as far as the roll is wide; the next row starts beyond the longest.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    sheet
+        Roll and allowances.
+
+    Returns
+    -------
+    Nesting
+        The layout and its waste.
+
+    Raises
+    ------
+    InputError
+        A piece wider than the roll, or allowances of unknown edges.
+    """
+    checks.of_type("nest: pattern", pattern, Pattern)
+    checks.of_type("nest: sheet", sheet, Sheet)
+    pieces = drawings(pattern, sheet)
+    wide = [one for one in pieces if one.extent[1] > sheet.roll * (1.0 + 1e-9)]
+    if wide:
+        told = ", ".join(f"{one.name} ({one.extent[1]:.5g})" for one in wide)
+        raise InputError(
+            f"nest: wider than the roll of {sheet.roll:.5g} with their allowances: {told}; lay "
+            "narrower strips, or use a wider roll."
+        )
+    placed: dict[str, Drawing] = {}
+    rows: list[list[float]] = []  # start, and width used
+    length = 0.0
+    for one in sorted(pieces, key=lambda one: -one.extent[0]):
+        along, across = map(float, one.extent)
+        row = next((row for row in rows if row[1] + across <= sheet.roll * (1.0 + 1e-9)), None)
+        if row is None:
+            row = [length + sheet.gap * bool(rows), 0.0]
+            rows.append(row)
+            length = row[0] + along
+        placed[one.name] = one.moved(np.array(row))
+        row[1] += across + sheet.gap
+    outlines = [one.cut_line.T for one in pieces]
+    used = sum(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 for x, y in outlines)
+    waste = 1.0 - used / (sheet.roll * length)
+    ordered = tuple(placed[one.name] for one in pieces)
+    return Nesting(sheet.roll, length, waste, ordered, tuple(row[0] for row in rows))

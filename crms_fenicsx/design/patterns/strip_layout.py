@@ -1,28 +1,40 @@
-"""Automatic strip layout between two lines, each strip at most as wide as the fabric allows."""
+"""Layout of strips: seams between two lines, and the distortion of pieces before flattening."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
+from crms_fenicsx.design.patterns.compensation import warp_moduli
+from crms_fenicsx.design.patterns.conformal import aligned, conformal
+from crms_fenicsx.design.patterns.pattern import Materials, Warp, of_cells
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
+from crms_fenicsx.design.patterns.pieces import Pieces
 from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
-from crms_fenicsx.design.patterns.straight_walk import straight_walk
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError, collective
+from crms_fenicsx.foundation.runtime.errors import (
+    InputError,
+    PathError,
+    collective,
+    raised_together,
+)
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
 from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.model.materials import Direction, check_warp
 
 MOST_STRIPS = 1000
 """Maximum number of strips between two lines."""
+STATIONS = 64
+"""Number of sections at which a piece's width is measured."""
+
 
 Points = tuple[SurfacePoint, ...]
 
@@ -85,8 +97,7 @@ def strips(
         allowance=allowance, name=name,
     )  # fmt: skip
     usable = usable_width("strips", width, allowance)
-    if kind not in ("geodesic", "parallel"):
-        raise InputError(f"strips: kind = {kind!r} is not known; use 'geodesic' or 'parallel'.")
+    checks.one_of("strips: kind", kind, ("geodesic", "parallel"))
     if warp is not None:
         check_warp("strips", warp)
     ends = [points_of(surface, "strips", line) for line in (first, last)]
@@ -94,8 +105,7 @@ def strips(
     whole = from_first + from_last
     if not np.isfinite(whole).all() or not whole.min() > 0.0:
         raise PathError(
-            "strips: the lines first and last meet, or do not lie on one connected surface; give "
-            "two apart from each other."
+            "strips: the lines first and last meet, or do not lie on one connected surface."
         )
     count = math.ceil(float(whole.min()) / usable * (1.0 - 1e-9))
     while count <= MOST_STRIPS:
@@ -103,17 +113,23 @@ def strips(
             _line(surface, from_first / whole - k / count, whole, kind, warp)
             for k in range(1, count)
         ]
-        if warp is not None and any(_crosses(surface, line, from_first / whole) for line in lines):
+        ends_at = [[_at(p, from_first / whole) for p in (line[0], line[-1])] for line in lines]
+        if warp is not None and any(abs(a - b) > 1.0 - 1e-9 for a, b in ends_at):
             raise PathError(
                 "strips: the warp leads from first to last, so that seams along it make no strips "
-                "between these; give two lines beside the warp."
+                "between these; use two lines beside the warp."
             )
-        widest = _largest_width(surface, [ends[0], *lines, ends[1]])
+        widest = max(
+            _at(p, away)
+            for before, line in pairwise([ends[0], *lines, ends[1]])
+            for away in [surface.distances(before)]
+            for p in line
+        )
         if widest <= usable * (1.0 + 1e-9):
             return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(lines, 1)]
         count = max(count + 1, math.floor(count * widest / usable))
     raise PathError(
-        f"strips: even {MOST_STRIPS} strips are wider than {usable:.6g}; give a wider roll."
+        f"strips: even {MOST_STRIPS} strips are wider than {usable:.6g}; use a wider roll."
     )
 
 
@@ -129,6 +145,11 @@ def usable_width(call: str, width: float, allowance: float) -> float:
     return roll - 2.0 * taken
 
 
+def _at(point: SurfacePoint, values: Array) -> float:
+    """Vertex values (n,), linear between vertices, at a point."""
+    return float(np.dot(point.weights, values[list(point.support)]))
+
+
 def _line(
     surface: PatternSurface, values: Array, whole: Array, kind: str, warp: Direction | None
 ) -> Points:
@@ -137,11 +158,7 @@ def _line(
     lines = surface.crossings(values)
     if not lines:
         raise PathError("strips: no line between first and last divides the surface there.")
-
-    def apart(line: Points) -> float:
-        return float(np.mean([np.dot(p.weights, whole[list(p.support)]) for p in line]))
-
-    line = min(lines, key=apart)
+    line = min(lines, key=lambda line: float(np.mean([_at(p, whole) for p in line])))
     if warp is not None:
         return _along_warp(surface, line, warp)
     if kind == "parallel" or line[0] == line[-1]:
@@ -166,17 +183,83 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
     return (*back[::-1], middle, *ahead)
 
 
-def _crosses(surface: PatternSurface, line: Points, share: Array) -> bool:
-    """Whether a line leads from distance share 0 to 1, from `first` to `last`."""
-    start, end = (np.dot(p.weights, share[list(p.support)]) for p in (line[0], line[-1]))
-    return bool(abs(start - end) > 1.0 - 1e-9)
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate of the distortion of a flat piece.
+
+    Attributes
+    ----------
+    width
+        Largest width across the warp (length).
+    curvature
+        Mean Gaussian curvature (1 / length squared).
+    strain
+        Largest strain, ``|K| W**2 / 12``.
+    energy
+        Energy per area, ``E t K**2 W**4 / 1440`` with E t along the warp and the mean of W**4 over
+        the piece (force per length).
+    """
+
+    width: float
+    curvature: float
+    strain: float
+    energy: float
 
 
-def _largest_width(surface: PatternSurface, lines: list[Points]) -> float:
-    """Largest distance of a line's points from the previous line."""
-    return max(
-        float(np.dot(p.weights, away[list(p.support)]))
-        for before, line in pairwise(lines)
-        for away in [surface.distances(before)]
-        for p in line
-    )
+@collective
+def estimates(
+    pieces: Pieces, material: Materials, *, warp: Warp | None = None
+) -> dict[str, Estimate]:
+    """Estimate the strains of pieces before they are laid flat. Collective.
+
+    Parameters
+    ----------
+    pieces
+        Pieces from `cut`.
+    material, warp
+        As of `flatten`.
+
+    Returns
+    -------
+    dict of str to Estimate
+        Estimates by names of pieces.
+
+    Raises
+    ------
+    InputError
+        On all ranks: invalid arguments.
+
+    Examples
+    --------
+    >>> {name: one.strain for name, one in patterns.estimates(pieces, fabric).items()}
+    """
+    checks.of_type("estimates: pieces", pieces, Pieces)
+    checks.same(pieces.comm, "estimates", material=material, warp=warp)
+    stiffness, warps = of_cells(pieces, material, warp)
+    found = {}
+    with raised_together(pieces.comm):
+        for piece in pieces.pieces:
+            own = None if warps is None else warps[piece.cells]
+            flat = aligned(piece, conformal(piece.points, piece.triangles), own)
+            widths, K = _widths(flat[piece.outline]), piece.curvature
+            modulus = float(piece.areas @ warp_moduli(stiffness[piece.cells])) / piece.area
+            fourth = float(np.sum(widths**5) / np.sum(widths))
+            widest = float(widths.max())
+            found[piece.name] = Estimate(
+                widest, K, abs(K) * widest**2 / 12.0, modulus * K**2 * fourth / 1440.0
+            )
+    return found
+
+
+def _widths(outline: Array) -> Array:
+    """Widths (STATIONS,) of a closed outline (n, 2) at equidistant sections across x."""
+    low, high = outline[:, 0].min(), outline[:, 0].max()
+    stations = low + (high - low) * (np.arange(STATIONS) + 0.5) / STATIONS
+    least, most = np.full(STATIONS, np.inf), np.full(STATIONS, -np.inf)
+    for a, b in pairwise(np.concatenate([outline, outline[:1]])):
+        within = (stations - a[0]) * (stations - b[0]) <= 0.0
+        if a[0] == b[0] or not within.any():
+            continue
+        y = a[1] + (stations[within] - a[0]) / (b[0] - a[0]) * (b[1] - a[1])
+        least[within], most[within] = np.minimum(least[within], y), np.maximum(most[within], y)
+    return most - least

@@ -5,8 +5,7 @@ returns the solver.
 """
 
 from crms_fenicsx.design.study.adaptivity import adapt, marked_cells
-from crms_fenicsx.design.study.convergence import Convergence, convergence
+from crms_fenicsx.design.study.convergence import Convergence, Quantity, convergence
 from crms_fenicsx.design.study.groups import combine_in_groups
-from crms_fenicsx.design.study.values import Quantity
 
 __all__ = ["Convergence", "Quantity", "adapt", "combine_in_groups", "convergence", "marked_cells"]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.study.build import Build, built, comm_of
+from crms_fenicsx.design.study.values import Build, built
 from crms_fenicsx.foundation.meshes.cell_division import refine
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
@@ -65,7 +65,8 @@ def adapt(
     >>> solver = adapt(build, meshes.rectangle(comm, 10.0, 10.0, 1.0), tolerance=0.005)
     >>> solver.estimate_error().relative
     """
-    comm = comm_of("adapt", mesh)
+    checks.of_type("adapt: mesh", mesh, MembraneMesh)
+    comm = mesh.comm
     checks.same(comm, "adapt", tolerance=tolerance, levels=levels, share=share, project=project)
     tolerance = checks.positive("adapt: tolerance", tolerance)
     levels = checks.whole("adapt: levels", levels, 1)
@@ -79,7 +80,7 @@ def adapt(
             if own.size_local != there.size_local:
                 raise InputError(
                     f"adapt: build made a scene of {there.size_global} cells on a mesh of "
-                    f"{own.size_global}; use the mesh that build is given."
+                    f"{own.size_global}; use the mesh passed to it."
                 )
         mesh = refine(mesh, cells, project=project)
         solver = built("adapt", build, mesh)
@@ -117,10 +118,7 @@ def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
     checks.same(comm, "marked_cells", share=share)
     share = checks.positive("marked_cells: share", share)
     if share > 1.0:
-        raise InputError(
-            f"marked_cells: share = {share} is more than all of the error; give a number up to 1, "
-            "as 0.5."
-        )
+        raise InputError(f"marked_cells: share = {share} is more than 1, all of the error.")
     return _fewest(comm, solver.estimate_error().cells, share)
 
 
@@ -137,6 +135,6 @@ def _fewest(comm: MPI.Intracomm, shares: Array, share: float) -> Indices:
     least = comm.bcast(least)
     if least == 0.0:
         raise InputError(
-            "marked_cells: the estimate sees no error; load the scene first, or use meshes.refine."
+            "marked_cells: the estimated error is zero; load the scene, or use meshes.refine."
         )
     return np.flatnonzero(shares >= least).astype(np.int32)

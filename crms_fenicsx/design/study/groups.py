@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.steps.load_cases import check_combinations
-from crms_fenicsx.design.study.build import Build, built, comm_of
+from crms_fenicsx.design.study.values import Build, built
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, redistributed
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
@@ -85,17 +85,18 @@ def combine_in_groups(
         write_files,
     )
 
-    comm = comm_of("combine_in_groups", mesh)
+    checks.of_type("combine_in_groups: mesh", mesh, MembraneMesh)
+    comm = mesh.comm
     checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
                 report=report)  # fmt: skip
     if checks.whole("combine_in_groups: groups", groups, 1) > comm.size:
         raise InputError(
-            f"combine_in_groups: groups = {groups} is more than the {comm.size} processes; give "
-            "as many or fewer, or start more processes."
+            f"combine_in_groups: groups = {groups} is more than the {comm.size} processes; use "
+            "fewer groups, or start more processes."
         )
     if report is None and options:
         raise InputError(
-            f"combine_in_groups: {sorted(options)} are for a report; give report= a file as well."
+            f"combine_in_groups: {sorted(options)} are options of a report; set report= to a file."
         )
     number = comm.rank * groups // comm.size
     own: Any = comm.Split(number, comm.rank)

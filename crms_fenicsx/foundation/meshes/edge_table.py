@@ -7,13 +7,14 @@ roof, not along the wall that hangs below it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.errors import PathError
 
 
 def edge_keys(pairs: NDArray[np.integer]) -> Integers:
@@ -37,6 +38,18 @@ def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
         if len(beside[line[-1]]) != 2 or line[-1] == line[0]:
             break
     return line, len(ends)
+
+
+def whole_line(
+    call: str, group: str, pairs: Collection[tuple[int, int]], *, closed: bool = False
+) -> list[int]:
+    """Order the vertices of a group of edges, which must be one line and may be `closed` if so."""
+    line, ends = line_of(pairs)
+    single = len(line) == len(pairs) + 1
+    if not single or (ends != 2 and not closed):
+        what = "closed" if single else f"not a single line: it branches or has gaps ({ends} ends)"
+        raise PathError(f"{call}: the group of edges {group!r} is {what}.")
+    return line
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 
 LONGEST = 200
@@ -57,6 +57,15 @@ def positive(what: str, value: object) -> float:
     return number
 
 
+def within(what: str, value: object, low: float, high: float, unit: str = "") -> float:
+    """Return a float in [low, high], up to rounding; `what` and errors as for `finite`."""
+    number = finite(what, value)
+    if not low - 8 * EPSILON <= number <= high + 8 * EPSILON:
+        unit = unit and f" {unit}"
+        raise InputError(f"{what} = {number:g} is outside the range of {low:g} to {high:g}{unit}.")
+    return number
+
+
 def whole(what: str, value: object, least: int) -> int:
     """Return an integer not less than `least`; `what` and errors as for `finite`."""
     try:
@@ -68,15 +77,32 @@ def whole(what: str, value: object, least: int) -> int:
     return number
 
 
-def vector(what: str, value: object) -> Array:
-    """Return a vector (3,) of finite numbers; `what` and errors as for `finite`."""
+def vector(what: str, value: object, sizes: Sequence[int] = (3,)) -> Array:
+    """Return a vector (n,) of finite numbers, n of `sizes`; `what` and errors as for `finite`."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
-    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
-        raise InputError(f"{what} = {value!r} must be three finite numbers (x, y, z).")
+    if numbers.ndim != 1 or len(numbers) not in sizes or not np.all(np.isfinite(numbers)):
+        words = {2: "two finite numbers (x, y)", 3: "three finite numbers (x, y, z)"}
+        raise InputError(f"{what} = {value!r} must be {' or '.join(words[n] for n in sizes)}.")
     return numbers
+
+
+def direction(what: str, value: object, sizes: Sequence[int] = (3,)) -> Array:
+    """Return a `vector` that is not zero."""
+    numbers = vector(what, value, sizes)
+    if not numbers.any():
+        raise InputError(f"{what} = {value!r} is zero, expected a direction.")
+    return numbers
+
+
+def pair(what: str, value: Any) -> tuple[float, float]:
+    """Return one number, or two along warp and weft, as two finite floats; errors as `finite`."""
+    values = list(value) if np.iterable(value) and not isinstance(value, str) else [value, value]
+    if len(values) != 2:
+        raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
+    return finite(what, values[0]), finite(what, values[1])
 
 
 def text(what: str, value: object) -> str:

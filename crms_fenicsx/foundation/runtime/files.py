@@ -7,7 +7,9 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -108,6 +110,26 @@ def make_writable(folder: Path) -> None:
             f"the folder {folder} cannot be written ({error.strerror or error}): "
             "give another one, or the right to write there"
         ) from None
+
+
+DXF_UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
+"""DXF codes of the units of length of written drawings."""
+
+
+def dxf_library(call: str, instead: str = "") -> Any:
+    """Import ezdxf, or raise an error that says how to install it and what to do without."""
+    try:
+        return import_module("ezdxf")
+    except ImportError:
+        raise ImportError(
+            f"{call} needs ezdxf: install it (pip install ezdxf; Debian: python3-ezdxf)"
+            f"{instead and ', or '}{instead}."
+        ) from None
+
+
+def new_drawing(call: str, unit: str, instead: str) -> Any:
+    """A DXF document of ezdxf."""
+    return dxf_library(call, instead).new("R2010", units=DXF_UNITS[unit])
 
 
 def forget(partial: Path) -> None:

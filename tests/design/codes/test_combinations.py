@@ -131,7 +131,7 @@ def test_bad_input() -> None:
         ),
         ({"variable": {"w": "storm"}}, "load 'w' has the kind 'storm'"),
         ({"variable": "snow"}, "no list to use"),
-        ({"variable": ["snow", "g"]}, "the load 'g' comes twice"),
+        ({"variable": ["snow", "g"]}, "the load 'g' is listed twice"),
         ({"permanent": [], "variable": []}, "there are no loads"),
         ({"permanent": ["g", ""]}, "a load = '' is no text"),
         ({"state": "SLS"}, "state of EN 1990 = 'SLS' is not known; use 'ULS', .*'frequent'"),

@@ -102,8 +102,12 @@ def test_bad_input() -> None:
     drift = {"wall": (0, 0), "away": (1, 0), "height": 3.0, "upper": 9.0, "lower": 9.0, "s_k": 0.6}
     for call, arguments, message in (
         (snow_on_pitch, {"pitch": 91.0}, "pitch = 91.0 is not within 0 and 90"),
-        (PitchedSnow, {"pitch": -3.0}, "pitch = -3 is outside the range of 0 to 90 degrees"),
-        (DuopitchSnow, {"ridge": (0, 0), "across": (0, 0)}, "has no length"),
+        (
+            PitchedSnow,
+            {"pitch": -3.0},
+            "pitch = -3 is outside the range of 0 to 90 degrees",
+        ),
+        (DuopitchSnow, {"ridge": (0, 0), "across": (0, 0)}, "is zero, expected a direction"),
         (DuopitchSnow, {"ridge": (0, 0), "across": (1, 0), "case": "iv"}, "case = 'iv' is not kn"),
         (DuopitchSnow, {"ridge": 3.0, "across": (1, 0)}, "point = 3.0 must be two finite numbers"),
         (CylindricalSnow, {**vault, "rise": 10.1}, "rise / span = 0.505 is outside .* 0 to 0.5"),
@@ -111,7 +115,7 @@ def test_bad_input() -> None:
         (DriftedSnow, {**drift, "s_k": -1.0}, "s_k = -1.0 is not positive"),
         (DriftedSnow, {**drift, "upper_pitch": 20.0}, "upper_slope = 0.0 is not positive"),
         (snow_load, {"s_k": 0.0}, "s_k = 0.0 is not positive"),
-        (snow_load, {"s_k": 1.0, "shape": 0.8}, "shape = 0.8 is no shape"),
+        (snow_load, {"s_k": 1.0, "shape": 0.8}, "shape = 0.8 is not a snow shape"),
         (snow_load, {"s_k": 1.0, "exposure": "x"}, "exposure = 'x' is no number"),
     ):
         with pytest.raises(InputError, match=message):

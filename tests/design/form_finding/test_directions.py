@@ -12,8 +12,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.design.form_finding.film import SOFTEST, Film
 from crms_fenicsx.design.form_finding.form_cables import edge_lines
-from crms_fenicsx.design.form_finding.linear_system import LinearSystem
-from crms_fenicsx.design.form_finding.supports import Directions
+from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 

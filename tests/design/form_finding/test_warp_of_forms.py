@@ -105,7 +105,7 @@ def test_two_warps_are_refused(
     comm: MPI.Intracomm, options: dict[str, object], material: dict[str, object]
 ) -> None:
     own = OrthotropicMembrane(900.0, 100.0, 30.0, 0.0, 1.0, **material)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"has the warp .* but the form \(.*give it to find_form"):
+    with pytest.raises(InputError, match=r"has the warp .* but the form \(.*pass it to find_form"):
         flat(comm, **options).scene(own)  # type: ignore[arg-type]
 
 

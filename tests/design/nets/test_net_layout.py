@@ -117,7 +117,7 @@ def test_equidistant_net_on_a_cylinder_is_the_rolled_one(comm) -> None:
 @pytest.fixture(scope="module")
 def nodes_on_sphere(comm) -> Callable[[float], np.ndarray]:
     """Nodes of the net from the top for widths, without its many lines."""
-    surface = WholeSurface.of(sphere(comm, 0.25).membrane)
+    surface = WholeSurface.of("test", sphere(comm, 0.25))
     place, ways = surface.place(np.zeros(2)), np.array([[1.0, 0, 0], [0, 1, 0]])
     u, v = (surface.tangent(place, way) for way in ways)
 
@@ -266,11 +266,11 @@ def test_bad_layouts_are_refused(comm) -> None:
         (lambda: nets.equidistant(scene, 1.0, (10, 5), [(1, 0), (1, 0.1)]), "cross at a larger"),
         (lambda: nets.equidistant(scene, 1.0, (10, 5), [(1, 0), (0, 0, 1)]), "is normal to"),
         (lambda: nets.equidistant(scene, 1.0, (10, 5), least_angle=95.0), "least_angle = 95"),
-        (lambda: nets.equidistant(scene.membrane, 1.0, (10, 5)), "give a Scene"),
+        (lambda: nets.equidistant(scene.membrane, 1.0, (10, 5)), "scene is of type Membrane"),
         (lambda: nets.geodesics_across(scene, [[(0, 5), (20, 5)]], 25.0), "spacing = 25"),
         (lambda: nets.geodesics_between(scene, [("left", "top")], 3), "no group of edges 'top'"),
         (lambda: nets.geodesics_between(scene, [("left", "boundary")], 3), "is closed"),
-        (lambda: nets.geodesics_between(scene, ["left", "right"], 3), "give pairs of groups"),
+        (lambda: nets.geodesics_between(scene, ["left", "right"], 3), "expected pairs of groups"),
         (lambda: nets.geodesics_between(scene, [("left", "right")], 0), "n = 0"),
         (lambda: nets.geodesics_between(scene, [("left", "right")], (1, 2)), "for 1 families"),
         (lambda: nets.sections(scene, [0.0], [50.0]), "does not cross the membrane's rim twice"),

@@ -76,9 +76,9 @@ def test_outlines_have_their_allowances(pattern: patterns.Pattern) -> None:
 def test_match_marks_meet(pattern: patterns.Pattern) -> None:
     """Both sides of a seam have the same numbers, as far from its start."""
     first, second, *_ = drawings(pattern, SHEET)
-    one = {mark.number: mark.line[0] for mark in first.marks}
-    other = {mark.number: mark.line[0] for mark in second.marks if mark.line[0][1] < WIDTH / 2}
-    top = {mark.number: mark.line[0] for mark in second.marks if mark.line[0][1] > WIDTH / 2}
+    one = {number: line[0] for number, line in first.marks}
+    other = {number: line[0] for number, line in second.marks if line[0][1] < WIDTH / 2}
+    top = {number: line[0] for number, line in second.marks if line[0][1] > WIDTH / 2}
     assert sorted(one) == [1, 2, 3, 4, 5]
     shared = other if abs(other[1][0] - one[1][0]) < 1e-6 else top
     for number, place in one.items():
@@ -208,12 +208,21 @@ def test_report_has_the_pattern(
         (lambda p, f: patterns.nest(p, patterns.Sheet(3.0)), r"piece 1 \(3.9"),
         (lambda p, f: patterns.nest(p, patterns.Sheet(5.0, edges={"x": 0.1})), "no edge"),
         (lambda p, f: patterns.write_dxf(p, f / "a.dxf", patterns.Sheet(3.0)), "wider"),
-        (lambda p, f: patterns.write_dxf(p, f / "a.dwg", patterns.Sheet(5.0)), "with .dxf"),
+        (
+            lambda p, f: patterns.write_dxf(p, f / "a.dwg", patterns.Sheet(5.0)),
+            "end in .dxf",
+        ),
         (lambda p, f: patterns.write_dxf(p, f / "a.dxf", patterns.Sheet(5.0), unit="mile"), "mile"),
         (lambda p, f: patterns.draw_sheets(p, f / "a.doc", patterns.Sheet(5.0)), "suffix"),
-        (lambda p, f: patterns.draw_sheets(3, f / "a.svg", patterns.Sheet(5.0)), "flatten"),
-        (lambda p, f: patterns.write_dxf(3, f / "a.dxf", patterns.Sheet(5.0)), "flatten"),
-        (lambda p, f: patterns.report_sections(3, patterns.Sheet(5.0)), "flatten"),
+        (
+            lambda p, f: patterns.draw_sheets(3, f / "a.svg", patterns.Sheet(5.0)),
+            "of type int",
+        ),
+        (
+            lambda p, f: patterns.write_dxf(3, f / "a.dxf", patterns.Sheet(5.0)),
+            "of type int",
+        ),
+        (lambda p, f: patterns.report_sections(3, patterns.Sheet(5.0)), "of type int"),
     ],
 )
 def test_bad_sheets_are_named_and_nothing_is_written(  # type: ignore[no-untyped-def]

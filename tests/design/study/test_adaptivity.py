@@ -111,7 +111,7 @@ def test_refinement_stops_at_the_tolerance(comm):
     ("how", "message"),
     [
         ({"share": 0.0}, "share"),
-        ({"share": 1.5}, "share = 1.5 is more than all"),
+        ({"share": 1.5}, "share = 1.5 is more than 1"),
         ({"share": "half"}, "share"),
         ({"tolerance": -1.0}, "adapt: tolerance"),
         ({"levels": 0}, "adapt: levels"),
@@ -133,5 +133,5 @@ def test_scene_without_load_has_nothing_to_adapt(comm):
     scene.fix("boundary")
     solver = Solver(scene)
     solver.advance()
-    with pytest.raises(InputError, match="the estimate sees no error; load the scene"):
+    with pytest.raises(InputError, match="the estimated error is zero; load the scene"):
         marked_cells(solver)

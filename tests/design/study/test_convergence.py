@@ -213,7 +213,7 @@ def test_plot(comm, tmp_path_factory):
 
 
 REFUSED = {
-    "levels": ({"levels": 1}, "levels = 1 compares nothing"),
+    "levels": ({"levels": 1}, "levels = 1 must be a whole number, 2 or more"),
     "whole": ({"levels": 2.5}, "must be a whole number"),
     "points": ({"points": [(0, 0, 0)]}, "points = .* is no mapping to use"),
     "point": ({"points": {"top": (0.0, 1.0)}}, "the point 'top' = .*three finite numbers"),
@@ -224,7 +224,7 @@ REFUSED = {
     "reactions": ({"reactions": "boundary"}, r"write reactions="),
     "group": ({"reactions": ["rim"]}, "no group of edges or points 'rim'"),
     "part": ({"stresses": ["roof"]}, "there is no part 'roof'"),
-    "function": ({"quantities": {"a": 3.0}}, "the quantity 'a' is 3.0; give a function"),
+    "function": ({"quantities": {"a": 3.0}}, "the quantity 'a' is 3.0, expected a function"),
     "value": ({"quantities": {"a": lambda solver: None}}, "convergence: 'a' = None is no number"),
 }
 
@@ -238,8 +238,8 @@ def test_bad_input_is_refused(comm, name):
 
 
 BUILDS = {
-    "no function": (3.0, "build = 3.0 is no function"),
-    "nothing": (lambda mesh: None, "build returned None; return a Solver"),
+    "no function": (3.0, "build = 3.0 is not a function"),
+    "nothing": (lambda mesh: None, "build returned None, expected a Solver"),
     "no step": (lambda mesh: Solver(Scene(mesh, FABRIC)), "no load step has found an equilibrium"),
 }
 

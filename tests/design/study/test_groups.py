@@ -94,9 +94,9 @@ def test_bad_groups(comm: MPI.Intracomm, tmp_path: Path) -> None:
         combine_in_groups(build, square(comm), TABLE, groups=0)
     with pytest.raises(InputError, match=r"'storm'.*no load 'wind'"):
         combine_in_groups(build, square(comm), TABLE | {"storm": {"wind": 1.0}}, groups=comm.size)
-    with pytest.raises(InputError, match=r"build returned None; return a Solver"):
+    with pytest.raises(InputError, match=r"build returned None, expected a Solver"):
         combine_in_groups(lambda mesh: None, square(comm), TABLE, groups=1)  # type: ignore[arg-type, return-value]
-    with pytest.raises(InputError, match=r"\['title'\] are for a report"):
+    with pytest.raises(InputError, match=r"\['title'\] are options of a report"):
         combine_in_groups(build, square(comm), TABLE, groups=1, title="Roof")
     with pytest.raises(InputError, match=r"give one with \.html"):
         combine_in_groups(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from crms_fenicsx.design.study.values import extrapolated
+from crms_fenicsx.design.study.convergence import extrapolated
 
 
 def levels(limit, *parts, n=3):

@@ -1,30 +1,40 @@
-"""Pictures of cutting patterns: the nested pieces, and one page per piece."""
+"""Cutting patterns as pictures (the nested pieces, and one page per piece) and as DXF files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crms_fenicsx.design.patterns.nesting import Nesting, nest
 from crms_fenicsx.design.patterns.pattern import FlatPiece, Pattern
 from crms_fenicsx.design.patterns.sewn import Comparison
-from crms_fenicsx.design.patterns.sheet import Drawing, Sheet
+from crms_fenicsx.design.patterns.sheet import Drawing, Nesting, Sheet, nest
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import floats
+from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
-from crms_fenicsx.foundation.runtime.files import absolute, replaced
+from crms_fenicsx.foundation.runtime.files import (
+    DXF_UNITS,
+    absolute,
+    make_writable,
+    new_drawing,
+    replaced,
+)
 from crms_fenicsx.results.output.figures.picture import checked_picture, finished, new_figure
+from crms_fenicsx.results.output.report.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
 COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
 WIDTH, HIGHEST, ROW = 11.0, 7.5, 0.4
 """Width and largest height of a figure, and height of a row of the roll (inches)."""
+LAYERS = {"CUT": 1, "SEAM": 5, "OVERLAP": 8, "MARK": 3, "WARP": 6, "TEXT": 7, "ROLL": 9}
+"""DXF layers and their colour numbers."""
+TEXT = 0.04
+"""Height of piece names relative to the roll's width; other texts are smaller."""
 
 
 @collective
@@ -59,8 +69,7 @@ def draw_sheets(
         On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
         file that cannot be written.
     """
-    if not isinstance(pattern, Pattern):
-        raise InputError(f"draw_sheets: pattern = {pattern!r}; give one of patterns.flatten.")
+    checks.of_type("draw_sheets: pattern", pattern, Pattern)
     comm = pattern.comm
     checks.same(comm, "draw_sheets", filename=filename, sheet=sheet, unit=unit)
     if filename is not None:
@@ -70,26 +79,24 @@ def draw_sheets(
         if comm.rank > 0:
             return None
         path = checked_picture(filename)
-        whole = roll_figure(nesting, unit)
+        units = Units(unit)
+        whole = roll_figure(nesting, units)
         if path is None or path.suffix.lower() != ".pdf":
             return finished(whole, path, 150)
-        pages = [whole, *(_page(*pair, unit) for pair in zip(nesting.drawings, pattern.flat,
-                                                            strict=True))]  # fmt: skip
-        _write_pages(path, pages)
+        from matplotlib.backends.backend_pdf import PdfPages
+
+        with replaced(path) as partial, PdfPages(partial) as file:
+            file.savefig(whole, bbox_inches="tight")
+            for one, flat in zip(nesting.drawings, pattern.flat, strict=True):
+                file.savefig(_page(one, flat, units), bbox_inches="tight")
     return None
 
 
-def _write_pages(path: Path, pages: Sequence[Figure]) -> None:
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    with replaced(path) as partial, PdfPages(partial) as file:
-        for page in pages:
-            file.savefig(page, bbox_inches="tight")
-
-
-def _axes(figure: Figure, length: float, width: float) -> Any:
-    """Axes of equal scale for a drawing of a size."""
+def _axes(figure: Figure, length: float, width: float, along: str, across: str = "") -> Any:
+    """Axes of equal scale for a drawing of a size, with names."""
     axes = figure.add_subplot()
+    axes.set_xlabel(along, fontsize=8)
+    axes.set_ylabel(across, fontsize=8)
     axes.set_aspect("equal")
     axes.set_xlim(-0.02 * length, 1.02 * length)
     axes.set_ylim(-0.05 * width, 1.05 * width)
@@ -98,11 +105,7 @@ def _axes(figure: Figure, length: float, width: float) -> Any:
     return axes
 
 
-def _name_axis(axis: Any, name: str, unit: str) -> None:
-    axis.set_label_text(f"{name} [{unit}]" if unit else name, fontsize=8)
-
-
-def roll_figure(nesting: Nesting, unit: str) -> Figure:
+def roll_figure(nesting: Nesting, units: Units) -> Figure:
     """Figure of the nested pieces, row by row from the top, with a legend at the right."""
     from matplotlib.lines import Line2D
 
@@ -112,7 +115,7 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
     high = last * step + y
     highest = max(HIGHEST, ROW * len(nesting.rows) + 1.2)
     figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, highest)))
-    axes = _axes(figure, x, high)
+    axes = _axes(figure, x, high, f"along the roll{units['length']}")
     for k, (start, end) in enumerate(pairwise(floats(starts))):
         base = (last - k) * step
         axes.plot([0, end - start, end - start, 0, 0], [base, base, base + y, base + y, base],
@@ -127,23 +130,22 @@ def roll_figure(nesting: Nesting, unit: str) -> Figure:
     lines.append(Line2D([], [], color="#5b6876", linewidth=0.6, linestyle="--", label="roll"))
     axes.legend(handles=lines, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8,
                 frameon=False)  # fmt: skip
-    _name_axis(axes.xaxis, "along the roll", unit)
-    bracket = f" {unit}" if unit else ""
+    m = units.plain("length")
     axes.set_title(
-        f"{len(nesting.drawings)} pieces on {nesting.length:.4g}{bracket} of a roll {y:.4g}"
-        f"{bracket} wide, {nesting.waste:.0%} waste",
+        f"{len(nesting.drawings)} pieces on {nesting.length:.4g}{m} of a roll {y:.4g}{m} wide, "
+        f"{nesting.waste:.0%} waste",
         loc="left",
         fontsize=10,
     )
     return figure
 
 
-def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str) -> Figure:
+def sewn_figure(pattern: Pattern, comparison: Comparison, units: Units) -> Figure:
     """Figure of the sewn roof's results on the flat pieces."""
     from matplotlib.collections import PolyCollection
 
-    names = [f"{side}: section force{stress}" for side in ("Warp", "Weft")]
-    names += [f"Off the form [{unit}]" if unit else "Off the form", "Wrinkled or slack"]
+    names = [f"{side}: section force{units['stress']}" for side in ("Warp", "Weft")]
+    names += [f"Off the form{units['length']}", "Wrinkled or slack"]
     panels = [(name, comparison.cells[:, k]) for k, name in enumerate(names)]
     panels = panels[: 4 if panels[3][1].any() else 3]
     gap = 0.15 * max(one.width for one in pattern.flat)
@@ -171,22 +173,19 @@ def sewn_figure(pattern: Pattern, comparison: Comparison, unit: str, stress: str
     return figure
 
 
-def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
+def _page(one: Drawing, flat: FlatPiece, units: Units) -> Figure:
     """Page of a piece with its sizes."""
     one = one.moved(-one.cut_line.min(axis=0))
     length, width = one.extent
     figure = new_figure(WIDTH, float(np.clip(WIDTH * width / length + 1.6, 2.5, HIGHEST)))
-    axes = _axes(figure, length, width)
+    m = units["length"]
+    axes = _axes(figure, length, width, f"along the warp{m}", f"along the weft{m}")
     _draw(axes, one, names=True)
-    _name_axis(axes.xaxis, "along the warp", unit)
-    _name_axis(axes.yaxis, "along the weft", unit)
-    bracket = f" {unit}" if unit else ""
-    square = f" {unit}²" if unit else ""
     warp, weft = (f"{100 * part:.2f} %" for part in flat.shrink)
     axes.set_title(
-        f"{one.name}: {flat.length:.4g} x {flat.width:.4g}{bracket} (fabric {length:.4g} x "
-        f"{width:.4g}), area {flat.area:.4g}{square}; compensated {warp} along "
-        f"warp, {weft} along weft",
+        f"{one.name}: {flat.length:.4g} x {flat.width:.4g}{units.plain('length')} (fabric "
+        f"{length:.4g} x {width:.4g}), area {flat.area:.4g}{units.plain('area')}; compensated "
+        f"{warp} along warp, {weft} along weft",
         loc="left",
         fontsize=9,
     )
@@ -200,12 +199,11 @@ def _draw(axes: Any, one: Drawing, names: bool) -> None:
                   edgecolor=COLOURS[kind], linewidth=0.8)  # fmt: skip
     for line in one.overlaps:
         axes.plot(*line.T, color=COLOURS["overlap"], linewidth=0.5)
-    for mark in one.marks:
-        axes.plot(*mark.line.T, color=COLOURS["mark"], linewidth=1.2)
+    for number, line in one.marks:
+        axes.plot(*line.T, color=COLOURS["mark"], linewidth=1.2)
         if names:
-            inner = 3.0 * mark.line[0] - 2.0 * mark.line[1]
-            axes.text(*inner, mark.number, color=COLOURS["mark"], fontsize=6, ha="center",
-                      va="center")  # fmt: skip
+            inner = 3.0 * line[0] - 2.0 * line[1]
+            axes.text(*inner, number, color=COLOURS["mark"], fontsize=6, ha="center", va="center")
     tail, tip = one.warp
     arrow = {"arrowstyle": "-|>", "linewidth": 0.8, "color": "#1b2733"}
     axes.annotate("", tip, tail, arrowprops=arrow)
@@ -215,3 +213,92 @@ def _draw(axes: Any, one: Drawing, names: bool) -> None:
         for name, place, angle in one.names:
             axes.text(*place, name, rotation=angle, rotation_mode="anchor", fontsize=7,
                       ha="center", va="center", color="#5b6876")  # fmt: skip
+
+
+@collective
+def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str = "m") -> None:
+    """Write the layout on the roll to a DXF file. Collective.
+
+    Layers: CUT, the cutting line with allowances; SEAM, seam lines; OVERLAP, the end of the other
+    piece's allowance; MARK, numbered match marks; WARP, arrows; TEXT, names of pieces and edges;
+    ROLL. Needs ezdxf.
+
+    Parameters
+    ----------
+    pattern, sheet
+        As for `draw_sheets`.
+    filename
+        File ending in .dxf; an existing one is replaced once the new one is complete.
+    unit
+        Unit of length of the pattern: "mm", "cm", "m", "in" or "ft".
+
+    Raises
+    ------
+    InputError
+        On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
+        file that cannot be written.
+    ImportError
+        On all ranks: ezdxf is not installed.
+    """
+    checks.of_type("write_dxf: pattern", pattern, Pattern)
+    comm = pattern.comm
+    checks.same(comm, "write_dxf", filename=filename, sheet=sheet, unit=unit)
+    checks.one_of("write_dxf: unit", unit, DXF_UNITS)
+    path = absolute(checks.file("write_dxf: filename", filename), comm)
+    if path.suffix.lower() != ".dxf":
+        raise InputError(f"write_dxf: filename = {str(path)!r} does not end in .dxf.")
+    nesting = nest(pattern, sheet)
+    with raised_together(comm):
+        if comm.rank == 0:
+            document = _document(nesting, unit)
+            make_writable(path.parent)
+            with replaced(path) as partial:
+                document.saveas(partial)
+
+
+def _document(nesting: Nesting, unit: str) -> Any:
+    """The drawing, an ezdxf document."""
+    document = new_drawing("write_dxf", unit, "draw the sheets as SVG")
+    for name, colour in LAYERS.items():
+        document.layers.add(name, color=colour)
+    space = document.modelspace()
+    corners = [(0, 0), (nesting.length, 0), (nesting.length, nesting.roll), (0, nesting.roll)]
+    _polyline(space, corners, "ROLL", closed=True)
+    for one in nesting.drawings:
+        _add_piece(space, one, TEXT * nesting.roll)
+    return document
+
+
+def _add_piece(space: Any, one: Drawing, height: float) -> None:
+    """Add a piece to the drawing."""
+    _polyline(space, one.cut_line, "CUT", closed=True)
+    _polyline(space, one.seam_line, "SEAM", closed=True)
+    for line in one.overlaps:
+        _polyline(space, line, "OVERLAP")
+    for number, line in one.marks:
+        space.add_line(*line.tolist(), dxfattribs={"layer": "MARK"})
+        tick = line[1] - line[0]
+        inner = line[0] - tick * (1.0 + 0.4 * height / np.hypot(*tick))  # beside the overlap
+        _text(space, str(number), inner, 0.0, 0.35 * height, "MARK")
+    tail, tip = one.warp
+    head = 0.04 * (tip - tail)
+    across = head[::-1] * (-1.0, 1.0)
+    space.add_line(tail.tolist(), tip.tolist(), dxfattribs={"layer": "WARP"})
+    barbs = [tip - 2.0 * head + across, tip, tip - 2.0 * head - across]
+    _polyline(space, [barb.tolist() for barb in barbs], "WARP")
+    _text(space, one.name, (tail + tip) / 2 + across * 2.0, 0.0, height, "TEXT")
+    for name, place, angle in one.names:
+        _text(space, name, place, angle, 0.5 * height, "TEXT")
+
+
+def _polyline(space: Any, points: Any, layer: str, closed: bool = False) -> None:
+    space.add_lwpolyline(points, close=closed, dxfattribs={"layer": layer})
+
+
+def _text(space: Any, text: str, place: Array, angle: float, height: float, layer: str) -> None:
+    from ezdxf.enums import TextEntityAlignment
+
+    given = {"layer": layer, "height": height, "rotation": angle}
+    plain = "".join(c if c.isprintable() else " " for c in text)  # DXF has a line for each value
+    entity = space.add_text(plain, dxfattribs=given)
+    entity.set_placement(place.tolist(), align=TextEntityAlignment.MIDDLE_CENTER)
