@@ -46,15 +46,25 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.versions import last_doubt
-from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
-from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
+from crms_fenicsx.results.cable_and_bar_results import (
+    CableResults,
+    ClampResults,
+    cable_results,
+    clamp_results,
+)
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.history import History
 from crms_fenicsx.results.output.recorder import Recorder
 from crms_fenicsx.results.quantities import fields_of
-from crms_fenicsx.results.reactions import Reactions, reactions
-from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
+from crms_fenicsx.results.reactions import (
+    Reactions,
+    Residual,
+    Tangent,
+    reactions,
+    residual,
+    tangent,
+)
 from crms_fenicsx.results.summary import Summary, summary
 
 if TYPE_CHECKING:
@@ -867,7 +877,7 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
-        from crms_fenicsx.results.views.view_data import to_pyvista
+        from crms_fenicsx.results.view_data import to_pyvista
 
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 

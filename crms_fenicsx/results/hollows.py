@@ -12,7 +12,7 @@ from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.results.views.view_data import surface_piece, whole_surface
+from crms_fenicsx.results.view_data import surface_piece, whole_surface
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array

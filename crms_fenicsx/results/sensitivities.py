@@ -25,7 +25,7 @@ from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
-from crms_fenicsx.results.residual import tangent
+from crms_fenicsx.results.reactions import tangent
 from crms_fenicsx.results.taut_parts import TautParts, Tightening
 
 STEP = 1e-5

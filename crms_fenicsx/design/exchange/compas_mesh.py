@@ -14,7 +14,7 @@ from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError, collective
-from crms_fenicsx.results.views.view_data import surface_piece, whole_surface
+from crms_fenicsx.results.view_data import surface_piece, whole_surface
 
 VerticesAndFaces = tuple[Sequence[Sequence[float]], Sequence[Sequence[int]]]
 

@@ -13,7 +13,7 @@ from crms_fenicsx.foundation.meshes.gmsh_model import imported
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
-from crms_fenicsx.results.views.view_data import Surface, surface_piece, whole_surface
+from crms_fenicsx.results.view_data import Surface, surface_piece, whole_surface
 
 UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
 """DXF codes of units."""

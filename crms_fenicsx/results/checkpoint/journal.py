@@ -26,10 +26,9 @@ from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.results.checkpoint.checkpoint_files import ASIDE, complete
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import Run, refuse_history
-from crms_fenicsx.results.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.results.checkpoint.record import scene_record
+from crms_fenicsx.results.checkpoint.contents import Run, refuse_history, scene_record
 from crms_fenicsx.results.checkpoint.saving import STATE, Saved, read, reading, restore, save
 
 ROUNDING = 1e-7

@@ -29,10 +29,15 @@ from crms_fenicsx.foundation.runtime.handle import Handle
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.results.checkpoint.checkpoint_files import (
+    complete,
+    first_row,
+    read_rows,
+    replaced_folder,
+    write_rows,
+)
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.results.checkpoint.contents import Contents, Run, check, check_same, fingerprint
-from crms_fenicsx.results.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.results.output.shared_file import first_row, read_rows, write_rows
 
 STATE = "state.json"
 POSITIONS = "positions"

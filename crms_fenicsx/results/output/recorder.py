@@ -124,7 +124,7 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
-            from crms_fenicsx.results.views.view_data import bar_lines, cable_lines, surface_piece
+            from crms_fenicsx.results.view_data import bar_lines, cable_lines, surface_piece
 
             scene, results = self.scene, membrane_results(system)
             surface = surface_piece(scene.membrane, results.surface, fields_of(results))
@@ -173,7 +173,7 @@ class Recorder:
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
         if scene.clamps:
-            from crms_fenicsx.results.clamp_results import clamp_results
+            from crms_fenicsx.results.cable_and_bar_results import clamp_results
 
             for clamp in clamp_results(scene).values():
                 row[f"clamp {clamp.name}"] = clamp.size

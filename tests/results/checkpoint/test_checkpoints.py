@@ -21,7 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.results.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.results.checkpoint.checkpoint_files import complete, replaced_folder
 from crms_fenicsx.results.checkpoint.saving import signed
 from crms_fenicsx.results.output import History
 

@@ -18,19 +18,20 @@ from walled_roof import roof_mesh
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
 from crms_fenicsx.results.output.report import case as cases_of_reports
-from crms_fenicsx.results.output.report import net_tables, sections
+from crms_fenicsx.results.output.report import sections
+from crms_fenicsx.results.output.report.foundation_tables import cables_to_order
 from crms_fenicsx.results.output.report.page import (
     BarChart,
     PagePart,
     PageSection,
     Paragraph,
     Table,
+    Units,
     number,
     page,
     per_cent,
     place,
 )
-from crms_fenicsx.results.output.report.units import Units
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
@@ -320,7 +321,7 @@ def test_lengths_to_order_have_millimetres(comm: MPI.Intracomm, unit: str, metre
     length, L0, cut = sum(spacings), 126.6 * metre / 1.001, 127.19876543 * metre
     cable = CableOrder("A1", 2e4, L0, 10.0, length, ("A1 x B1", "A1 x B2"), spacings, cut)
     order = Order({"A1": cable}, -15.0, 1.2e-5, (0.3, 0.3), comm)
-    table = net_tables.order(order, Units(unit, "kN"))
+    table = cables_to_order(order, Units(unit, "kN"))
     (heads, *rows) = Page(html(table)).tables[table.caption]
     lengths = [k for k, name in enumerate(heads) if name.endswith(f"[{unit}]")]
     assert len(lengths) == 5 and len(rows) == 3

@@ -11,13 +11,17 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.output.report.case import Case, case_of
-from crms_fenicsx.results.output.report.page import Table, number
+from crms_fenicsx.results.output.report.case import (
+    Case,
+    Limits,
+    ShapeChange,
+    case_of,
+    shape_of,
+    verdict_on,
+)
+from crms_fenicsx.results.output.report.page import Table, Units, number
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
-from crms_fenicsx.results.shape_change import ShapeChange, shape_of
 
 
 @pytest.fixture(scope="module")

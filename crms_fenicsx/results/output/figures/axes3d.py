@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.results.output.figures.camera import Camera
-from crms_fenicsx.results.output.figures.picture import finished, new_figure
+from crms_fenicsx.results.output.figures.picture import Camera, finished, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

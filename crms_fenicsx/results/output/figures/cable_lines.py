@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
-from crms_fenicsx.results.output.figures.camera import offsets_within, visible
-from crms_fenicsx.results.views.view_data import Line
+from crms_fenicsx.results.output.figures.picture import offsets_within, visible
+from crms_fenicsx.results.view_data import Line
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

@@ -23,9 +23,8 @@ from crms_fenicsx.results.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.results.output.figures.camera import Camera
-from crms_fenicsx.results.output.figures.picture import checked_picture
-from crms_fenicsx.results.views.view_data import Line, Surface
+from crms_fenicsx.results.output.figures.picture import Camera, checked_picture
+from crms_fenicsx.results.view_data import Line, Surface
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

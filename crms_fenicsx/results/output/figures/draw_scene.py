@@ -6,10 +6,9 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.analysis.equilibrium.system import System
@@ -24,17 +23,15 @@ from crms_fenicsx.foundation.runtime.errors import (
     raised_together,
 )
 from crms_fenicsx.results.foundations import held_rim
-from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.quantities import QUANTITIES
+from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, load_label, load_values
 from crms_fenicsx.results.reactions import held_ends
-from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
-from crms_fenicsx.results.reinforcement import patches
-from crms_fenicsx.results.views.view_data import (
+from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
+from crms_fenicsx.results.view_data import (
     Line,
     Surface,
     bar_lines,
@@ -77,16 +74,6 @@ def label_of(colour: str) -> tuple[str, str]:
         return colour, "length"
     one = QUANTITIES[QUANTITY_OF[colour]]
     return one.label, one.unit
-
-
-class HasSystem(Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
-
-    comm: MPI.Intracomm
-
-    @property
-    def system(self) -> System:
-        """The scene's potential."""
 
 
 @collective

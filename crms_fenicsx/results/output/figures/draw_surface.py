@@ -27,9 +27,14 @@ from crms_fenicsx.results.output.figures.cable_lines import (
     line_style,
     paint_lines,
 )
-from crms_fenicsx.results.output.figures.camera import Camera, brightness, offsets_within, visible
-from crms_fenicsx.results.output.figures.picture import checked_picture
-from crms_fenicsx.results.views.view_data import Line, Surface, checked_points
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    brightness,
+    checked_picture,
+    offsets_within,
+    visible,
+)
+from crms_fenicsx.results.view_data import Line, Surface, checked_points
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

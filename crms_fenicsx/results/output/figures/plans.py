@@ -18,7 +18,7 @@ from crms_fenicsx.results.output.figures.axes3d import (
     with_unit,
 )
 from crms_fenicsx.results.output.figures.picture import MARGIN, new_figure
-from crms_fenicsx.results.views.view_data import Line
+from crms_fenicsx.results.view_data import Line
 
 UPLIFT, DOWNWARD, CABLE, BAR = DISTINCT[1], DISTINCT[0], "#444b55", DISTINCT[3]
 HELD = "#1d1f24"

@@ -26,9 +26,8 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
-from crms_fenicsx.results.output.report.page import Cell, Figure, Table, number, shown
+from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row, clean, families, part_name
-from crms_fenicsx.results.output.report.units import Units
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 

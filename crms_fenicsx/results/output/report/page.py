@@ -13,6 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from crms_fenicsx.results.output.figures.plots import units_of_results
 from crms_fenicsx.results.output.history import escaped
 
 Cell = str | int | float | None
@@ -325,3 +326,24 @@ def place(at: Sequence[float], size: float) -> str:
     decimals = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 3
     numbers = (f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
     return "; ".join(numbers).replace("-", MINUS)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of length and force, as in headings."""
+
+    length: str = ""  # such as "m" and "kN"; "" if unknown
+    force: str = ""
+
+    def __getitem__(self, kind: str) -> str:
+        """Unit of a kind of quantity as " [m]"; "" if unknown."""
+        unit = units_of_results(self.length, self.force).get(kind)
+        return f" [{unit}]" if unit else ""
+
+    def plain(self, kind: str) -> str:
+        """Unit of a kind of quantity as " m", without brackets."""
+        return self[kind].replace("[", "").replace("]", "")
+
+    def headings(self, text: str) -> list[str]:
+        """Headings from a text such as "Length{length}|State", with units."""
+        return text.format_map(self).split("|")

@@ -11,17 +11,16 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.foundations import held_rim
-from crms_fenicsx.results.load_values import load_label
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, spread
+from crms_fenicsx.results.output.figures.draw_scene import LOAD, MOST_STROKES, spread
 from crms_fenicsx.results.output.figures.draw_surface import outline_of
 from crms_fenicsx.results.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
 from crms_fenicsx.results.output.report.case import SHARPEST, draw_png
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
-from crms_fenicsx.results.output.report.page import Figure
+from crms_fenicsx.results.output.report.page import Figure, Units
 from crms_fenicsx.results.output.report.results_tables import families
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.views.view_data import Line, surface_piece, whole_surface
+from crms_fenicsx.results.quantities import HasSystem, load_label
+from crms_fenicsx.results.view_data import Line, surface_piece, whole_surface
 
 MOST_PLANNED = 40_000
 """Largest number of cells in a plan; more would print black."""

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.load_cases import (
     Combination,
-    HasStates,
     back_to_now,
     checked_states,
 )
@@ -24,40 +22,33 @@ from crms_fenicsx.foundation.runtime.files import absolute, make_writable, repla
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
-from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF, HasSystem
+from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF
 from crms_fenicsx.results.output.report.case import (
     TENSION,
     Case,
+    Limits,
+    Shape,
     case_of,
+    shape_of,
     with_pictures,
     with_view,
 )
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
-from crms_fenicsx.results.output.report.interactive import check_interactive
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.results.output.report.page import MACROS, PageSection
+from crms_fenicsx.results.output.report.page import MACROS, PageSection, Units
+from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
 from crms_fenicsx.results.output.report.pictures import (
     force_figures,
     load_figures,
     model_figures,
     outline_in_plan,
 )
-from crms_fenicsx.results.output.report.printing import browser, print_page
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import Report, with_codes
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.output.report.verdict import Limits
-from crms_fenicsx.results.quantities import names_of
-from crms_fenicsx.results.shape_change import Shape, shape_of
+from crms_fenicsx.results.quantities import Solved, names_of
 
 NOW = "Current state"
 """Case name in a report without combinations."""
-
-
-class Reported(HasSystem, HasStates, Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
-
-    base: SceneState | None
 
 
 @dataclass(frozen=True)
@@ -194,7 +185,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
     return tuple(pictures)
 
 
-def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
+def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
     """Results of the combinations, or of the current state if there are none. Collective."""
     cases = list[Case]()
     if not states:
@@ -215,7 +206,7 @@ def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case
 
 
 def drawn(
-    solver: Reported, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
+    solver: Solved, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
     every: Sequence[Case],
 ) -> list[Case]:  # fmt: skip
     """The cases with pictures in the colour scales of `every` case. Collective."""
@@ -232,7 +223,7 @@ def drawn(
     return pictured
 
 
-def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) -> Model:
+def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> Model:
     """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
@@ -260,7 +251,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
         return _pictured(solver, plan, model, caption)
 
 
-def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
+def _pictured(solver: Solved, plan: Plan, model: Model, caption: str) -> Model:
     """A model with pictures of the scene's current state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
@@ -270,7 +261,7 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
     return replace(model, pictures=figures, loads=loads, outline=outline_in_plan(scene))
 
 
-def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
+def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
     """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
@@ -302,7 +293,7 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
 
 
 def write_report(
-    solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
+    solver: Solved, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
     """Write a report of combinations or the current state; options as `Plan`. Collective."""

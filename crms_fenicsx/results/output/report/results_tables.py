@@ -16,10 +16,10 @@ from crms_fenicsx.results.output.report.page import (
     PagePart,
     Paragraph,
     Table,
+    Units,
     per_cent,
     place,
 )
-from crms_fenicsx.results.output.report.units import Units
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
 

@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from crms_fenicsx.results.cable_order import Order
-from crms_fenicsx.results.output.report import net_tables
-from crms_fenicsx.results.output.report.case import Case
-from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.results.output.report.case import Case, Limits, verdict_on
+from crms_fenicsx.results.output.report.foundation_tables import (
+    FoundationTables,
+    anchors,
+    cables_to_order,
+    clamps,
+)
 from crms_fenicsx.results.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.results.output.report.page import (
     LARGEST,
@@ -30,7 +34,6 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
 
 FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
@@ -193,13 +196,13 @@ class Report:
         found += [self.held.lines(), self.held.balance()]
         found.append(of.verification())
         if of.names("cables"):
-            found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
+            found += [of.cables(), of.cable_envelope(), anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
-        more = [net_tables.clamps(of), of.joints(), of.ponds(), of.patches()]
+        more = [clamps(of), of.joints(), of.ponds(), of.patches()]
         more += [self.held.places(), self.held.forces(), self.held.envelope()]
         if self.order is not None:
-            more.append(net_tables.order(self.order, of.units))
+            more.append(cables_to_order(self.order, of.units))
         more += [part for one in self.further for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
 
@@ -302,7 +305,7 @@ class Report:
         of, several, found = self.results, len(self.cases) > 1, []
         if of.names("cables"):
             envelopes = [of.cable_envelope()] if several or of.strengths else []
-            tables = [*envelopes, of.cables(), net_tables.clamps(of)]
+            tables = [*envelopes, of.cables(), clamps(of)]
             used = [table for table in tables if table.rows]
             found.append(PageSection("Cables", [self._tensions(), *used]))
         if of.names("bars"):
@@ -317,5 +320,5 @@ class Report:
         body += [Figures(self.plans), *(table for table in tables if table.rows)]
         found.append(PageSection("Foundations and anchors", body))
         if self.order is not None:
-            found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
+            found.append(PageSection("Cables to order", [cables_to_order(self.order, of.units)]))
         return found

@@ -237,26 +237,66 @@ def point_homes(membrane: Membrane, points: int) -> Integers:
 
 def whole_surface(comm: MPI.Intracomm, piece: Surface) -> Surface | None:
     """The whole surface on the first rank; None on the others. Collective."""
-    pieces = comm.gather(piece)
-    if pieces is None:
-        return None
-    homes = [np.asarray(one.homes) for one in pieces]
-    own = [home[:, 0] == rank for rank, home in enumerate(homes)]
-    starts = np.cumsum([0, *(np.count_nonzero(rows) for rows in own[:-1])])
-    triangles = [
-        (starts[home[:, 0]] + home[:, 1])[one.triangles]
-        for home, one in zip(homes, pieces, strict=True)
-    ]
-    point_data = {"points": [one.points for one in pieces]}
-    point_data |= {name: [one.point_data[name] for one in pieces] for name in piece.point_data}
-    joined = {
-        name: np.concatenate([np.asarray(v)[rows] for v, rows in zip(values, own, strict=True)])
-        for name, values in point_data.items()
-    }
-    cell_data = {
-        name: np.concatenate([one.cell_data[name] for one in pieces]) for name in piece.cell_data
-    }
-    return Surface(joined.pop("points"), np.concatenate(triangles), joined, cell_data)
+    pieces, whole = comm.gather(piece), None
+    with raised_together(comm):
+        if pieces is not None:
+            whole = _whole(pieces)
+    return whole
+
+
+def _whole(pieces: Sequence[Surface]) -> Surface:
+    """One surface of the ranks' pieces, each point from the rank that it belongs to."""
+    homes = [
+        np.stack([np.full(n := len(np.asarray(one.points)), rank), np.arange(n)], axis=1)
+        if one.homes is None else np.asarray(one.homes, dtype=np.int64)
+        for rank, one in enumerate(pieces)
+    ]  # fmt: skip
+    own = [np.flatnonzero(home[:, 0] == rank) for rank, home in enumerate(homes)]
+    own = [rows[np.argsort(home[rows, 1])] for rows, home in zip(own, homes, strict=True)]
+    counts = np.array([len(rows) for rows in own])
+    starts, triangles = np.cumsum(counts) - counts, []
+    for rank, (home, one) in enumerate(zip(homes, pieces, strict=True)):
+        ranks, numbers = home.T
+        lost = (ranks < 0) | (ranks >= len(counts)) | (numbers < 0)
+        lost |= numbers >= counts[np.where(lost, 0, ranks)]
+        if lost.any() or not np.array_equal(numbers[own[rank]], np.arange(counts[rank])):
+            raise InputError(
+                f"homes: rank {rank} has points number {numbers[own[rank]].tolist()[:9]} of its "
+                f"own and, of others, {home[lost].tolist()[:3]}, where the ranks have "
+                f"{counts.tolist()}; number each rank's from 0"
+            )
+        triangles.append((starts[ranks] + numbers)[np.asarray(one.triangles)])
+    places = [np.asarray(one.points)[rows] for one, rows in zip(pieces, own, strict=True)]
+    known = [rank for rank, home in enumerate(homes) if len(home)] or [0]  # others have no data
+    return Surface(
+        np.concatenate(places),
+        np.concatenate(triangles),
+        _gathered({rank: pieces[rank].point_data for rank in known}, own),
+        _gathered({rank: pieces[rank].cell_data for rank in known}, None),
+    )
+
+
+def _gathered(
+    data: Mapping[int, Mapping[str, ArrayLike]], own: Sequence[Integers] | None
+) -> dict[str, NDArray[Any]]:
+    """Data of ranks by name, of `own` rows or of all; refuses other names or types than the first
+    rank's."""
+    arrays = {rank: {k: np.asarray(x) for k, x in some.items()} for rank, some in data.items()}
+    kinds = {rank: {k: (x.dtype.str, *x.shape[1:]) for k, x in some.items()}
+             for rank, some in arrays.items()}  # fmt: skip
+    first = next(iter(kinds))
+    for rank, kind in kinds.items():
+        if kind != kinds[first]:
+            raise InputError(
+                f"data differ: rank {first} has {kinds[first]}, rank {rank} has {kind}; give the "
+                "same on all ranks"
+            )
+    return {
+        name: np.concatenate([
+            some[name] if own is None else some[name][own[rank]] for rank, some in arrays.items()
+        ])
+        for name in kinds[first]
+    }  # fmt: skip
 
 
 SLENDER = 0.003
