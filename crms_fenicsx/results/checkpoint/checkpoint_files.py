@@ -1,7 +1,11 @@
-"""Replace folders so that a complete one exists whenever the run is killed.
+"""Files of a checkpoint: a folder that is replaced as a whole, and arrays (.npy) in it.
 
-The new folder is written beside the old one; then the old one is moved aside, the new one takes its
-place, and the old one is deleted. A run killed between the two moves leaves the old one aside.
+A complete folder exists whenever the run is killed. The new folder is written beside the old one;
+then the old one is moved aside, the new one takes its place, and the old one is deleted. A run
+killed between the two moves leaves the old one aside.
+
+Rows of arrays have global ids. Any number of ranks can write an array's rows and any other number
+read them. The first rank holds the whole array meanwhile.
 """
 
 from __future__ import annotations
@@ -9,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,14 +21,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from crms_fenicsx.foundation.runtime.arrays import Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import (
     explained,
     flush,
-    forget,
     make_writable,
     partial_of,
     readable,
@@ -56,7 +58,7 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
                 os.replace(aside, folder)
             holds = not folder.is_dir() or any(folder.iterdir())
             if folder.exists() and not (folder / mark).exists() and holds:
-                raise InputError(f"{folder} is no checkpoint, but is there; give another folder")
+                raise InputError(f"{folder} is not a checkpoint; give another folder")
             for rest in (partial, aside):
                 if rest.exists():
                     shutil.rmtree(rest)
@@ -83,64 +85,10 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
         raise
 
 
-SLAB = 2**30
-"""Largest number of bytes per write call, as MPI counts in 32 bits."""
-
-Part = tuple[int, NDArray[Any]]
-"""Offset in a file (bytes) and the array written there."""
-
-
-def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[Part]) -> None:
-    """Write parts of a file from all ranks, then replace `path` by it. Collective."""
-    # Ranks write independently: collective MPI writes deadlock if a rank's disk is full.
-    partial = partial_of(path)
-    try:
-        with raised_together(comm), explained(path):
-            if comm.rank == 0:
-                with open(partial, "wb") as new:
-                    new.truncate(size)
-        with raised_together(comm), explained(path), _as_system_error(path):
-            file = MPI.File.Open(comm, os.fspath(partial), MPI.MODE_WRONLY)
-        try:
-            with raised_together(comm), explained(path), _as_system_error(path):
-                for offset, array in parts:
-                    _write(file, offset, array)
-            with raised_together(comm), explained(path), _as_system_error(path):
-                file.Sync()  # flushes to disk
-        finally:
-            file.Close()
-        with raised_together(comm), explained(path):
-            if comm.rank == 0:
-                os.replace(partial, path)
-    except BaseException:
-        if comm.rank == 0:
-            forget(partial)
-        raise
-
-
 def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
     """Number of rows of the previous ranks, and of all ranks. Collective."""
     before = comm.exscan(count)
     return (0 if before is None else int(before)), int(comm.allreduce(count))
-
-
-def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
-    left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    while len(left):
-        now = min(len(left), SLAB)
-        file.Write_at(offset, [left[:now], MPI.BYTE])
-        left, offset = left[now:], offset + now
-
-
-@contextmanager
-def _as_system_error(path: Path) -> Iterator[None]:
-    """Raise MPI errors as OSError with the free disk space, as MPI gives no reason."""
-    try:
-        yield
-    except MPI.Exception as error:
-        disk = os.statvfs(path.parent)
-        free = disk.f_bavail * disk.f_frsize
-        raise OSError(f"{error}; the disk has {free} bytes left") from error
 
 
 Rows = npt.NDArray[Any]

@@ -1,11 +1,16 @@
-"""Contents of a checkpoint except its arrays, and the fingerprint of its scene."""
+"""Contents of a checkpoint except its arrays; fingerprint and record of its scene.
+
+By the record a resumed script is compared with the one that was interrupted. It is derived from the
+whole state of the scene and from its model, so that whatever becomes part of them is compared, too.
+Arrays on the mesh are recorded by weighted sums and functions by their values on the mesh: the same
+on any number of processes, to rounding.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,22 +18,19 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.load_step import Step
 from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.energy.terms.kinematics import warp_field
-from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, Rows
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.bar import Joint, MeshVertex
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.changed_materials import numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.results.checkpoint.checkpoint_files import digest
 from crms_fenicsx.results.checkpoint.codec import Plain, encode
-from crms_fenicsx.results.checkpoint.saving import cell_ids, edge_vertices
 
 
 @dataclass(frozen=True)
@@ -52,54 +54,6 @@ class Contents:
     run: Run
     # call of `Solver.advance` that the checkpoint belongs to, if any
     call: Plain | None
-
-
-def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
-    """Refuse an inconsistent state, or one that does not fit the mesh's parts and vertices."""
-    net, loads, joints = state.net, state.loads, {joint.name for joint in state.frame.joints}
-    if net.laid < len(net.cables):
-        raise ValueError(f"{net.laid} cables were laid, but {len(net.cables)} are there")
-    for load in loads.loads:
-        if not load.intensity >= 0:
-            raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
-        if not load.joints.keys() <= joints:
-            raise ValueError(f"a load {load.name!r} on joints that are not there")
-    if not {name for cable in net.cables.values() for name in cable.joints} - {None} <= joints:
-        raise ValueError("a cable that is fixed to a joint that is not there")
-    ends = [end for bar in state.frame.bars.values() for end in (bar.start, bar.end)]
-    if any(isinstance(end, Joint) and end not in state.frame.joints for end in ends):
-        raise ValueError("a bar that ends at a joint that is not there")
-    for pond in loads.ponds:
-        if not (pond.weight > 0 and pond.side in (-1, 1)):
-            raise ValueError(f"a pond {pond.name!r} of {pond.weight} on the side {pond.side}")
-        if unknown := set(pond.parts) - set(parts):
-            raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
-    air = state.air.sealed
-    if air is not None and not min(air.volume, air.absolute) > 0:
-        raise ValueError(f"sealed air that is none, {air}")
-    nodes = [node for one in net.cables.values() for node in one.nodes]
-    supports = [node.point.support for node in nodes if node.point is not None]
-    ids = [*chain(*supports, *(crossing.support for crossing in net.crossings))]
-    ids += [] if net.strip is None else net.strip.complete
-    ids += [end.number for end in ends if isinstance(end, MeshVertex)]
-    if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
-        raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")
-    numbers = range(len(net.cables))
-    if any(k.lower not in numbers or k.upper not in numbers for k in net.crossings):
-        raise ValueError("a crossing of cables that are not there")
-    names = {cable.name for cable in net.cables}
-    if any(not names >= {*clamp.cables} for clamp in net.clamps):
-        raise ValueError("a clamp of cables that are not there")
-    for node in nodes:
-        if (node.point is None) != (node.kind == "anchor"):
-            raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
-        if node.crossing is not None and node.crossing not in range(len(net.crossings)):
-            raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
-    for one in net.cables.values():
-        if one.parts is not None and len(one.parts.tensions) != len(one.parts.at) + 1:
-            raise ValueError("a cable whose tensions are not those of its parts between clamps")
-        if one.axial is not None and len(one.axial.rest) != len(one.axial.curve.arc):
-            raise ValueError("a cable whose unstressed arcs are not those of its curve")
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
@@ -187,6 +141,19 @@ def mixed(scene: Scene, rows: Integers) -> str:
 WAY = ("nodes", "positions", "fractions", "lifted", "reference_positions")
 """Fields of a cable's state that are recorded by the moments of its way: its points depend on
 rounding where it meets vertices."""
+
+
+def cell_ids(scene: Scene) -> tuple[Integers, int]:
+    """Numbers of this rank's cells in the mesh as given, and their global count."""
+    topology = scene.mesh.mesh.topology
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
+
+
+def edge_vertices(scene: Scene) -> Integers:
+    """End ids of this rank's edges, (m, 2)."""
+    mesh = scene.mesh.mesh
+    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
 
 
 def scene_record(scene: Scene) -> Plain:

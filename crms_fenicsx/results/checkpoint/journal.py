@@ -130,7 +130,7 @@ class Journal:
             return CallProgress(), None
         before = saved.contents.call
         if before is None:
-            raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
+            raise InputError(f"{saved.file} is not a checkpoint of a call; delete it")
         for name, now in call.items():
             found = difference(before.get(name), now)
             if found is not None:
@@ -142,10 +142,6 @@ class Journal:
                 )
         with reading(saved.file):
             progress = decode(CallProgress, before["progress"])
-            if not (0 <= progress.done <= steps and 0 < progress.increment <= 1):
-                raise ValueError(f"{progress} of {steps} steps")
-            if progress.done > 0 and not saved.contents.run.steps:
-                raise ValueError(f"{progress.done} steps are done, but it has none")
         run = restore(saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:

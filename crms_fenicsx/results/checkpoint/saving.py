@@ -18,7 +18,6 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys
-from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Booleans, Integers, Rows
@@ -37,7 +36,14 @@ from crms_fenicsx.results.checkpoint.checkpoint_files import (
     write_rows,
 )
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import Contents, Run, check, check_same, fingerprint
+from crms_fenicsx.results.checkpoint.contents import (
+    Contents,
+    Run,
+    cell_ids,
+    check_same,
+    edge_vertices,
+    fingerprint,
+)
 
 STATE = "state.json"
 POSITIONS = "positions"
@@ -90,7 +96,7 @@ class SceneStorage:
         """Restore a handle by name (making new ones), a strip or a material."""
         if issubclass(kind, Handle):
             if not isinstance(data, str):
-                raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
+                raise ValueError(f"expected the name of a {kind.__name__}, found {data!r}")
             return self._handles.setdefault((kind, data), kind(data, None))
         if kind is Strip:
             complete = [int(one) for one in data if not isinstance(one, list)]
@@ -129,7 +135,7 @@ class SceneStorage:
     ) -> np.ndarray[Any, Any]:
         """Read this rank's rows, (n, *shape); shared values go to their owner. Collective."""
         if not isinstance(data, dict) or data.keys() != {"digest", "rows"}:
-            raise ValueError(f"{data!r} where a file {path}.npy is due")
+            raise ValueError(f"expected a file {path}.npy, found {data!r}")
         file, due = self.folder / f"{path}.npy", str(data["digest"])
         if rows is Rows.EDGES:
             pairs = read_rows(file, self.comm, None, np.int64, (int(data["rows"]), 2), due)
@@ -157,19 +163,6 @@ class SceneStorage:
                     f"load: the checkpoint is of another mesh: its vertex {self._ids[k]} is at "
                     f"{X[k]}, and here at {here[k]}; build the mesh as it was when it was saved"
                 )
-
-
-def cell_ids(scene: Scene) -> tuple[Integers, int]:
-    """Numbers of this rank's cells in the mesh as given, and their global count."""
-    topology = scene.mesh.mesh.topology
-    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
-    return ids, topology.index_map(2).size_global
-
-
-def edge_vertices(scene: Scene) -> Integers:
-    """End ids of this rank's edges, (m, 2)."""
-    mesh = scene.mesh.mesh
-    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
 
 
 def signed(data: Plain) -> str:
@@ -211,14 +204,11 @@ def restore(saved: Saved, scene: Scene) -> Run:
     storage.check_mesh(contents.positions)
     with reading(saved.file):
         state = decode(SceneState, contents.state, storage)
-        check(state, scene.mesh.parts, scene.V.dofmap.index_map.size_global)
-    net = state.net
-    points = (node.point for one in net.cables.values() for node in one.nodes)
-    known = [point.support for point in points if point is not None]
-    if known and (net.strip is None or not all(net.strip.rows(one) for one in known)):
+    unknown = {part for pond in state.loads.ponds for part in pond.parts} - set(scene.mesh.parts)
+    if unknown:
         raise InputError(
-            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
-            "checkpoint"
+            f"load: the checkpoint has ponds on the parts {sorted(unknown)}, which the mesh does "
+            "not have; build the mesh as it was when it was saved"
         )
     scene.state = state
     scene.versions.change_model()
@@ -236,7 +226,7 @@ def _read(file: Path) -> Plain:
     with reading(file):
         found = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if found["format"] != FORMAT:
-            raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
+            raise ValueError(f"expected the format {FORMAT!r}, found {found['format']!r}")
         data: Plain = found["content"]
         if _digest(json.dumps(data)) != found["digest"]:
             raise ValueError("its content is not what was written")
