@@ -194,30 +194,26 @@ def lengths_to_order(
     return Order(found, temperature, expansion, (ends[0], ends[1]), scene.comm)
 
 
-STRAINED, WARMER, EXPANDING = 0.1, 200.0, 1e-3
-"""Limits of a tension relative to EA, of a difference of temperatures (K), and of an expansion (per
-kelvin): numbers beyond are in another unit, or absolute temperatures."""
-
-
 def _refuse_impossible(
     call: str, scene: Scene, forces: Mapping[str, float], temperature: float, expansion: float
 ) -> None:
-    """Refuse tensions and temperatures at which no cable is measured."""
+    """Refuse tensions and temperatures at which no cable is measured: they are in another unit, or
+    absolute."""
     for name, force in forces.items():
         EA = scene.cable(name).cable.EA
-        if not 0.0 <= force <= STRAINED * EA:
+        if not 0.0 <= force <= 0.1 * EA:
             raise InputError(
                 f"{call}: tension of {name!r} = {force!r}, a strain of {force / EA:.3g} with its "
-                f"EA = {EA:.6g}; give its tension when it is measured, from 0 to {STRAINED} EA."
+                f"EA = {EA:.6g}; give its tension when it is measured, from 0 to 0.1 EA."
             )
-    if abs(temperature) > WARMER:
+    if abs(temperature) > 200.0:
         raise InputError(
             f"{call}: temperature = {temperature!r}; give the difference to the model's "
-            f"temperature in kelvin, from -{WARMER:g} to {WARMER:g}."
+            f"temperature in kelvin, from -200 to 200."
         )
-    if abs(expansion) > EXPANDING:
+    if abs(expansion) > 1e-3:
         raise InputError(
-            f"{call}: expansion = {expansion!r}; give it per kelvin, at most {EXPANDING:g}: that "
+            f"{call}: expansion = {expansion!r}; give it per kelvin, at most 0.001: that "
             f"of steel is {STEEL:g}."
         )
 

@@ -77,8 +77,6 @@ class Foundations:
         return float(gap.max() / (sizes.max(initial=0.0) or 1.0))
 
 
-ROUNDED = 1e-10
-"""Resultants below this part of the largest one, as of internal forces, count as zero."""
 OTHERS = "other supports"
 """Name for held vertices that belong to no group held as a whole."""
 
@@ -151,7 +149,8 @@ def resultants(system: System) -> dict[str, Force]:
         free = nodal_forces(system)[: system.unknowns.n_vertices]
         up = np.where(scene.held[: len(free), 2], 0.0, free[:, 2]).sum()
         found["floor"] = np.array([0.0, 0.0, scene.comm.allreduce(float(up))])
-    nothing = ROUNDED * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
+    # internal forces have resultants of rounding errors
+    nothing = 1e-10 * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
     return {
         name: triple(np.asarray(force)) for name, force in found.items()
         if np.abs(force).max() > nothing

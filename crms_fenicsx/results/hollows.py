@@ -17,11 +17,6 @@ from crms_fenicsx.results.view_data import surface_piece, whole_surface
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
 
-SHALLOW = 1e-5
-"""Depth, relative to the membrane's size, up to which a hollow is ignored."""
-
-UPRIGHT = 1e-6
-"""Least plan area of a triangle that holds water, relative to its surface area."""
 
 Place = tuple[float, float, float]
 
@@ -66,7 +61,8 @@ def find_hollows(net: CableNet) -> Hollows:
     """Find the hollows of the current surface where it faces up; water drains over its edges and
     where it overhangs. Collective."""
     membrane, comm = net.membrane, net.membrane.comm
-    shallow = SHALLOW * membrane.size  # collective
+    # shallower ones do not count
+    shallow = 1e-5 * membrane.size  # collective
     piece = surface_piece(membrane, current_surface(net), {})
     rim = np.zeros(len(np.asarray(piece.points)))
     rim[membrane.vertices(BOUNDARY)] = 1.0
@@ -89,7 +85,8 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
     from scipy.sparse import csgraph
 
     vectors = double_areas(points[triangles]) / 2
-    steep = UPRIGHT * norm(vectors)
+    # triangles of a smaller plan hold no water
+    steep = 1e-6 * norm(vectors)
     side = 1 if np.any(vectors[:, 2] > steep) else -1
     up = np.asarray(triangles[side * vectors[:, 2] > steep], dtype=np.int64)
     plan = float(np.abs(vectors[side * vectors[:, 2] > steep, 2]).sum())

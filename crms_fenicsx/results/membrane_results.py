@@ -47,10 +47,6 @@ def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> f
     return found
 
 
-FLAT = 1e-12
-"""Least squared stretch assumed of a cell, so that a collapsed one still has directions."""
-
-
 @dataclass(frozen=True, repr=False)
 class MembraneResults:
     """Results in this rank's owned cells, by local cell number.
@@ -312,7 +308,8 @@ def membrane_results(system: System) -> MembraneResults:
 
     # With U the root of C = F^T F, F S F^T = R (U S U) R^T: one symmetric problem in the plane.
     squared, Q = np.linalg.eigh(np.eye(2) + 2 * E)
-    stretch = np.sqrt(np.maximum(squared, FLAT))
+    # a collapsed cell still has directions
+    stretch = np.sqrt(np.maximum(squared, 1e-12))
     J = stretch.prod(axis=1)
     U = np.einsum("nij,nj,nkj->nik", Q, stretch, Q)
     true_forces, turned = _principal(U @ S @ U / J[:, None, None])

@@ -30,9 +30,6 @@ from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM
 from crms_fenicsx.foundation.surface.feet import nearest_pairs
 from crms_fenicsx.results.quantities import shown_briefly
 
-HELD = 1e-9
-"""Distance in plan, relative to a facet's size, at which the facet still contains a point."""
-
 
 @dataclass(frozen=True, repr=False)
 class PlaceResults:
@@ -181,7 +178,7 @@ def _candidates(
     target, near = nearest_pairs(*balls(triangles), targets)
     share, _, gaps = closest(triangles[near], targets[target])
     size = longest_sides(triangles[near])
-    gaps = np.where(gaps <= HELD * size, 0.0, gaps)
+    gaps = np.where(gaps <= 1e-9 * size, 0.0, gaps)
     depth = -mix(share, corners[usable[near]])[:, 2] if in_plan else np.zeros(len(near))
     order = np.lexsort((near, depth, gaps, target))
     chosen = order[np.unique(target[order], return_index=True)[1]]

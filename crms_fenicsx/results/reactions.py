@@ -134,10 +134,6 @@ def held_there(
     return membrane, parts
 
 
-MOST_NAMED = 4
-"""Number of parts of a reaction named in its line of text."""
-
-
 @dataclass(frozen=True, repr=False)
 class Reactions:
     """Reactions of the supports, anchors and held joints at a place.
@@ -173,10 +169,8 @@ class Reactions:
     def __repr__(self) -> str:
         """One line."""
         words = [f"total {as_text(self.total)}"]
-        words += [
-            f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:MOST_NAMED]
-        ]
-        words += ["..."] if len(self.parts) > MOST_NAMED else []
+        words += [f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:4]]
+        words += ["..."] if len(self.parts) > 4 else []
         words += [f"vertices of this rank: {len(self.forces)}"]
         return f"Reactions({', '.join(words + ([] if self.in_equilibrium else [UNBALANCED]))})"
 

@@ -26,12 +26,6 @@ from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.membrane_results import MembraneResults, nodal_means
 
-SHARE = 0.05
-"""Radius of a patch by default, relative to the distance to the next corner."""
-
-INWARD = np.deg2rad(210.0)
-"""Angle of the membrane at a free edge's vertex from which the corner is re-entrant."""
-
 
 @dataclass(frozen=True)
 class Patch:
@@ -99,7 +93,7 @@ def _named(membrane: Membrane, found: list[tuple[Force, str, str]]) -> dict[str,
         given = radius is not None
         if radius is None:
             away = np.linalg.norm(places - np.array(place), axis=1)
-            radius = SHARE * float(np.min(away[away > 0.0], initial=membrane.size))
+            radius = 0.05 * float(np.min(away[away > 0.0], initial=membrane.size))
         single = group and groups.count(group) == 1
         name = group if single else f"{group or 'corner'} {number}"
         named[name] = Patch(place, radius, reason, given)
@@ -130,7 +124,7 @@ def _reasons(scene: Scene) -> Integers:
         pulled[dof] |= rank == scene.comm.rank
     alone, fixed, free = beside[:, 0] == 0, beside[:, 1] > 0, beside[:, 2] > 0
     reason = np.full(len(held), len(REASONS))
-    reason[free & ~fixed & (angle > INWARD)] = REASONS.index("re-entrant")
+    reason[free & ~fixed & (angle > np.deg2rad(210.0))] = REASONS.index("re-entrant")
     reason[fixed & free] = REASONS.index("end of a held edge")
     reason[alone & pulled] = REASONS.index("bar")
     reason[alone & held.any(axis=1)] = REASONS.index("support")

@@ -30,12 +30,6 @@ from crms_fenicsx.results.taut_parts import TautParts, Tightening
 
 STEP = 1e-5
 """Relative change of a length or stiffness in finite differences of gradients and results."""
-MOVE = 1e-6
-"""Largest movement of a point, relative to the membrane's size, in differences of results."""
-SOLVED, ITERATIONS = 1e-11, 50
-"""Relative residual of the tangent solves, and largest number of iterative refinements."""
-SAME = 1e-6
-"""Relative difference of derivatives in two directions that counts as none."""
 ROUNDING = 100 * EPSILON
 """Rounding error of results, relative to their size."""
 
@@ -161,7 +155,7 @@ def _by_parameters(
             parts.choose(np.zeros(len(parts.owners), dtype=bool))
             energy = [one == "energy" for one in of]  # its first derivatives have no jumps
             both[:, energy, j] = both[:, energy, j].mean(axis=0)
-            same = SAME * np.abs(both[:, :, j]).max(axis=0) + rounding
+            same = 1e-6 * np.abs(both[:, :, j]).max(axis=0) + rounding
             if np.any(np.abs(both[0, :, j] - both[1, :, j]) > same):
                 own = np.flatnonzero(turned[0] != turned[1])
                 named |= {parts.owners[i].name for i in own}
@@ -208,7 +202,7 @@ class _Changes:
         (change, step), system = setter, self.system
         comm, n = self.scene.comm, system.unknowns.n_owned
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
-        size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
+        size = min(step, 1e-6 * self.scene.membrane.size / max(far, 1e-300))
         place = system.potential.x_vector.duplicate()
         found, excess = [], []
         for sign in (1.0, -1.0):
@@ -307,7 +301,7 @@ class _TangentSolver:
         self._b, self._y = whole.createVecs()
         self._ksp.setOperators(whole, sparse)
         self._ksp.setType(PETSc.KSP.Type.GMRES)
-        self._ksp.setTolerances(rtol=SOLVED, max_it=ITERATIONS)
+        self._ksp.setTolerances(rtol=1e-11, max_it=50)
         pc = self._ksp.getPC()
         if whole.getType() != PETSc.Mat.Type.LRC:
             pc.setType(PETSc.PC.Type.LU)

@@ -299,12 +299,6 @@ def _gathered(
     }  # fmt: skip
 
 
-SLENDER = 0.003
-"""Default radius of tubes, relative to the diagonal of the surface's bounding box."""
-SIDES = 12
-"""Sides of a tube."""
-
-
 def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
     """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
     checks.same(scene.comm, "to_pyvista", radius=radius)
@@ -330,7 +324,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
             faces = {"faces": np.asarray(surface.triangles)}
             found["membrane"] = _mesh(pyvista, np.asarray(surface.points), faces, *data)
             if radius is None:
-                radius = SLENDER * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+                radius = 0.003 * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
             for name, some in lines.items():
                 if some:
                     found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
@@ -351,7 +345,7 @@ def _tubes(pyvista: Any, lines: Sequence[Line], radius: float) -> Any:
     points, pairs, on_points, on_segments = joined(lines)
     mesh = _mesh(pyvista, points, {"lines": pairs}, on_points, on_segments)
     if radius > 0.0:
-        mesh = mesh.tube(radius=radius, n_sides=SIDES, capping=True)
+        mesh = mesh.tube(radius=radius, n_sides=12, capping=True)
     mesh.field_data["names"] = [line.name for line in lines]
     return mesh
 

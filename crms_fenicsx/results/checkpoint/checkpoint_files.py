@@ -93,12 +93,6 @@ def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
 
 Rows = npt.NDArray[Any]
 
-HEADER = 128
-"""Bytes before the values."""
-
-FACTOR = np.uint64(0x9E3779B97F4A7C15)
-"""Odd multiplier for hashing (golden ratio)."""
-
 
 def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
     """Write an array from all ranks' rows `ids` (n,); returns its digest. Collective."""
@@ -118,7 +112,7 @@ def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, tot
 def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     """Header of an .npy file of version 1.0: equal bytes for equal type and shape."""
     text = repr({"descr": dtype.str, "fortran_order": False, "shape": shape})
-    return b"\x93NUMPY\x01\x00\x76\x00" + text.ljust(HEADER - 11).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00\x76\x00" + text.ljust(117).encode() + b"\n"
 
 
 def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
@@ -127,7 +121,7 @@ def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
     words = columns.view(np.uint64) if columns.dtype.itemsize == 8 else columns.astype(np.uint64)
     numbers = np.zeros(len(ids), dtype=np.uint64)
     for column in (ids.astype(np.uint64), *words.T):
-        numbers = (numbers ^ column) * FACTOR
+        numbers = (numbers ^ column) * np.uint64(0x9E3779B97F4A7C15)  # golden ratio
         numbers ^= numbers >> np.uint64(29)
     return f"{comm.allreduce(int(numbers.sum())) % 2**64:016x}"
 
@@ -151,11 +145,12 @@ def read_rows(
 
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
     """Read an array of given type, shape and digest; raises `InputError` otherwise."""
-    wrong, size = "", HEADER + dtype.itemsize * math.prod(shape)
+    wrong, head = "", _header(dtype, shape)
+    size = len(head) + dtype.itemsize * math.prod(shape)
     with readable(path, "give a checkpoint that is complete"):
         found = size_of_file(path)
         with open(path, "rb") as file:
-            if file.read(HEADER) != _header(dtype, shape):
+            if file.read(len(head)) != head:
                 wrong = f"it does not begin like numbers of type {dtype} and shape {shape}"
             elif found != size:
                 wrong = f"it has {found} bytes instead of {size}"

@@ -40,9 +40,6 @@ def unescaped(text: str) -> str:
 
 Value = int | float | str
 
-MOST_SHOWN = 20
-"""Number of last rows shown in a notebook."""
-
 
 class History:
     """Rows of named values; the file is complete after each row.
@@ -89,7 +86,7 @@ class History:
         """The last rows as a table, for notebooks."""
         heads = "".join(f"<th>{escape(name)}</th>" for name in self.columns)
         rows = [f"<tr>{heads}</tr>"]
-        for row in self._rows[-MOST_SHOWN:]:
+        for row in self._rows[-20:]:
             cells = "".join(f"<td>{_short(row.get(name))}</td>" for name in self.columns)
             rows.append(f"<tr>{cells}</tr>")
         return f"<table>{''.join(rows)}</table>"

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 NAME = ".lock"
 """Name of the locked file, which is never removed: a recreated file could be locked twice."""
-GRACE = 10.0
-"""Seconds for which a resumed run waits for processes of the killed one."""
 
 
 class FolderLock:
@@ -47,7 +45,7 @@ class FolderLock:
 
     def take(self, going_on: bool) -> None:
         """Acquire the lock. Collective."""
-        deadline = time.monotonic() + (GRACE if going_on else 0.0)
+        deadline = time.monotonic() + (10.0 if going_on else 0.0)
         collected = False
         while not self._taken:
             holder = checks.from_first(self.comm, self._try)

@@ -33,11 +33,6 @@ DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 FLAT = 1e-6
 """Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
-_POINTS_PER_INCH = 72.0
-_APART = 14.0
-"""Least distance of ticks (points), on average."""
-_ROW, _HANDLE, _LETTER = 0.19, 0.42, 0.066
-"""Height of a legend's row, width of its symbols, and of a letter of its texts (inches)."""
 Entry = tuple[Any, str, str]
 """Colour, text and kind ("line", "patch", "foot" or "stripes") in a legend; "" omits it."""
 
@@ -112,12 +107,12 @@ class Axes3D:
         left, right, bottom = 0.62, 0.58 + 0.95 * bars + room[0], 0.55
         columns = _columns([text for _, text, _ in told], width - left - right + 0.4)
         rows = -(-len(told) // columns)
-        top = (0.42 if title else 0.15) + _ROW * rows
+        top = (0.42 if title else 0.15) + 0.19 * rows
         free = np.array([width - left - right, 0.95 * width])
         scale = float((span / free).max())
         height = span[1] / scale + bottom + top
         height = max(height, room[1])
-        self.point = scale / _POINTS_PER_INCH
+        self.point = scale / 72.0
         self.figure = new_figure(width, height)
         self._size = np.array([width, height])
         self._bars = bars
@@ -178,7 +173,7 @@ class Axes3D:
             edge[1, axis] = near[axis]
             room = float(np.linalg.norm(np.diff(self._flat(edge), axis=0))) / self.point
             wanted = int(np.clip(round(6 * size / whole), 3, 6))
-            wanted = min(wanted, max(int(room / _APART), 2))
+            wanted = min(wanted, max(int(room / 14.0), 2))
             values = MaxNLocator(wanted, steps=[1, 2, 2.5, 5, 10]).tick_values(
                 self.low[axis], self.high[axis]
             )
@@ -294,7 +289,7 @@ class Axes3D:
             (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
         )
         colorbar = self.figure.colorbar(mappable, cax=bar)
-        lines = fill(label, max(int(0.9 * height / _LETTER), 12))
+        lines = fill(label, max(int(0.9 * height / 0.066), 12))
         colorbar.set_label(lines, fontsize=_SMALL + 0.5, color=INK)
         colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
         colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]
@@ -303,7 +298,7 @@ class Axes3D:
 
 def _columns(texts: Sequence[str], width: float) -> int:
     """Number of columns in which texts of a legend fit into a width (inches), at least one."""
-    widths = [_HANDLE + _LETTER * len(text) for text in texts]
+    widths = [0.42 + 0.066 * len(text) for text in texts]  # of symbol and letters
     if sum(widths) <= width:
         return max(len(texts), 1)
     return max(int(width / max(widths)), 1)

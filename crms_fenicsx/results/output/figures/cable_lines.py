@@ -20,14 +20,12 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
 
 NO_VALUE = (0.784, 0.784, 0.784)
-_SAME = 1e-2
-"""Relative range of values that get one colour."""
 
 
 def common_value(values: Array) -> tuple[float, float] | None:
     """Range of values that are nearly equal; None if they differ or none is finite."""
     finite = values[np.isfinite(values)]
-    if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
+    if len(finite) == 0 or np.ptp(finite) > 1e-2 * np.abs(finite).max():
         return None
     return float(finite.min()), float(finite.max())
 
@@ -67,7 +65,6 @@ def colouring(
 
 
 CABLE = "#c8322b"
-_SHORTEST = 3  # pieces of a line; shorter runs are specks in a crease
 
 
 @dataclass(frozen=True)
@@ -193,9 +190,9 @@ def _seen(
     if clip is not None:
         places = axes3d.camera.place(middles)
         seen &= np.all((places >= clip[0]) & (places <= clip[1]), axis=1)
-    if len(seen) >= 2 * _SHORTEST:
+    if len(seen) >= 6:  # runs of one or two pieces are specks in a crease
         for start, end in _runs(seen[:, None]):
-            seen[start:end] &= end - start >= _SHORTEST
+            seen[start:end] &= end - start > 2
     return seen
 
 

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CLOSEUP = 2.3  # inches, with labels
-_LABELS = 0.75  # inches
 _CABLE = "#8a8f98"
 
 
@@ -162,7 +161,7 @@ def _add_closeups(
     # points that stand still but for the solver's tolerance are no paths to be enlarged
     half = 0.66 * extent if extent > FLAT * size else 0.05 * size
     width, height = axes3d.figure.get_size_inches()
-    side = _CLOSEUP - _LABELS
+    side = _CLOSEUP - 0.75
     for row, (title, numbers) in enumerate(closeups.items()):
         middle = 0.5 * (lows[row] + highs[row])
         bottom = height - 0.1 - _CLOSEUP * (row + 1) + 0.5

@@ -41,12 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
-_ON_SURFACE = 0.006  # relative to the size: depth of a cable below unfolded triangles
 _BEHIND = 5e-4  # relative to the size: depth at which edges are hidden, which no fold lies above
-_PIECE = 6.0  # length of the parts of an edge that are seen or hidden (points)
 _GHOST = (0.20, 0.33, 0.60)
-FINEST, MOST_PARTS = 4, 40_000
-"""Parts along the sides of a triangle whose colour varies, and most parts in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +204,8 @@ def draw_shape(
     flat = camera.project(spatial)
     shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
     _paint_surface(axes3d, spatial, flat, values, paint, shown, ghostly)
-    tolerance = _ON_SURFACE * size
+    # depth of a cable below unfolded triangles
+    tolerance = 0.006 * size
     _paint_outline(axes3d, surface, flat, _BEHIND * size, INK)
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
@@ -305,7 +302,7 @@ def _fine(flat: Array, values: Array) -> tuple[Array, Array, Integers, Integers]
     Returns the corners of the parts (p, 3, 3), their values (p,), the triangle of each (p,), and of
     which side (3: none) of it each part's sides are (p, 3).
     """
-    n = int(np.clip(np.sqrt(MOST_PARTS / max(len(flat), 1)), 1, FINEST))
+    n = int(np.clip(np.sqrt(40_000 / max(len(flat), 1)), 1, 4))
     parts, sides = [], []
     for i in range(n):
         for j in range(n - i):
@@ -387,7 +384,7 @@ def _paint_seen(
 
     if len(strokes):
         ends = axes3d.camera.project(strokes)
-        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / _PIECE
+        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / 6.0
                          / axes3d.point).astype(np.int64)  # fmt: skip
         stroke, k = offsets_within(np.maximum(pieces, 1))
         share = np.stack([k, k + 1], axis=1) / np.maximum(pieces, 1)[stroke, None]

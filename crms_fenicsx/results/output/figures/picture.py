@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
 
-SHOWN_DPI = 100
-"""Pixels per inch in notebooks."""
 MARGIN = 0.1
 """White margin around a picture (inches)."""
 
@@ -61,7 +59,7 @@ def finished(
 
     def png() -> bytes:
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=SHOWN_DPI, bbox_inches=region, pad_inches=MARGIN)
+        figure.savefig(buffer, format="png", dpi=100, bbox_inches=region, pad_inches=MARGIN)
         return buffer.getvalue()
 
     figure._repr_png_ = png  # type: ignore[attr-defined]

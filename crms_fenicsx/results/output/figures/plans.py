@@ -24,10 +24,6 @@ UPLIFT, DOWNWARD, CABLE, BAR = DISTINCT[1], DISTINCT[0], "#444b55", DISTINCT[3]
 HELD = "#1d1f24"
 ROOM = 0.16
 """Longest arrow and highest ordinate of a diagram, relative to the plan's size."""
-LETTER = 3.9
-"""Mean width of a letter (points)."""
-MOST_NAMES, MOST_VALUES = 80, 30
-"""Largest numbers of names of lines, and of values of vertical forces, written in a plan."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
                 "", tip, at[:2], zorder=4,
                 arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3},
             )  # fmt: skip
-        few = len(plan.points) <= MOST_VALUES
+        few = len(plan.points) <= 30
         side = (at[:2] - centre) / np.maximum(np.ptp(flats, axis=0), 1e-300)
         across = abs(side[1]) > abs(side[0])  # at the upper or lower side
         out = np.sign(side) * (not across, across)
@@ -143,8 +139,8 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
     for _, place in plan.points:
         axes.plot(place[0], place[1], "^", color=HELD, markersize=5, zorder=4)
     named = _line_names(plan, centre, 1e-3 * size)
-    names = named if len(named) <= MOST_NAMES else []
-    if len(plan.points) <= MOST_VALUES:
+    names = named if len(named) <= 80 else []
+    if len(plan.points) <= 30:
         names += [(name, [(place[:2], way) for way in _ways(place[:2] - centre)])
                   for name, place in plan.points if name]  # fmt: skip
     _write_apart(axes, names, plan.rim[..., :2])
@@ -222,7 +218,7 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: A
         for at, out in places:
             away = 9.0 * out / (np.linalg.norm(out) or 1.0)
             x, y = axes.transData.transform(at) * points + away
-            wide = LETTER * len(name)
+            wide = 3.9 * len(name)
             left = x if away[0] > 4.0 else x - wide if away[0] < -4.0 else x - wide / 2
             box = np.array([left - 2.0, y - 4.5, left + wide + 2.0, y + 4.5])
             over = np.minimum(taken[:, 2:], box[2:]) - np.maximum(taken[:, :2], box[:2])

@@ -78,10 +78,6 @@ def draw_convergence(
         return finished(figure, path, 160)
 
 
-_SEEN = 0.01
-"""Fraction of a panel's largest value above which a column is visible."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class HistoryOptions:
     """Options of `draw_history`.
@@ -199,7 +195,7 @@ def default_panels(history: History) -> list[list[str]]:
         shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
     largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
     seen = [
-        [c for c in group if _size(history[c]) >= _SEEN * size]
+        [c for c in group if _size(history[c]) >= 0.01 * size]
         for group, size in zip(shown, largest, strict=True)
     ]
     return [group for group in seen if group]

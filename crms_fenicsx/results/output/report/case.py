@@ -30,10 +30,8 @@ from crms_fenicsx.results.output.report.pdf_and_views import interactive_view
 from crms_fenicsx.results.quantities import HasSystem
 from crms_fenicsx.results.summary import SUMMED_UP, Summary, held_groups, summary
 
-SHARPEST, COARSEST, MANY = 150, 70, 20
-"""Resolution of pictures (pixels per inch): largest, up to MANY pictures, and smallest."""
-WIDTH = 6.0
-"""Width of a picture (inches)."""
+SHARPEST = 150
+"""Largest resolution of pictures (pixels per inch), for up to 20 of them."""
 
 
 Corner = tuple[float, ...]
@@ -107,7 +105,7 @@ def with_pictures(
     if common[1] is not None and common[1][0] < 0.0:
         options.setdefault("line_colours", SIGNED)
     count = max(len(every) * len(colours), 1)
-    dpi = int(np.clip(SHARPEST * math.sqrt(MANY / count), COARSEST, SHARPEST))
+    dpi = int(np.clip(SHARPEST * math.sqrt(20 / count), 70, SHARPEST))
     pictures = []
     for colour in colours:  # one colour bar per picture, to leave room for the shape
         fabric = None if colour == TENSION else colour
@@ -140,7 +138,7 @@ def draw_png(solver: HasSystem, **options: Any) -> bytes:
     comm, buffer = solver.comm, io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder)) / "picture.png"
-        draw(solver, path, width=WIDTH, **options)
+        draw(solver, path, width=6.0, **options)
         comm.barrier()
         if comm.rank == 0 and path.exists():
             from PIL import Image
@@ -183,11 +181,6 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     high = max(part.largest[name].value for part in parts if name in part.largest)
     low = 0.0 if low > -1e-9 * high else low
     return (low, max(high, 0.0)) if low < high else None
-
-
-COLLAPSED, TURNED = 0.5, 0.01
-"""Fraction of the base volume below which a roof has collapsed; fraction of its area above which it
-has turned over."""
 
 
 @dataclass(frozen=True)
@@ -252,9 +245,9 @@ def _doubts(case: Case) -> Iterator[str]:
         yield f"{warning}."
     if change.volume is not None and change.volume < 0.0:
         yield "the roof has turned inside out: it lies on the other side of its supports."
-    elif change.volume is not None and change.volume < COLLAPSED:
+    elif change.volume is not None and change.volume < 0.5:
         yield f"the roof has collapsed: of its inner volume {per_cent(change.volume)} are left."
-    elif change.turned > TURNED:
+    elif change.turned > 0.01:
         yield f"{per_cent(change.turned)} of the membrane have turned over."
 
 
@@ -338,10 +331,6 @@ def _reinforced(cases: Sequence[Case]) -> list[str]:
     return [text]
 
 
-ENCLOSES = 0.02
-"""Volume between roof and rim, relative to area to 3/2, from which a roof encloses a volume."""
-
-
 @dataclass(frozen=True)
 class Shape:
     """Shape of this rank's cells in a state of a scene."""
@@ -381,5 +370,5 @@ def shape_change(before: Shape, scene: Scene) -> ShapeChange:
     now = shape_of(scene, before.apex)
     turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
     share = scene.comm.allreduce(float(norm(before.vectors)[turned].sum())) / before.area
-    encloses = abs(before.volume) > ENCLOSES * before.area**1.5
+    encloses = abs(before.volume) > 0.02 * before.area**1.5
     return ShapeChange(now.volume / before.volume if encloses else None, share)

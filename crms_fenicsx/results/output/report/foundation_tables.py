@@ -21,8 +21,6 @@ DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal component and angles."""
 NOTHING = 1e-4
 """Components below this fraction of the largest are shown as zero."""
-BALANCED = 1e-8
-"""Relative difference of loads and foundation forces attributed to rounding."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ class FoundationTables:
             scale = max([abs(x) for one in of.loads.values() for x in one], default=0.0)
             for name, force in of.loads.items():
                 rows.append((case.name, name, *clean(force, scale, NOTHING)))
-            words = f"to {BALANCED:g}" if of.unbalanced <= BALANCED else f"to {of.unbalanced:.1e}"
+            words = "to 1e-08" if of.unbalanced <= 1e-8 else f"to {of.unbalanced:.1e}"
             rows.append(
                 (case.name, f"all foundations (balanced {words})", *clean(of.total, scale, NOTHING))
             )

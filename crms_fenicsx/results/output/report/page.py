@@ -19,8 +19,6 @@ from crms_fenicsx.results.output.history import escaped
 Cell = str | int | float | None
 """None is an empty cell: no value."""
 
-MOST_ROWS = 600
-"""Number of rows above which a table is in the CSV file only."""
 SHORT = 8
 """Number of rows up to which a table is kept on one printed page."""
 
@@ -196,7 +194,7 @@ class Table:
     @property
     def is_long(self) -> bool:
         """Whether it is in the CSV file only."""
-        return bool(self.name) and len(self.rows) > MOST_ROWS
+        return bool(self.name) and len(self.rows) > 600
 
     @property
     def is_short(self) -> bool:

@@ -155,8 +155,6 @@ BROWSERS = (
     "microsoft-edge", "msedge",
 )  # fmt: skip
 """Browsers, in the order of search."""
-PATIENCE = 120
-"""Time limit of the browser (seconds)."""
 
 
 def browser() -> str:
@@ -183,10 +181,10 @@ def print_page(html: str, path: Path) -> None:
             f"--user-data-dir={folder}/profile", f"--print-to-pdf={pdf}", page.as_uri(),
         ]  # fmt: skip
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120)
             trouble = done.stderr.strip().splitlines()[-1:] if done.returncode else []
         except subprocess.TimeoutExpired:
-            trouble = [f"it took more than {PATIENCE} s"]
+            trouble = ["it took more than 120 s"]
         if not pdf.exists():
             raise InputError(f"report: {command[0]} printed no PDF; {''.join(trouble)}")
         path.write_bytes(pdf.read_bytes())

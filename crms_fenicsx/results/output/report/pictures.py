@@ -22,9 +22,6 @@ from crms_fenicsx.results.output.report.results_tables import families
 from crms_fenicsx.results.quantities import HasSystem, load_label
 from crms_fenicsx.results.view_data import Line, surface_piece, whole_surface
 
-MOST_PLANNED = 40_000
-"""Largest number of cells in a plan; more would print black."""
-
 
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
     """The model in space and in plan, on the first rank. Collective."""
@@ -32,7 +29,8 @@ def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list
     png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
     if png:
         found.append(Figure(png, f"{caption}; faintly the stress-free shape", "model"))
-    if scene.mesh.mesh.topology.index_map(2).size_global <= MOST_PLANNED:
+    # more would print black
+    if scene.mesh.mesh.topology.index_map(2).size_global <= 40_000:
         plan = _model_plan(solver)
         if scene.comm.rank == 0:
             warp = "warp, " if len(plan.warp[0]) else ""

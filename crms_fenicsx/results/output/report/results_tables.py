@@ -31,10 +31,6 @@ NOISE = 1e-6
 """Force components below this fraction of the largest are rounding errors."""
 FINE = 1e-3
 """Values below this fraction of the largest are shown as zero, as irrelevant to design."""
-PEAK = 1.25
-"""Ratio of largest to largest smoothed cell value above which it is called a peak."""
-FAMILY = 10
-"""Number of bars from which those with numbered names share rows on the page."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ class ResultTables:
             nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
-            elif nodal is not None and high.value > PEAK * max(nodal, 0.0):
+            elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
                 peak = "single-cell peak"
             rows.append((
                 part_name(part), label, *clean([low.value], abs(high.value), FINE),
@@ -386,7 +382,7 @@ def families(names: Sequence[str]) -> dict[str, list[str]]:
         found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
     shared: dict[str, list[str]] = {}
     for own in found.values():
-        many = len(own) >= FAMILY
+        many = len(own) >= 10
         shared |= {f"{own[0]} ... {own[-1]}": own} if many else {name: [name] for name in own}
     return shared
 

@@ -87,18 +87,12 @@ NOTES = (
     "the others to be known well, not that the state is no equilibrium.",
 )
 """Notes on reading the results."""
-PER_PICTURE = 1000
-"""Bytes of the page per picture, besides its data."""
-
-
-LONG = 28
-"""Length of a case name from which all cases are called by their codes."""
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
     """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
-    if max(len(case.name) for case in cases) < LONG:
+    if max(len(case.name) for case in cases) < 28:
         return list(cases)
     order = list(codes)
     return [
@@ -148,7 +142,7 @@ class Report:
         room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
         cases = []
         for case in self.cases:
-            need = np.cumsum([PER_PICTURE + len(one.png) * 4 // 3 for one in case.pictures])
+            need = np.cumsum([1000 + len(one.png) * 4 // 3 for one in case.pictures])
             fitting = case.pictures[: int(np.count_nonzero(need <= room))]
             room -= int(need[len(fitting) - 1]) if fitting else 0
             cases.append(replace(case, pictures=fitting))
