@@ -98,16 +98,18 @@ def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]
     marked, ends = np.zeros(len(membrane.held), dtype=bool), edge_ends(membrane.V)
     marked[dofs] = True
     points = membrane.positions()
-    start, end = points[ends[marked[ends].all(axis=1)]].transpose(1, 0, 2)
-    start, end = (np.concatenate([x, points[dofs]]) for x in (start, end))
-    way = end - start
+    edges = np.concatenate([points[ends[marked[ends].all(axis=1)]], points[dofs, None][:, [0, 0]]])
+    near = np.array([gap(place, edges) <= AT * membrane.size for place in places])
+    return np.asarray(membrane.comm.allreduce(near.astype(np.int64))) > 0
+
+
+def gap(place: Array, edges: Array) -> float:
+    """Distance of a place, (3,), from the nearest of edges (k, 2, 3); infinite without any."""
+    start, way = edges[:, 0], edges[:, 1] - edges[:, 0]
     squared = np.maximum((way * way).sum(axis=1), 1e-300)
-    near = np.zeros(len(places), dtype=np.int64)
-    for k, place in enumerate(places):
-        along = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
-        gaps = np.linalg.norm(start + along[:, None] * way - place, axis=1)
-        near[k] = gaps.min(initial=np.inf) <= AT * membrane.size
-    return np.asarray(membrane.comm.allreduce(near)) > 0
+    along = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
+    gaps = np.linalg.norm(start + along[:, None] * way - place, axis=1)
+    return float(gaps.min(initial=np.inf))
 
 
 def ends_at(

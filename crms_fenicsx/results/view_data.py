@@ -222,6 +222,12 @@ def surface_piece(
     )
 
 
+def whole_shape(scene: Scene) -> Surface | None:
+    """The whole current surface on the first rank; None on the others. Collective."""
+    piece = surface_piece(scene.membrane, current_surface(scene.net), {})
+    return whole_surface(scene.comm, piece)
+
+
 def point_homes(membrane: Membrane, points: int) -> Integers:
     """Owner and number of the current surface's points, (points, 2). Collective."""
     vertices = membrane.V.dofmap.index_map

@@ -10,11 +10,10 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError, collective
-from crms_fenicsx.results.view_data import surface_piece, whole_surface
+from crms_fenicsx.results.view_data import whole_shape
 
 VerticesAndFaces = tuple[Sequence[Sequence[float]], Sequence[Sequence[int]]]
 
@@ -92,7 +91,7 @@ def to_vertices_and_faces(
     """
     if not isinstance(scene, Scene):
         raise InputError(f"to_vertices_and_faces: {scene!r} is no scene; give one.")
-    whole = whole_surface(scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {}))
+    whole = whole_shape(scene)
     if whole is None:
         return None
     vertices: list[list[float]] = np.asarray(whole.points).tolist()  # type: ignore[assignment]

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes.gmsh_model import imported
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
-from crms_fenicsx.results.view_data import Surface, surface_piece, whole_surface
+from crms_fenicsx.results.view_data import Surface, whole_shape
 
 UNITS = {"mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
 """DXF codes of units."""
@@ -59,8 +58,7 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
     path = absolute(checks.file("write_shape: filename", filename), scene.comm)
     checks.one_of("write_shape: the suffix", path.suffix.lower(), SUFFIXES)
     scene.membrane.check_finite("write_shape")
-    piece = surface_piece(scene.membrane, current_surface(scene.net), {})
-    whole = whole_surface(scene.comm, piece)
+    whole = whole_shape(scene)
     held = np.any(scene.held[: scene.V.dofmap.index_map.size_local], axis=1)
     places = scene.comm.gather(scene.positions()[: len(held)][held])
     with raised_together(scene.comm):

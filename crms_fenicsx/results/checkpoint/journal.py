@@ -22,6 +22,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.checks import LONGEST
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.model.bar import Joint, PlacedBar
@@ -53,37 +54,29 @@ def difference(was: object, now: object) -> str | None:
                 label = name if name == "name" or "name" not in now else f"{now['name']!r}, {name}"
                 return label + ("" if found.startswith((" =", ":")) else ", ") + found
         return None
-    if _close(was, now):
-        return None
-    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
-        pairs = zip(was, now, strict=True)
-        found = next((d for d in (difference(a, b) for a, b in pairs) if d is not None), "")
-        if not found.startswith(" ="):
-            return f": {found}"
-    return f" = {_short(was)}, and now {_short(now)}"
-
-
-def _close(was: object, now: object) -> bool:
     if _numeric(was) and _numeric(now):
         a, b = np.atleast_1d(was), np.atleast_1d(now)  # type: ignore[call-overload]
         size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        return a.shape == b.shape and bool(np.all(np.abs(a - b) <= ROUNDING * size))
-    if isinstance(was, list) and isinstance(now, list):
-        return len(was) == len(now) and all(
-            difference(a, b) is None for a, b in zip(was, now, strict=True)
-        )
-    return was == now
+        if a.shape == b.shape and np.all(np.abs(a - b) <= ROUNDING * size):
+            return None
+    elif was == now:
+        return None
+    elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+        pairs = zip(was, now, strict=True)
+        found = next((d for a, b in pairs if (d := difference(a, b)) is not None), None)
+        if found is None or not found.startswith(" ="):
+            return found and f": {found}"
+    before, after = (
+        text if len(text := repr(value)) <= LONGEST else text[:LONGEST] + "..."
+        for value in (was, now)
+    )
+    return f" = {before}, and now {after}"
 
 
 def _numeric(value: object) -> bool:
     """Whether the value is a rounded number, or a list of such."""
     values: list[Any] = value if isinstance(value, list) and value else [value]
     return all(isinstance(one, float) for one in values)
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 200 else text[:200] + "..."
 
 
 logger = logging.getLogger("crms_fenicsx")

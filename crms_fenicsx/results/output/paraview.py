@@ -145,7 +145,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
                 f'        <DataArray type="{kind}{8 * values.itemsize}" Name={quoteattr(name)} '
                 f'{components}format="appended" offset="{offset}"/>\n'
             )
-            offset += len(_sized(values[:0])) + values.nbytes
+            offset += 8 + values.nbytes  # the size itself takes eight
         tags += f"      </{section}>\n"
     cells = len(geometry["Types"])
     head = BEGIN.format(_field_data(grid.texts), len(geometry["Points"]), cells, tags)

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.results.output.figures.picture import Camera, finished, new_figure
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    add_lines,
+    add_polygons,
+    finished,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +33,6 @@ RIM = "#1d1f24"
 STRIPES = (0.0, (0.9, 0.9))
 """Dashes of cables off the membrane; the rim shows between them."""
 _GRID = "#d3d7dc"
-_WALL = "#f4f5f7"
 DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours safe for colour-blind readers."""
 FLAT = 1e-6
@@ -159,7 +164,6 @@ class Axes3D:
 
     def draw_box(self, unit: str) -> None:
         """Draw the box's three far faces with a grid, and tick labels along its near edges."""
-        from matplotlib.collections import LineCollection, PolyCollection
         from matplotlib.ticker import MaxNLocator
 
         towards = self.camera.axes[2]
@@ -194,10 +198,9 @@ class Axes3D:
                     ends[:, along] = value
                     ends[:, across] = self.low[across], self.high[across]
                     grid.append(self._flat(ends))
-        self.axes.add_collection(
-            PolyCollection(faces, facecolors=_WALL, edgecolors=_GRID, linewidths=0.7, zorder=0)
-        )
-        self.axes.add_collection(LineCollection(grid, colors=_GRID, linewidths=0.5, zorder=0.1))
+        wall = {"facecolors": "#f4f5f7", "edgecolors": _GRID}
+        add_polygons(self.axes, faces, linewidths=0.7, zorder=0, **wall)
+        add_lines(self.axes, grid, colors=_GRID, linewidths=0.5, zorder=0.1)
         for axis in range(3):
             self._label_edge(axis, self._ruler(axis, far, near), ticks[axis], unit)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
-from crms_fenicsx.results.output.figures.picture import offsets_within, visible
+from crms_fenicsx.results.output.figures.picture import add_lines, offsets_within, visible
 from crms_fenicsx.results.view_data import Line
 
 if TYPE_CHECKING:
@@ -137,8 +137,6 @@ def paint_lines(
     show_names: bool,
 ) -> None:
     """Paint the parts of lines not hidden by triangles (m, 3, 3)."""
-    from matplotlib.collections import LineCollection
-
     runs: list[Array] = []
     run_values: list[float] = []
     run_off: list[bool] = []
@@ -164,11 +162,10 @@ def paint_lines(
     cores = CABLE if style.paint is None else style.paint.to_rgba(np.array(run_values)[order])
     styles = [STRIPES if run_off[i] else "solid" for i in order]
     for zorder, colour, thick, dashes in ((3, RIM, 2.9, "solid"), (4, cores, 1.7, styles)):
-        axes3d.axes.add_collection(
-            LineCollection(
-                paths, colors=colour, linewidths=thick, linestyles=dashes, joinstyle="round",
-                capstyle="butt" if dashes is styles and any(run_off) else "round", zorder=zorder,
-            )
+        add_lines(
+            axes3d.axes, paths, colors=colour, linewidths=thick, linestyles=dashes,
+            joinstyle="round", zorder=zorder,
+            capstyle="butt" if dashes is styles and any(run_off) else "round",
         )  # fmt: skip
     for line in lines:
         held = np.asarray(line.data.get("clamp", 0.0)) > 0.0

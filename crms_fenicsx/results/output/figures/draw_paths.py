@@ -23,7 +23,12 @@ from crms_fenicsx.results.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.results.output.figures.picture import Camera, checked_picture
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    add_lines,
+    add_polygons,
+    checked_picture,
+)
 from crms_fenicsx.results.view_data import Line, Surface
 
 if TYPE_CHECKING:
@@ -188,22 +193,14 @@ def _draw_below(
     axes: Any, triangles: Array, cables: Sequence[Array], colours: Sequence[str], point: float
 ) -> None:
     """Draw triangles and the cables on them; `point` is the length shown by a typographic point."""
-    from matplotlib.collections import LineCollection, PolyCollection
-
     # the edges of a fine mesh would dominate the picture
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
     fine = len(sides) > 0 and float(np.median(sides)) < 30.0 * point
-    axes.add_collection(
-        PolyCollection(
-            list(triangles), facecolors=(0.80, 0.86, 0.93, 0.55),
-            edgecolors="#a9b2be" if fine else "#5f6b7a", linewidths=0.4 if fine else 0.9, zorder=1,
-        )
+    add_polygons(
+        axes, triangles, facecolors=(0.80, 0.86, 0.93, 0.55),
+        edgecolors="#a9b2be" if fine else "#5f6b7a", linewidths=0.4 if fine else 0.9, zorder=1,
     )  # fmt: skip
-    axes.add_collection(
-        LineCollection(
-            list(cables), colors=list(colours), linewidths=1.6, capstyle="round", zorder=2
-        )
-    )
+    add_lines(axes, cables, colors=list(colours), linewidths=1.6, capstyle="round", zorder=2)
 
 
 def _draw_point_path(axes: Any, at: Array, number: int, size: float, steps: Sequence[int]) -> None:

@@ -29,7 +29,7 @@ from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
 from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, load_label, load_values
-from crms_fenicsx.results.reactions import held_ends
+from crms_fenicsx.results.reactions import gap, held_ends
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 from crms_fenicsx.results.view_data import (
     Line,
@@ -221,13 +221,8 @@ def _supports(scene: Scene) -> dict[str, Any]:
         *(joint.position[None] for joint in scene.joints if joint.held.any()),
         *(end.place[None] for end in held_ends(scene)),
     ])  # fmt: skip
-    start, way = rim[:, 0], rim[:, 1] - rim[:, 0]
-    squared = np.maximum((way * way).sum(axis=1), 1e-300)
-    off = []
-    for place in np.unique(places, axis=0):
-        share = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
-        gaps = np.linalg.norm(start + share[:, None] * way - place, axis=1)
-        off += [place] if gaps.min(initial=np.inf) > 1e-6 * scene.membrane.size else []
+    near = 1e-6 * scene.membrane.size
+    off = [place for place in np.unique(places, axis=0) if gap(place, rim) > near]
     return {"held": rim, "supports": np.reshape(off, (-1, 3))}
 
 

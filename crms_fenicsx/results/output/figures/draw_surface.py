@@ -29,6 +29,8 @@ from crms_fenicsx.results.output.figures.cable_lines import (
 )
 from crms_fenicsx.results.output.figures.picture import (
     Camera,
+    add_lines,
+    add_polygons,
     brightness,
     checked_picture,
     offsets_within,
@@ -334,8 +336,6 @@ def _paint_triangles(
 ) -> None:
     """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge of
     which strength (m,)."""
-    from matplotlib.collections import PolyCollection
-
     faces = np.column_stack([np.clip(colours, 0, 1), np.ones(len(colours))])
     dark = np.column_stack([faces[:, :3] * (1.0 - 0.35 * strength)[:, None], faces[:, 3]])
     # faces without edges get rims of their colour, to close the gaps left by antialiasing
@@ -360,11 +360,9 @@ def _paint_triangles(
         thick = np.concatenate([thick, np.full(len(extra), 0.4)])
         depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
     order = np.argsort(depth, kind="stable")
-    axes3d.axes.add_collection(
-        PolyCollection(
-            [polygons[i] for i in order], facecolors=faces[order], edgecolors=rims[order],
-            linewidths=thick[order], joinstyle="round", zorder=1,
-        )
+    add_polygons(
+        axes3d.axes, [polygons[i] for i in order], facecolors=faces[order],
+        edgecolors=rims[order], linewidths=thick[order], joinstyle="round", zorder=1,
     )  # fmt: skip
 
 
@@ -380,8 +378,6 @@ def _paint_seen(
     axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
 ) -> None:
     """Paint the parts of strokes (k, 2, 3) that no triangle hides."""
-    from matplotlib.collections import LineCollection
-
     if len(strokes):
         ends = axes3d.camera.project(strokes)
         pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / 6.0
@@ -391,15 +387,8 @@ def _paint_seen(
         way = ends[stroke, 1] - ends[stroke, 0]
         ends = ends[stroke, :1] + share[..., None] * way[:, None]
         seen = visible(ends.mean(axis=1), flat, tolerance)
-        axes3d.axes.add_collection(
-            LineCollection(
-                list(ends[seen, :, :2]),
-                colors=[colour],
-                linewidths=thick,
-                capstyle="round",
-                zorder=2,
-            )
-        )
+        add_lines(axes3d.axes, ends[seen, :, :2], colors=[colour], linewidths=thick,
+                  capstyle="round", zorder=2)  # fmt: skip
 
 
 def _paint_feet(axes3d: Axes3D, places: Array, flat: Array, tolerance: float) -> None:

@@ -1,12 +1,12 @@
-"""Figures of matplotlib: created, joined, written to files or shown in notebooks."""
+"""Figures of matplotlib: created, written, shown in notebooks, joined; camera and visibility."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.files import make_writable, replaced
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
 
@@ -48,6 +49,27 @@ def checked_picture(filename: str | Path | None) -> Path | None:
     return path
 
 
+def add_lines(axes: Axes, lines: Iterable[ArrayLike], **look: Any) -> None:
+    """Draw polylines, (k, 2) each, in one style or a style each."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection([np.asarray(line) for line in lines], **look))
+
+
+def add_polygons(axes: Axes, polygons: Iterable[Array], **look: Any) -> None:
+    """Draw polygons, (k, 2) each, in one style or a style each."""
+    from matplotlib.collections import PolyCollection
+
+    axes.add_collection(PolyCollection(list(polygons), **look))
+
+
+def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight") -> bytes:
+    """A figure, or a region of it (inches), as PNG."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
+    return buffer.getvalue()
+
+
 def finished(
     figure: Figure, path: Path | None, dpi: int, region: Bbox | str = "tight"
 ) -> Figure | None:
@@ -56,13 +78,7 @@ def finished(
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
         return None
-
-    def png() -> bytes:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=100, bbox_inches=region, pad_inches=MARGIN)
-        return buffer.getvalue()
-
-    figure._repr_png_ = png  # type: ignore[attr-defined]
+    figure._repr_png_ = lambda: png_of(figure, 100, region)  # type: ignore[attr-defined]
     return figure
 
 

@@ -6,7 +6,7 @@ import io
 import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -183,20 +183,15 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     return (low, max(high, 0.0)) if low < high else None
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits of strain and tension."""
-
-    strain: float = 0.1  # largest principal strain of the membrane
-    cables: Mapping[str, float] = field(default_factory=dict)  # strengths of cables, by name
-
-
-def verdict_on(cases: Sequence[Case], limits: Limits, size: float) -> Verdict:
-    """The verdict, with all objections to the structure or its results."""
+def verdict_on(
+    cases: Sequence[Case], size: float, strain: float, cables: Mapping[str, float]
+) -> Verdict:
+    """The verdict, with all objections to the structure or its results: limits are the larger
+    principal strain and the strengths of cables, by name."""
     reasons, count = [], f"All {len(cases)} combinations" if len(cases) > 1 else "The state"
     for case in cases:
-        reasons += [f"{case.name}: {reason}" for reason in (*_doubts(case), *_excess(case, limits))]
-        reasons += [f"{case.name}: {reason}" for reason in _used_fabric(case, size)]
+        found = *_doubts(case), *_excess(case, strain, cables), *_used_fabric(case, size)
+        reasons += [f"{case.name}: {reason}" for reason in found]
     wet = [case for case in cases if case.summary.hollows]
     rain = []
     if wet:
@@ -256,14 +251,14 @@ def _check(one: object) -> str:
     return f"{name}{f' at {where}' if where else ''} is {value:.2g}, its limit {limit:.2g}"
 
 
-def _excess(case: Case, limits: Limits) -> Iterator[str]:
+def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterator[str]:
     """Strains, cables and bars beyond their limits."""
     strain = case.summary.membrane.largest["strain 1"].value
-    if strain > limits.strain:
-        yield f"the membrane is strained to {per_cent(strain)}, limit {per_cent(limits.strain)}."
+    if strain > limit:
+        yield f"the membrane is strained to {per_cent(strain)}, limit {per_cent(limit)}."
     for name, cable in case.summary.cables.items():
-        if cable.largest > limits.cables.get(name, float("inf")):
-            share = cable.largest / limits.cables[name]
+        if cable.largest > strengths.get(name, math.inf):
+            share = cable.largest / strengths[name]
             yield f"the cable {name} is used to {per_cent(share)} of its strength."
     for name, bar in case.summary.bars.items():
         if bar.utilisation is not None and bar.utilisation > 1.0:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
@@ -20,7 +19,8 @@ from crms_fenicsx.results.output.report.foundation_tables import FoundationTable
 from crms_fenicsx.results.output.report.page import Figure, Units
 from crms_fenicsx.results.output.report.results_tables import families
 from crms_fenicsx.results.quantities import HasSystem, load_label
-from crms_fenicsx.results.view_data import Line, surface_piece, whole_surface
+from crms_fenicsx.results.reactions import gap
+from crms_fenicsx.results.view_data import Line, whole_shape
 
 
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
@@ -68,16 +68,14 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
 def _held_points(scene: Scene) -> dict[str, Array]:
     """Positions of named held mesh points off the held edges. Collective."""
     found, n = dict[str, Array](), scene.V.dofmap.index_map.size_local
-    rim = held_rim(scene).reshape(-1, 3)
+    rim = held_rim(scene)
     for name in scene.mesh.points:
         dofs = scene.vertices(name)
         own = dofs[dofs < n]
         places = scene.positions()[own[scene.held[own].any(axis=1)]]
         every = np.concatenate(scene.comm.allgather(places))
-        if len(every):
-            gaps = np.linalg.norm(rim - every[0], axis=1)
-            if gaps.min(initial=np.inf) > 1e-9 * scene.membrane.size:
-                found[name] = every[0]
+        if len(every) and gap(every[0], rim) > 1e-9 * scene.membrane.size:
+            found[name] = every[0]
     return found
 
 
@@ -99,9 +97,7 @@ def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
 
 def outline_in_plan(scene: Scene) -> Array:
     """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
-    surface = whole_surface(
-        scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {})
-    )
+    surface = whole_shape(scene)
     edges: Array = np.zeros((0, 2, 3))
     if surface is not None:
         edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +26,14 @@ from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF
 from crms_fenicsx.results.output.report.case import (
     TENSION,
     Case,
-    Limits,
     Shape,
     case_of,
     shape_of,
     with_pictures,
     with_view,
 )
-from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.results.output.report.page import MACROS, PageSection, Units
+from crms_fenicsx.results.output.report.page import MACROS, PageSection
 from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
 from crms_fenicsx.results.output.report.pictures import (
     force_figures,
@@ -44,43 +42,11 @@ from crms_fenicsx.results.output.report.pictures import (
     outline_in_plan,
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import Report, with_codes
+from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
 from crms_fenicsx.results.quantities import Solved, names_of
 
 NOW = "Current state"
 """Case name in a report without combinations."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Contents of a report: the options of `Solver.report`."""
-
-    path: Path  # of the page
-    title: str = "Membrane structure"  # title, about: heading, and entries below it
-    about: Mapping[str, str] = field(default_factory=dict)
-    unit: str = ""
-    force: str = ""
-    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
-    pictures: Sequence[str] | None = None  # colours of the membrane
-    view: tuple[float, float] = (-60.0, 30.0)
-    sections: Sequence[PageSection] = ()  # additional ones
-    order: Order | None = None  # lengths of the cables to be made
-    # joints, or cables with "start" or "end", by foundation
-    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    strain_limit: float = 0.1  # limit of the larger principal strain
-    template: str | Path | None = None  # jinja2 template of the page
-    pdf: bool = False  # whether to print the page to PDF, too
-    interactive: bool = False  # whether to write interactive pages
-
-    @property
-    def units(self) -> Units:
-        """Units of length and force."""
-        return Units(self.unit, self.force)
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """Options of `draw` common to all pictures."""
-        return {"unit": self.unit, "force": self.force, "view": self.view}
 
 
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
@@ -267,19 +233,10 @@ def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case])
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
             factors = results.factors(model.pressure, model.factors)
-            limits = Limits(plan.strain_limit, plan.cable_strengths)
-            held = FoundationTables(cases, plan.units, plan.foundations)
-            report = Report(
-                plan.title, [*plan.about.items()], model, factors, results, held, limits,
-                plan.sections, stem=plan.path.stem, order=plan.order,
-                template=Path(plan.template) if plan.template else None,
-            )  # fmt: skip
-            path, tables, coded = plan.path, report.tables(), with_codes(cases, factors)
-            held = replace(held, cases=coded)
-            report = replace(
-                report, results=replace(results, cases=coded), held=held,
-                plans=force_figures(held, model.outline),
-            )  # fmt: skip
+            report = Report(plan, model, cases, factors)
+            path, tables = plan.path, report.tables()
+            report = replace(report, cases=with_codes(cases, factors))
+            report = replace(report, plans=force_figures(report.held, model.outline))
             texts = {path: report.html()}
             texts |= {path.with_name(name): page for name, page in report.views.items()}
             for table in tables:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.results.cable_order import Order
-from crms_fenicsx.results.output.report.case import Case, Limits, verdict_on
+from crms_fenicsx.results.output.report.case import Case, verdict_on
 from crms_fenicsx.results.output.report.foundation_tables import (
     FoundationTables,
     anchors,
@@ -29,6 +30,7 @@ from crms_fenicsx.results.output.report.page import (
     PageSection,
     Paragraph,
     Table,
+    Units,
     number,
     page,
     per_cent,
@@ -105,27 +107,58 @@ def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """Contents of a report: the options of `Solver.report`."""
+
+    path: Path  # of the page
+    title: str = "Membrane structure"  # title, about: heading, and entries below it
+    about: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    force: str = ""
+    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
+    pictures: Sequence[str] | None = None  # colours of the membrane
+    view: tuple[float, float] = (-60.0, 30.0)
+    sections: Sequence[PageSection] = ()  # additional ones
+    order: Order | None = None  # lengths of the cables to be made
+    # joints, or cables with "start" or "end", by foundation
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    strain_limit: float = 0.1  # limit of the larger principal strain
+    template: str | Path | None = None  # jinja2 template of the page
+    pdf: bool = False  # whether to print the page to PDF, too
+    interactive: bool = False  # whether to write interactive pages
+
+    @property
+    def units(self) -> Units:
+        """Units of length and force."""
+        return Units(self.unit, self.force)
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Options of `draw` common to all pictures."""
+        return {"unit": self.unit, "force": self.force, "view": self.view}
+
+
+@dataclass(frozen=True)
 class Report:
     """Contents of a report."""
 
-    title: str  # title, about: heading, and entries below it
-    about: Sequence[tuple[str, str]]
+    plan: Plan
     model: Model  # with its pictures
+    cases: Sequence[Case]  # one or more
     factors: Table  # load factors, with the cases' codes and names
-    results: ResultTables
-    held: FoundationTables
-    limits: Limits
-    further: Sequence[PageSection] = ()  # additional sections
     plans: Sequence[Figure] = ()  # of the foundation forces
     left_out: int = 0  # number of pictures omitted for lack of room
-    order: Order | None = None  # lengths of the cables to be made
-    template: Path | None = None  # jinja2 template; None: the package's
-    stem: str = "report"  # stem of all file names
 
     @property
-    def cases(self) -> Sequence[Case]:
-        """The load cases, one or more."""
-        return self.results.cases
+    def results(self) -> ResultTables:
+        """Tables of the cases."""
+        plan = self.plan
+        return ResultTables(self.cases, plan.units, self.model.size, plan.cable_strengths)
+
+    @property
+    def held(self) -> FoundationTables:
+        """Tables of the forces on foundations."""
+        return FoundationTables(self.cases, self.plan.units, self.plan.foundations)
 
     @property
     def views(self) -> dict[str, str]:
@@ -135,7 +168,7 @@ class Report:
 
     @property
     def _files(self) -> list[str]:
-        return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
+        return [f"{self.plan.path.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
 
     def html(self) -> str:
         """The HTML page, with as many pictures as fit."""
@@ -152,15 +185,15 @@ class Report:
 
     def _with(self, cases: Sequence[Case]) -> bytes:
         """The page with other pictures of the cases."""
-        return replace(self, results=replace(self.results, cases=cases))._page().encode()
+        return replace(self, cases=cases)._page().encode()
 
     def _page(self) -> str:
-        results, units = self.results, self.results.units
-        about = list(self.about)
-        if units.length or units.force:
-            about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
+        results, plan = self.results, self.plan
+        about = [*plan.about.items()]
+        if plan.unit or plan.force:
+            about.append(("Units", ", ".join(x for x in (plan.unit, plan.force) if x)))
         about += versions(self.model.ranks)
-        verdict = verdict_on(self.cases, self.limits, results.size)
+        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.cable_strengths)
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
@@ -170,11 +203,11 @@ class Report:
             *self._model(),
             *self._results(),
             *self._forces(),
-            *self.further,
+            *plan.sections,
             PageSection("Verification", [results.verdicts(), *results.nearest_to_limits()]),
             PageSection("Notes", [Notes(NOTES)]),
         ]
-        return page(self.title, about, sections, self.template)
+        return page(plan.title, about, sections, Path(plan.template) if plan.template else None)
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -195,14 +228,14 @@ class Report:
             found += [of.bars(), of.bar_envelope()]
         more = [clamps(of), of.joints(), of.ponds(), of.patches()]
         more += [self.held.places(), self.held.forces(), self.held.envelope()]
-        if self.order is not None:
-            more.append(cables_to_order(self.order, of.units))
-        more += [part for one in self.further for part in one.body if isinstance(part, Table)]
+        if self.plan.order is not None:
+            more.append(cables_to_order(self.plan.order, of.units))
+        more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
 
     def _cards(self) -> list[tuple[str, str, str]]:
         """Key figures: title, value, and the governing case or cable."""
-        units, summaries = self.results.units, {case.name: case.summary for case in self.cases}
+        units, summaries = self.plan.units, {case.name: case.summary for case in self.cases}
         membranes = {name: one.membrane for name, one in summaries.items()}
         cards = []
 
@@ -238,7 +271,7 @@ class Report:
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
-        return BarChart(f"Least to largest tension{where}{self.results.units['force']}", found)
+        return BarChart(f"Least to largest tension{where}{self.plan.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
         model = self.model
@@ -313,6 +346,7 @@ class Report:
         body += [table for table in [held.envelope()] if table.rows]
         body += [Figures(self.plans), *(table for table in tables if table.rows)]
         found.append(PageSection("Foundations and anchors", body))
-        if self.order is not None:
-            found.append(PageSection("Cables to order", [cables_to_order(self.order, of.units)]))
+        order = self.plan.order
+        if order is not None:
+            found.append(PageSection("Cables to order", [cables_to_order(order, of.units)]))
         return found
