@@ -193,10 +193,8 @@ def _results(scene: Scene, clamp: Clamp) -> ClampResults:
     normal = across / max(float(norm(across)), 1e-300)
     force = (pulls[0] - pulls[1]) / 2
     force = force - (force @ normal) * normal
-    x, y, z = floats(clamp.place)
-    u, v, w = floats(force)
     before, after = (first[0], second[0]), (first[1], second[1])
-    return ClampResults(clamp.name, (x, y, z), before, after, (u, v, w))
+    return ClampResults(clamp.name, triple(clamp.place), before, after, triple(force))
 
 
 def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
@@ -28,6 +28,7 @@ from crms_fenicsx.results.quantities import (
     cell_tensors,
     names_of,
     shown_briefly,
+    summed,
 )
 
 
@@ -35,15 +36,13 @@ def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> f
     """A linear function with the means of adjacent cells' values (n,) at the vertices.
     Collective."""
     V = membrane.nodal_values
-    weight, found = fem.Function(V), fem.Function(V, name=name)
-    known = np.isfinite(values)
-    corners = V.dofmap.list[known]
-    for function, amount in ((weight, areas), (found, areas * values)):
-        np.add.at(function.x.array, corners, amount[known, None])
-        function.x.scatter_reverse(la.InsertMode.add)
-        function.x.scatter_forward()
+    found, known = fem.Function(V, name=name), np.isfinite(values)
+    weight, sums = (
+        summed(V, V.dofmap.list[known], amount[known, None, None])
+        for amount in (areas, areas * values)
+    )
     with np.errstate(invalid="ignore"):
-        found.x.array[:] /= weight.x.array
+        found.x.array[:] = (sums / weight).ravel()
     return found
 
 

@@ -17,7 +17,7 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.load_cases import HasStates
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.membrane import Membrane
 
@@ -144,6 +144,17 @@ def fields_of(results: Any) -> dict[str, Array]:
     """Cell data of ParaView files and pyvista, by name, (n,) or (n, 3)."""
     found = {name: results.values(name) for name in SHOWN if name in results.names}
     return {**found, "direction 1": results.true_directions[:, 0], "state": results.state}
+
+
+def summed(space: fem.FunctionSpace, dofs: Integers | Indices, values: Array) -> Array:
+    """Sums (n, c) at a linear space's nodes, ghosts included, of values (..., c) at the nodes
+    `dofs` (...) of its cells or edges. Collective."""
+    found = fem.Function(space)
+    sums: Array = found.x.array.reshape(-1, space.dofmap.index_map_bs)
+    np.add.at(sums, dofs, values)
+    found.x.scatter_reverse(la.InsertMode.add)
+    found.x.scatter_forward()
+    return sums.copy()
 
 
 class HasSystem(Protocol):

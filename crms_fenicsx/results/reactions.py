@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
@@ -23,6 +23,7 @@ from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.quantities import summed
 
 AT = 1e3 * SAME_PLACE
 """Distance, relative to the membrane's size, up to which an end coincides with the membrane."""
@@ -83,14 +84,6 @@ def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
     return found
 
 
-def bars_at_vertices(scene: Scene, dofs: Indices | Integers) -> list[HeldEnd]:
-    """Bar ends at this rank's owned vertices `dofs`, with the reactions on them. Collective."""
-    if not scene.frame.vertices:
-        return []
-    found = [end for dof, end in hung_bars(scene) if dof in dofs]
-    return list(chain.from_iterable(scene.comm.allgather(found)))
-
-
 def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:
     """Which places lie at vertices `dofs` (ghosts included) or on an edge of two. Collective."""
     if not places:
@@ -127,7 +120,8 @@ def held_there(
     scene: Scene, forces: Array, dofs: Indices | Integers, ends: Sequence[HeldEnd]
 ) -> tuple[Array, dict[str, Array]]:
     """Reactions on the membrane, (3,), and on ends and bars by name. Collective."""
-    hung = bars_at_vertices(scene, dofs)
+    own = [end for dof, end in hung_bars(scene) if dof in dofs]
+    hung = [*chain.from_iterable(scene.comm.allgather(own))]
     membrane = scene.comm.allreduce(forces.sum(axis=0))
     membrane -= sum((end.force for end in hung), np.zeros(3))
     parts = dict[str, Array]()
@@ -251,13 +245,7 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
     places = membrane.positions()
     half = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) / 2
     both = membrane.held[ends].all(axis=1)
-    found = fem.Function(membrane.V)
-    lengths: Array = found.x.array.reshape(-1, 3)
-    for k in (0, 1):
-        np.add.at(lengths, ends[:, k], half[:, None] * both)
-    found.x.scatter_reverse(la.InsertMode.add)
-    found.x.scatter_forward()
-    return lengths.copy()
+    return summed(membrane.V, ends.T, half[:, None] * both)
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:

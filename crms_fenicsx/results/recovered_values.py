@@ -14,17 +14,17 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from dolfinx import fem, la
 from dolfinx.mesh import exterior_facet_indices
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.dofs.layout import edge_ends
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.membrane_results import MembraneResults, nodal_means
+from crms_fenicsx.results.quantities import summed
 
 
 @dataclass(frozen=True)
@@ -111,13 +111,13 @@ def _reasons(scene: Scene) -> Integers:
     rim[exterior_facet_indices(mesh.topology)] = True
     both = held[ends[:, 0]] & held[ends[:, 1]]
     marks = np.stack([both.any(axis=1), rim & both.all(axis=1), rim & ~both.any(axis=1)], axis=1)
-    beside = _summed(membrane, ends[:own], np.repeat(marks[:own, None].astype(float), 2, axis=1))
+    beside = summed(membrane.V, ends[:own], np.repeat(marks[:own, None].astype(float), 2, axis=1))
     corners = membrane.V.dofmap.list[: mesh.topology.index_map(2).size_local]
     x = membrane.stress_free[corners]
     sides = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
     across = np.linalg.norm(np.cross(*sides), axis=2)
     angles = np.arctan2(across, np.einsum("nki,nki->nk", *sides))
-    angle = _summed(membrane, corners, np.repeat(angles[..., None], 3, axis=2))[:, 0]
+    angle = summed(membrane.V, corners, np.repeat(angles[..., None], 3, axis=2))[:, 0]
     pulled = np.zeros(len(held), dtype=bool)
     for vertex in scene.frame.vertices:
         rank, dof = scene.frame.home(vertex)
@@ -129,16 +129,6 @@ def _reasons(scene: Scene) -> Integers:
     reason[alone & pulled] = REASONS.index("bar")
     reason[alone & held.any(axis=1)] = REASONS.index("support")
     return reason
-
-
-def _summed(membrane: Membrane, dofs: Indices, values: Array) -> Array:
-    """Sums (n, 3) at the vertices of values (m, k, 3) at those of edges or cells, dofs (m, k)."""
-    found = fem.Function(membrane.V)
-    sums: Array = found.x.array.reshape(-1, 3)
-    np.add.at(sums, dofs, values)
-    found.x.scatter_reverse(la.InsertMode.add)
-    found.x.scatter_forward()
-    return sums.copy()
 
 
 def reinforced(places: Array, corners: dict[str, Patch]) -> Booleans:

@@ -48,7 +48,10 @@ class TautParts:
 
     def __init__(self, system: System) -> None:
         self.system, scene, self._before = system, system.scene, system.scene.state
-        slack = [cable for cable in scene.cables if not cable.taut and _is_at_threshold(cable)]
+        slack = [
+            cable for cable in scene.cables
+            if not cable.taut and np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD)
+        ]  # fmt: skip
         self._added = [cable for cable in slack if cable.keeps_line]
         self.loose = [cable for cable in slack if not cable.keeps_line]
         if self._added:
@@ -224,8 +227,3 @@ class Tightening:
 def strains_of(cable: LaidCable) -> Array:
     """Strains of a cable's parts between clamps and bonds, negative where slack."""
     return np.asarray(current_lengths(cable) / cable.part_lengths - 1)
-
-
-def _is_at_threshold(cable: LaidCable) -> bool:
-    """Whether a cable has parts at the threshold."""
-    return bool(np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD))

@@ -54,28 +54,20 @@ class Surface:
             Shapes disagree, an index is out of range or a coordinate is not finite.
         """
         points = checked_points("surface points", self.points)
-        triangles = np.asarray(self.triangles)
-        if triangles.size == 0:
-            triangles = np.empty((0, 3), dtype=np.int64)
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise InputError(
-                f"triangles have shape {triangles.shape} and type {triangles.dtype}; "
-                "give integers of shape (m, 3)"
-            )
+        triangles = checked_integers("triangles", self.triangles, 3)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
             raise InputError(
                 f"triangles refer to vertices {triangles.min()} to {triangles.max()}, but there "
                 f"are {len(points)} points; number them from 0 within this surface"
             )
-        homes = None if self.homes is None else np.asarray(self.homes)
-        if homes is not None and (homes.shape != (len(points), 2) or homes.dtype.kind not in "iu"):
+        homes = None if self.homes is None else checked_integers("homes", self.homes, 2)
+        if homes is not None and len(homes) != len(points):
             raise InputError(
-                f"homes have shape {homes.shape} and type {homes.dtype}; give a rank and a number "
-                f"for each point, integers of shape ({len(points)}, 2)"
+                f"homes: expected {len(points)}, one of each point, found {len(homes)}"
             )
         return Surface(
             points,
-            np.ascontiguousarray(triangles, dtype=np.int64),
+            triangles,
             checked_data("point data", self.point_data, len(points)),
             checked_data("cell data", self.cell_data, len(triangles)),
             homes,
@@ -126,13 +118,26 @@ class Line:
         return Line(points, data, self.name)
 
 
+def checked_integers(what: str, given: ArrayLike, columns: int) -> Integers:
+    """Return integers of shape (n, columns), or raise `InputError`."""
+    array = np.asarray(given)
+    if array.size == 0:
+        return np.empty((0, columns), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != columns or array.dtype.kind not in "iu":
+        raise InputError(
+            f"{what}: expected integers of shape (n, {columns}), found {array.dtype} of shape "
+            f"{array.shape}"
+        )
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
 def checked_points(what: str, given: ArrayLike) -> Array:
     """Return points as an (n, 3) array of finite floats, or raise `InputError`."""
     points = np.ascontiguousarray(given, dtype=np.float64)
     if points.size == 0:
         return np.empty((0, 3))
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{what} have shape {points.shape}; give (n, 3)")
+        raise InputError(f"{what}: expected shape (n, 3), found shape {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
         raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; give finite coordinates")

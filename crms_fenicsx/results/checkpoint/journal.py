@@ -30,7 +30,7 @@ from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.results.checkpoint.checkpoint_files import ASIDE, complete
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.results.checkpoint.contents import Run, refuse_history, scene_record
-from crms_fenicsx.results.checkpoint.saving import STATE, Saved, read, reading, restore, save
+from crms_fenicsx.results.checkpoint.saving import STATE, read, reading, restore, save
 
 ROUNDING = 1e-7
 """Difference of numbers, relative to the largest beside them, that is attributed to rounding on
@@ -117,7 +117,9 @@ class Journal:
         loads["L0"] = {_name(key): float(length) for key, length in L0.items()}
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
-        saved = self._saved() if self._replaying else None
+        saved, place = None, complete(self._place)
+        if self._replaying and checks.from_first(self.comm, lambda: os.path.lexists(place / STATE)):
+            saved = read(place, self.comm)
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
             return CallProgress(), None
@@ -170,12 +172,6 @@ class Journal:
     @property
     def _place(self) -> Path:
         return self.folder / f"{self._number:04d}"
-
-    def _saved(self) -> Saved | None:
-        """Checkpoint of this call; None if it has not begun."""
-        place = complete(self._place)
-        there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
-        return read(place, self.comm) if there else None
 
 
 def _remove(path: Path, folder: Path) -> None:

@@ -137,11 +137,11 @@ class History:
             rows = [*self._rows, plain]
             if self.path is not None and self.comm.rank == 0:
                 if columns == self._columns:
-                    lines = [*self._lines, _line(plain.get(name, "") for name in columns)]
+                    lines = [*self._lines, csv_line(plain.get(name, "") for name in columns)]
                 else:
-                    lines = [_line(old.get(name, "") for name in columns) for old in rows]
+                    lines = [csv_line(old.get(name, "") for name in columns) for old in rows]
                 with replaced(self.path) as partial:
-                    partial.write_text(_line(columns) + "".join(lines), encoding="utf-8")
+                    partial.write_text(csv_line(columns) + "".join(lines), encoding="utf-8")
                 self._lines = lines
         self._columns, self._rows = columns, rows
 
@@ -162,7 +162,7 @@ class History:
         for row in rows:
             old.append(row)
         self._columns, self._rows = old._columns, old._rows
-        self._lines = [_line(row.get(name, "") for name in self._columns) for row in self._rows]
+        self._lines = [csv_line(row.get(name, "") for name in self._columns) for row in self._rows]
 
     @classmethod
     def read(cls, path: str | Path) -> History:
@@ -227,7 +227,8 @@ def _plain(column: str, value: object) -> Value:
     raise InputError(f"column {column!r} got {value!r}; give an int, a float or text")
 
 
-def _line(values: Iterable[object]) -> str:
+def csv_line(values: Iterable[object]) -> str:
+    """A row of a CSV file."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(map(escaped, values))
     return buffer.getvalue()

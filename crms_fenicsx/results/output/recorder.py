@@ -183,12 +183,8 @@ class Recorder:
             row["blocked points"] = sum(len(cable.state.blocked) for cable in scene.cables)
         if step.warnings:
             row["warnings"] = "; ".join(map(str, step.warnings))
-        row["iterations"] = outcome.iterations
-        row["evaluations"] = outcome.evaluations
-        row["factorizations"] = outcome.factorizations
-        row["solves"] = outcome.solves
-        row["flips"] = outcome.flips
-        row["residual"] = outcome.residual
+        counts = ("iterations", "evaluations", "factorizations", "solves", "flips", "residual")
+        row |= {name: getattr(outcome, name) for name in counts}
         # ranks' clocks differ, but a row must be the same on all
         row["seconds"] = scene.comm.bcast(step.seconds)
         return row

@@ -248,7 +248,7 @@ def test_pieces_with_different_data(folder: Path) -> None:
         (Surface([[0, 0, np.nan]], [[0, 0, 0]]), [], 1.0, "finite"),
         (Surface(np.zeros((3, 3)), [[0, 1, 3]]), [], 1.0, "vertices 0 to 3"),
         (Surface(np.zeros((3, 3)), [[-1, 1, 2]]), [], 1.0, "vertices -1"),
-        (Surface(np.zeros((3, 3)), [[0.0, 1.0, 2.0]]), [], 1.0, "give integers"),
+        (Surface(np.zeros((3, 3)), [[0.0, 1.0, 2.0]]), [], 1.0, "expected integers"),
         (Surface(np.zeros((3, 3)), [[0, 1, 2]], {"a": np.zeros(2)}), [], 1.0, "point data 'a'"),
         (Surface(np.zeros((3, 3)), [[0, 1, 2]], {}, {"a": [1j]}), [], 1.0, "complex"),
         (Surface(np.zeros((3, 3)), [[0, 1, 2]]), [Line([[0, 0, 0]])], 1.0, "1 points"),

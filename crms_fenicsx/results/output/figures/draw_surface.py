@@ -36,7 +36,7 @@ from crms_fenicsx.results.output.figures.picture import (
     offsets_within,
     visible,
 )
-from crms_fenicsx.results.view_data import Line, Surface, checked_points
+from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
@@ -257,19 +257,13 @@ def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
 
 
 def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
-    pairs = np.asarray(() if hidden is None else hidden)
-    if pairs.size == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
-        raise InputError(
-            f"hidden has shape {pairs.shape} and type {pairs.dtype}; give pairs of vertices, (h, 2)"
-        )
-    if not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
+    pairs = checked_integers("hidden", () if hidden is None else hidden, 2)
+    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
         raise InputError(
             f"hidden refers to vertices {pairs.min()} to {pairs.max()}, but there are "
             f"{len(np.asarray(surface.points))} points"
         )
-    return pairs.astype(np.int64)
+    return pairs
 
 
 def sides_among(triangles: Integers, pairs: Integers) -> Booleans:

@@ -190,7 +190,10 @@ def default_panels(history: History) -> list[list[str]]:
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
-    shown = [[c for c in group if not _constant(history[c])] for group in groups]
+    shown = [  # constant but for the solver's tolerance
+        [c for c in group if np.ptp(_extent([history[c]])) > FLAT * _size(history[c])]
+        for group in groups
+    ]
     if not any(shown):  # such as a single step
         shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
     largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
@@ -199,11 +202,6 @@ def default_panels(history: History) -> list[list[str]]:
         for group, size in zip(shown, largest, strict=True)
     ]
     return [group for group in seen if group]
-
-
-def _constant(values: Array) -> bool:
-    """Whether values are one but for the solver's tolerance."""
-    return float(np.ptp(_extent([values]))) <= FLAT * _size(values)
 
 
 def _size(values: Array) -> float:

@@ -235,7 +235,11 @@ def _doubts(case: Case) -> Iterator[str]:
     if not summary.in_equilibrium:
         yield "the scene has been changed since its last load step, or there was none."
     for one in () if checked is None else checked.failed:
-        yield f"no verified equilibrium: the check of {_check(one)}."
+        where = f"{one.name} at {one.where}" if one.where else one.name
+        yield (
+            f"no verified equilibrium: the check of {where} is {one.value:.2g}, its limit "
+            f"{one.limit:.2g}."
+        )
     for warning in summary.warnings:
         yield f"{warning}."
     if change.volume is not None and change.volume < 0.0:
@@ -244,11 +248,6 @@ def _doubts(case: Case) -> Iterator[str]:
         yield f"the roof has collapsed: of its inner volume {per_cent(change.volume)} are left."
     elif change.turned > 0.01:
         yield f"{per_cent(change.turned)} of the membrane have turned over."
-
-
-def _check(one: object) -> str:
-    name, value, limit, where = (getattr(one, x) for x in ("name", "value", "limit", "where"))
-    return f"{name}{f' at {where}' if where else ''} is {value:.2g}, its limit {limit:.2g}"
 
 
 def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterator[str]:

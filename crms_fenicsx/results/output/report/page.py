@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import math
 import struct
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.output.history import escaped
+from crms_fenicsx.results.output.history import csv_line
 
 Cell = str | int | float | None
 """None is an empty cell: no value."""
@@ -232,11 +230,7 @@ class Table:
 
     def csv(self) -> str:
         """The table as CSV text, numbers with all digits, texts escaped."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(map(escaped, self.columns))
-        writer.writerows(["" if x is None else escaped(x) for x in row] for row in self.rows)
-        return buffer.getvalue()
+        return "".join(map(csv_line, (self.columns, *self.rows)))
 
 
 @dataclass(frozen=True)

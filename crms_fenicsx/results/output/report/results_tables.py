@@ -239,7 +239,7 @@ class ResultTables:
             least, low = min(found, key=lambda one: one[1].force)
             largest, high = max(found, key=lambda one: one[1].force)
             most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
-                       key=_share, default=None)  # fmt: skip
+                       key=lambda one: one[1] or 0.0, default=None)  # fmt: skip
             used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
             rows.append((label, low.force, least, high.force, largest, *used))
         columns = self.units.headings(
@@ -394,10 +394,6 @@ def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[flo
 
 def _value(one: tuple[str, Extreme]) -> float:
     return one[1].value
-
-
-def _share(one: tuple[str, float | None]) -> float:
-    return one[1] or 0.0
 
 
 def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:

@@ -280,18 +280,14 @@ class Report:
             tables["bars"] = in_families(tables["bars"])
         made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
         return [
             PageSection("Model", [*model.pictures, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
             PageSection("Supports, cables and bars", below, 3),
             PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
-                                  Figures(model.loads), *self._combinations()]),
+                                  Figures(model.loads), Paragraph(text), self.factors]),
         ]  # fmt: skip
-
-    def _combinations(self) -> list[PagePart]:
-        """Pressure and load factors of all cases."""
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
-        return [Paragraph(text), self.factors]
 
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
@@ -304,7 +300,9 @@ class Report:
         patches = self.results.patches()
         if patches.rows:
             found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
-        found += [PageSection("Rain", self._rain())]
+        hollows = self.results.hollows()
+        dry = Paragraph("In no state is there a hollow from which rain has no way out.")
+        found += [PageSection("Rain", [Paragraph(HOLLOWS), hollows] if hollows.rows else [dry])]
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         body = [
@@ -320,13 +318,6 @@ class Report:
                 body.insert(0, Link("To be turned in a browser", file))
             found.append(PageSection(titles[case.name], body, 3))
         return found
-
-    def _rain(self) -> list[PagePart]:
-        """Hollows that do not drain."""
-        table = self.results.hollows()
-        if not table.rows:
-            return [Paragraph("In no state is there a hollow from which rain has no way out.")]
-        return [Paragraph(HOLLOWS), table]
 
     def _forces(self) -> list[PageSection]:
         of, several, found = self.results, len(self.cases) > 1, []
