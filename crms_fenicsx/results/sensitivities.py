@@ -2,10 +2,9 @@
 
 With the gradient g of the potential energy and the tangent K, a parameter p moves the equilibrium
 by du/dp = -K^-1 dg/dp, one solve each with the factors of K. A result changes with p directly and
-through du. With fewer results than parameters, one solve per result is used instead, K^-1 grad(R).
-Contacts and the cells that cables cross are kept, and so is whether parts of cables are taut or
-slack. Where parts are about to become taut or slack, derivatives for an increase and for a decrease
-of p differ (see `taut_parts`).
+through du. Contacts and the cells that cables cross are kept, and so is whether parts of cables are
+taut or slack. Where parts are about to become taut or slack, derivatives for an increase and for a
+decrease of p differ (see `taut_parts`).
 """
 
 from __future__ import annotations
@@ -112,12 +111,7 @@ def _differentiated(
     solver = _TangentSolver(K.matrix, K.sparse)
     try:
         changes = _Changes(system, read, parts)
-        backward = len(of) < len(by) and not parts.owners and not parts.loose
-        if backward and all(_has_slope(scene, one) for one in of):
-            values, named = _by_results(changes, solver, of, setters), set[str]()
-            both = np.array([values, values])
-        else:
-            both, named = _by_parameters(changes, solver, of, setters)
+        both, named = _by_parameters(changes, solver, of, setters)
     finally:
         solver.destroy()
         K.destroy()
@@ -221,75 +215,6 @@ class _Changes:
         self.stretched = {cable.name for cable, much in loose if much > ROUNDING * cable.L0}
         slope = np.asarray((found[0] - found[1]) / (2 * size))
         return slope, np.asarray(ROUNDING * np.abs(found[0]) / size)
-
-
-def _by_results(
-    changes: _Changes, solver: _TangentSolver, of: Sequence[object], setters: Sequence[Setter]
-) -> Array:
-    """Derivatives with one solve per result: ``dR/dp - grad(R) K^-1 dg/dp``."""
-    still = np.zeros(3 * changes.system.unknowns.n_owned)
-    adjoints = [solver.solve(_slope_of(changes, one)) for one in of]
-    values = np.zeros((len(of), len(setters)))
-    for j, setter in enumerate(setters):
-        work = np.array(adjoints) @ changes.slope(setter)[0]
-        directly, _ = changes.along(setter, still)
-        values[:, j] = directly + changes.scene.comm.allreduce(work)
-    return values
-
-
-def _has_slope(scene: Scene, one: object) -> bool:
-    """Whether `_slope_of` supports a result."""
-    cable = one.cable if isinstance(one, CableEnd) else one
-    if isinstance(cable, LaidCable):
-        return cable.taut
-    return one != "volume" or scene.air.sealed is None
-
-
-def _slope_of(changes: _Changes, one: object) -> Array:
-    """Derivatives of a result by the unknowns, in the free components, (3 n_owned,): by Maxwell's
-    reciprocity, the forces' derivatives by the conjugate parameter. The energy's derivatives are
-    -(T + T^2/(2 EA)) by an unstressed length and -V by the pressure."""
-    scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
-    if isinstance(one, CableEnd | LaidCable):
-        cable = one if isinstance(one, LaidCable) else one.cable
-        if cable.state.parts is not None:
-            end = one.which if isinstance(one, CableEnd) else None
-            return changes.slope(_part_lengths(cable, end))[0]
-        one = cable
-    if isinstance(one, LaidCable):
-        slope, _ = changes.slope(_parameter(scene, one))
-        return np.asarray(slope / (1 + one.tension / one.cable.EA))
-    if isinstance(one, PlacedBar):
-        slope, _ = changes.slope(_parameter(scene, one))
-        return np.asarray(slope / (1 + one.force / one.bar.EA))
-    if one == "volume":
-        return changes.slope(_parameter(scene, "pressure"))[0]
-    if isinstance(one, tuple):
-        vertex, axis = one
-        rank, dof = scene.frame.home(vertex)
-        at = 3 * dof + "xyz".index(axis)
-        if rank == scene.comm.rank and not scene.held.ravel()[at]:
-            slope[at] = 1.0
-    return slope
-
-
-def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
-    """Setter of the unstressed lengths of a cable's parts between clamps or bonds whose gradient is
-    that of the mean tension, or of the tension at an end."""
-    assert cable.state.parts is not None
-    lengths, parts = cable.part_lengths, cable.state.parts
-    weights = lengths / cable.L0
-    if end is not None:
-        weights = np.zeros(len(lengths))
-        weights[0 if end == "start" else -1] = 1.0
-    step = STEP * float(lengths[weights > 0.0].sum())
-    weights = weights / (1 + parts.tensions / cable.cable.EA)
-
-    def change(size: float) -> None:
-        passed = np.cumsum(lengths + size * weights)
-        cable.update(L0=float(passed[-1]), parts=replace(parts, at=passed[:-1] / passed[-1]))
-
-    return change, step
 
 
 class _TangentSolver:

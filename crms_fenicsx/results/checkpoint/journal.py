@@ -123,26 +123,26 @@ class Journal:
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
             return CallProgress(), None
-        before = saved.contents.call
+        before = saved.call
         if before is None:
-            raise InputError(f"{saved.file} is not a checkpoint of a call; delete it")
+            raise InputError(f"{place / STATE} is not a checkpoint of a call; delete it")
         for name, now in call.items():
             found = difference(before.get(name), now)
             if found is not None:
                 raise InputError(
                     f"resume: at call {self._number} of advance the script is not the one that "
                     f"was interrupted: {name}, {found}. Run it as it was, or begin anew with "
-                    f"resume=False, or delete {saved.file.parent} and those after it, to compute "
+                    f"resume=False, or delete {place} and those after it, to compute "
                     "from this call on anew."
                 )
-        with reading(saved.file):
+        with reading(place / STATE):
             progress = decode(CallProgress, before["progress"])
-        run = restore(saved, scene)
+        run = restore(place, saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:
             self._replaying, self._outdated = False, self._number + 1
         logger.info("call %d of advance: %g of %d steps from %s", self._number, progress.done,
-                    steps, saved.file.parent)  # fmt: skip
+                    steps, place)  # fmt: skip
         return progress, run
 
     def remove_outdated(self) -> None:

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -175,34 +175,26 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class Saved:
-    """Contents of a checkpoint, the same on all ranks."""
-
-    file: Path  # path of state.json
-    contents: Contents  # decoded contents
-
-
-def read(folder: Path, comm: MPI.Intracomm) -> Saved:
-    """Read a checkpoint without its arrays. Collective."""
+def read(folder: Path, comm: MPI.Intracomm) -> Contents:
+    """Read a checkpoint without its arrays, the same on all ranks. Collective."""
     data = checks.from_first(comm, lambda: _read(folder / STATE))
     with reading(folder / STATE):
-        return Saved(folder / STATE, decode(Contents, data))
+        return decode(Contents, data)
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
     """Restore a scene from a folder and return its run; see `Solver.load`. Collective."""
     checks.same(scene.comm, "load", folder=folder)
-    place = checks.file("load: folder", folder).resolve()
-    return restore(read(complete(place), scene.comm), scene)
+    place = complete(checks.file("load: folder", folder).resolve())
+    return restore(place, read(place, scene.comm), scene)
 
 
-def restore(saved: Saved, scene: Scene) -> Run:
+def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
     """Restore a scene from a checkpoint and return its run. Collective."""
-    contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
+    storage = SceneStorage(folder, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
-    with reading(saved.file):
+    with reading(folder / STATE):
         state = decode(SceneState, contents.state, storage)
     unknown = {part for pond in state.loads.ponds for part in pond.parts} - set(scene.mesh.parts)
     if unknown:

@@ -84,7 +84,7 @@ class LineStyle:
         if self.paint is None:
             return CABLE
         values = [
-            _per_segment(values, off)[off]
+            _interpolated(values, np.flatnonzero(off), np.array(0.5), len(off) + 1)
             for values, off in zip(self.values, self.off, strict=True)
         ]
         return self.paint.to_rgba(np.concatenate(values).mean(keepdims=True))[0]
@@ -193,13 +193,6 @@ def _seen(
     return seen
 
 
-def _per_segment(given: Array, off: Booleans) -> Array:
-    """Values of a line's segments from one value, one per point or one per segment."""
-    if given.shape == (len(off) + 1,):
-        return (given[1:] + given[:-1]) / 2
-    return np.broadcast_to(given, len(off))
-
-
 def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
     """Start row and end of each run of equal rows."""
     starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
@@ -207,7 +200,7 @@ def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
 
 
 def _interpolated(given: Array, segment: Integers, middle: Array, count: int) -> Array:
-    """Values at the midpoints of pieces of a line with `count` points."""
+    """Values at the middles, 0 to 1, of segments of a line with `count` points."""
     if given.shape == (count,):
         return given[segment] + middle * (given[segment + 1] - given[segment])
     return np.broadcast_to(given, count - 1)[segment]
