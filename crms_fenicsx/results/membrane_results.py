@@ -155,8 +155,8 @@ class MembraneResults:
             given = checked_strengths("utilisation", strengths, self.membrane.mesh)
         elif not given:
             raise InputError(
-                "utilisation: there are no strengths; give them, or call "
-                "scene.set_strengths((warp, weft)) before."
+                "utilisation: there are no strengths; pass them, or call "
+                "scene.set_strengths((warp, weft)) first."
             )
         found = np.full(len(self.state), np.nan)
         for part, pair in given.items():

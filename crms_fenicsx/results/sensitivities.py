@@ -81,7 +81,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     if rubs or system.has_history:
         what = "friction" if rubs else "a step-wise law"
         raise InputError(
-            f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
+            f"sensitivities: {what} makes the state path-dependent, so it has no derivatives; "
             "compare load steps instead."
         )
     parts = TautParts(system)

@@ -152,5 +152,5 @@ def test_bad_sensitivities_are_refused(comm) -> None:
             solver.sensitivities(of, by)
     rubbed = crossed(comm, friction=0.3)
     rubbed.advance(pressure=1.0)
-    with pytest.raises(InputError, match="friction depends on the way here"):
+    with pytest.raises(InputError, match="friction makes the state path-dependent"):
         rubbed.sensitivities(["energy"], ["pressure"])

@@ -181,8 +181,8 @@ class History:
             cells = list(csv.reader(io.StringIO(content.decode("utf-8"), newline="")))
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(
-                f"the history {path} is no table ({error}); give the CSV file that a run has "
-                "written"
+                f"the history {path} is not a table ({error}); pass the CSV file that a run "
+                "has written"
             ) from None
         if not cells:
             raise InputError(f"the history {path} is empty; a run writes at least its header")
@@ -206,7 +206,7 @@ class History:
 
 def _name(column: object) -> str:
     if not isinstance(column, str) or not column or column != column.strip():
-        raise InputError(f"{column!r} is no name for a column; give text without blanks around it")
+        raise InputError(f"{column!r} is not a column name; pass text without blanks around it")
     return column
 
 

@@ -17,7 +17,7 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
-from crms_fenicsx.results.output.report import case as cases_of_reports
+from crms_fenicsx.results.output.report import pictures as pictures_of_reports
 from crms_fenicsx.results.output.report import sections
 from crms_fenicsx.results.output.report.foundation_tables import cables_to_order
 from crms_fenicsx.results.output.report.page import (
@@ -152,7 +152,7 @@ def test_pictures_to_be_compared_have_one_scale(
             drawn[options["colour"]].append(options["limits"])
         return b""
 
-    monkeypatch.setattr(cases_of_reports, "draw_png", png)
+    monkeypatch.setattr(pictures_of_reports, "draw_png", png)
     solver.report(folder / "two.html", found, pictures=["displacement", "stress"])
     forces = []
     for one in found.values():
@@ -167,8 +167,8 @@ def test_pictures_to_be_compared_have_one_scale(
 def test_pictures_of_reports_keep_their_colours(comm: MPI.Intracomm, folder: Path) -> None:
     """Reduced to 256 colours; of those at the ends of a bar there are few pixels."""
     solver, options = tent(comm), {"colour": "displacement", "dpi": 100}
-    solver.draw(folder / "whole.png", width=cases_of_reports.WIDTH, **options)
-    png = cases_of_reports.draw_png(solver, **options)
+    solver.draw(folder / "whole.png", width=6.0, **options)
+    png = pictures_of_reports.draw_png(solver, **options)
     with Image.open(folder / "whole.png") as whole, Image.open(io.BytesIO(png)) as reduced:
         wanted, got = (np.asarray(one.convert("RGB"), dtype=float) for one in (whole, reduced))
     coloured = np.ptp(wanted, axis=-1) > 30.0
@@ -204,7 +204,7 @@ def test_bad_reports_write_nothing(
         (folder / "folder.html").mkdir()
     comm.barrier()
     for options, words in (
-        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is no page; give one with .html"),
+        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is not a page; pass a name with .html"),
         ({"filename": folder / "folder.html"}, "folder.html is a folder"),
         ({"filename": page / "below.html"}, "cannot be written"),
         ({"filename": 3}, "filename = 3 is no path"),

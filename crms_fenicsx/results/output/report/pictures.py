@@ -1,8 +1,14 @@
-"""Report pictures independent of a single load case: model, loads, foundation forces."""
+"""Pictures of a report: load cases, model, loads, foundation forces."""
 
 from __future__ import annotations
 
+import io
+import math
 import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,16 +17,116 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.output.figures.draw_scene import LOAD, MOST_STROKES, spread
+from crms_fenicsx.results.output.figures.draw_scene import (
+    LOAD,
+    MOST_STROKES,
+    QUANTITY_OF,
+    SIGNED,
+    draw,
+    label_of,
+    spread,
+)
 from crms_fenicsx.results.output.figures.draw_surface import outline_of
 from crms_fenicsx.results.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
-from crms_fenicsx.results.output.report.case import SHARPEST, draw_png
+from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.results.output.report.page import Figure, Units
+from crms_fenicsx.results.output.report.pdf_and_views import interactive_view
 from crms_fenicsx.results.output.report.results_tables import families
 from crms_fenicsx.results.quantities import HasSystem, load_label
 from crms_fenicsx.results.reactions import gap
+from crms_fenicsx.results.summary import SUMMED_UP
 from crms_fenicsx.results.view_data import Line, whole_shape
+
+SHARPEST = 150
+"""Largest resolution of pictures (pixels per inch), for up to 20 of them."""
+
+
+def with_pictures(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
+) -> Case:
+    """The case with pictures of the solver's current state. Collective."""
+    common = _common(every)
+    options = {"box": common[0], "line_limits": common[1], **look}
+    if common[1] is not None and common[1][0] < 0.0:
+        options.setdefault("line_colours", SIGNED)
+    count = max(len(every) * len(colours), 1)
+    dpi = int(np.clip(SHARPEST * math.sqrt(20 / count), 70, SHARPEST))
+    pictures = []
+    for colour in colours:  # one colour bar per picture, to leave room for the shape
+        fabric = None if colour == TENSION else colour
+        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        options |= {
+            "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
+            "directions": forces, "loose": "lifted" if fabric is None else None,
+        }  # fmt: skip
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        if png:
+            label = LINES if fabric is None else label_of(colour)[0]
+            label += "; strokes: larger principal force" if forces else ""
+            pictures.append(Figure(png, f"{case.name}: {label}"))
+    return replace(case, pictures=tuple(pictures))
+
+
+def with_view(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
+) -> Case:
+    """The case with an interactive page of the solver's current state. Collective."""
+    known = (one for one in colours if QUANTITY_OF.get(one) in SUMMED_UP)
+    colour = next(known, "stress")
+    limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
+    labels = units[label_of(colour)[1]], units["force"]
+    return replace(case, view=interactive_view(solver, case.name, colour, limits, labels))
+
+
+def draw_png(solver: HasSystem, **options: Any) -> bytes:
+    """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
+    comm, buffer = solver.comm, io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(comm.bcast(folder)) / "picture.png"
+        draw(solver, path, width=6.0, **options)
+        comm.barrier()
+        if comm.rank == 0 and path.exists():
+            from PIL import Image
+
+            with Image.open(path) as picture:  # 256 colours take a third of the space
+                # not the default, "median cut", which replaces the ends of colour bars
+                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+                reduced.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
+    """Box and force range common to all cases; no range without forces."""
+    low = np.min([case.low for case in every], axis=0)
+    high = np.max([case.high for case in every], axis=0)
+    air = 0.03 * float((high - low).max())
+    box = low - np.array([air, air, 0.0]), high + np.array([air, air, air / 2])
+    forces = [0.0]
+    for case in every:
+        forces += [one.largest for one in case.summary.cables.values()]
+        forces += [one.force for one in case.summary.bars.values()]
+    low, high = min(forces), max(forces)
+    if low < 0.0:  # symmetric, as the colours of compression and tension
+        low, high = min(low, -high), max(-low, high)
+    return box, (low, high) if any(forces) else None
+
+
+TENSION, LINES = "tension", "axial forces of cables and bars"
+"""Name and caption of the picture of axial forces on plain fabric."""
+
+
+def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
+    """Range of a colour over all cases; None if unknown."""
+    if colour == "displacement":
+        return 0.0, max(case.summary.displacement.value for case in every) or 1.0
+    name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]
+    if name not in SUMMED_UP:
+        return None
+    low = min(part.least[name].value for part in parts if name in part.least)
+    high = max(part.largest[name].value for part in parts if name in part.largest)
+    low = 0.0 if low > -1e-9 * high else low
+    return (low, max(high, 0.0)) if low < high else None
 
 
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:

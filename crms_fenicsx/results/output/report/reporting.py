@@ -24,22 +24,22 @@ from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF
 from crms_fenicsx.results.output.report.case import (
-    TENSION,
     Case,
     Shape,
     case_of,
     shape_of,
-    with_pictures,
-    with_view,
 )
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import MACROS, PageSection
 from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
 from crms_fenicsx.results.output.report.pictures import (
+    TENSION,
     force_figures,
     load_figures,
     model_figures,
     outline_in_plan,
+    with_pictures,
+    with_view,
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
@@ -84,7 +84,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         if comm.rank == 0:
             if path.suffix.lower() not in (".html", ".htm"):
                 raise InputError(
-                    f"report: filename = {str(path)!r} is no page; give one with .html."
+                    f"report: filename = {str(path)!r} is not a page; pass a name with .html."
                 )
             if path.is_dir():
                 raise InputError(f"report: {path} is a folder; give the name of a file in it.")
@@ -143,7 +143,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
         if QUANTITY_OF.get(colour, known[0]) not in known:
             raise InputError(
                 "report: pictures has 'utilisation', but there are no strengths; call "
-                "scene.set_strengths(...) before."
+                "scene.set_strengths(...) first."
                 if colour == "utilisation"
                 else f"report: pictures has {colour!r}, but the membrane is isotropic and has no "
                 'warp; take "stress" and "stress 2".'
