@@ -90,7 +90,7 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
         forces[dof] -= end.force
     every = [*held_ends(scene), *chain.from_iterable(comm.allgather([end for _, end in hung]))]
     lengths = held_lengths(membrane)
-    line = np.where(lengths[:n] > 0.0, forces / np.where(lengths[:n] > 0.0, lengths[:n], 1.0), 0.0)
+    line = forces / np.where(lengths[:n] > 0.0, lengths[:n], np.inf)
     sizes, lines = np.linalg.norm(line, axis=1), []
     for name, dofs in partition(scene, groups).items():
         own = lengths[dofs].max(axis=1, initial=0.0)
@@ -104,9 +104,12 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
         lines.append(
             FoundationLine(name, _reversed(total), length, loaded / (length or 1.0), largest)
         )
+    function, rim = fem.Function(scene.V), held_edges(scene)
+    function.x.array[: line.size] = line.ravel()
+    function.x.scatter_forward()
     return Foundations(
         tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system),
-        held_rim(scene), _along_rim(scene, line),
+        held_rim(scene), np.concatenate(comm.allgather(-function.x.array.reshape(-1, 3)[rim])),
     )  # fmt: skip
 
 
@@ -198,15 +201,6 @@ def held_edges(scene: Scene) -> Integers:
 def held_rim(scene: Scene) -> Array:
     """Ends of all ranks' held named edges, (k, 2, 3) (length). Collective."""
     return np.concatenate(scene.comm.allgather(scene.positions()[held_edges(scene)]))
-
-
-def _along_rim(scene: Scene, line: Array) -> Array:
-    """Membrane forces on `held_rim` per length, from the support forces. Collective."""
-    function = fem.Function(scene.V)
-    values = function.x.array.reshape(-1, 3)
-    values[: len(line)] = -line
-    function.x.scatter_forward()
-    return np.concatenate(scene.comm.allgather(values[held_edges(scene)]))
 
 
 def _reversed(force: Sequence[float] | Array) -> Force:

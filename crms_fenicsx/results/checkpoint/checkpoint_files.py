@@ -145,19 +145,16 @@ def read_rows(
 
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
     """Read an array of given type, shape and digest; raises `InputError` otherwise."""
-    wrong, head = "", _header(dtype, shape)
-    size = len(head) + dtype.itemsize * math.prod(shape)
+    head, values = _header(dtype, shape), np.zeros(0, dtype)
     with readable(path, "give a checkpoint that is complete"):
-        found = size_of_file(path)
+        size_of_file(path)  # refuses what is not a file
         with open(path, "rb") as file:
-            if file.read(len(head)) != head:
-                wrong = f"it does not begin like numbers of type {dtype} and shape {shape}"
-            elif found != size:
-                wrong = f"it has {found} bytes instead of {size}"
-            else:
-                values = np.fromfile(file, dtype).reshape(shape)
-    if not wrong and digest(MPI.COMM_SELF, np.arange(len(values)), values) != due:
-        wrong = "its numbers are not those that were written"
-    if wrong:
-        raise InputError(f"{path} is damaged: {wrong}; take another checkpoint")
-    return values
+            if file.read(len(head)) == head:
+                values = np.fromfile(file, dtype)
+    whole = values.reshape(shape) if values.size == math.prod(shape) else None
+    if whole is None or digest(MPI.COMM_SELF, np.arange(len(whole)), whole) != due:
+        raise InputError(
+            f"{path} is damaged: its numbers of shape {shape} are not those that were written; "
+            "take another checkpoint"
+        )
+    return whole

@@ -149,7 +149,11 @@ def _decoded(hint: Any, data: Any, storage: Storage | None, path: str) -> Any:
     if origin in (Union, UnionType):
         return _one_of(args, data, storage, path)
     if origin is np.ndarray:
-        return _array(data, np.dtype(get_args(args[1])[0]))
+        dtype = np.dtype(get_args(args[1])[0])
+        array = np.array(data, dtype=dtype if dtype.kind == "f" else None)
+        if not isinstance(data, list) or (array.size and array.dtype.kind != dtype.kind):
+            raise ValueError(f"expected an array of {dtype}, found {data!r}")
+        return array.astype(dtype)
     if origin is tuple and isinstance(data, list):
         hints = repeat(args[0], len(data)) if args[-1] is Ellipsis else args
         return tuple(
@@ -180,10 +184,3 @@ def _one_of(hints: Iterable[Any], data: Any, storage: Storage | None, path: str)
             except (ArithmeticError, LookupError, TypeError, ValueError) as one:
                 error = one
     raise ValueError(f"{data!r}: {error or 'expected a value'}")
-
-
-def _array(data: Any, dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
-    array = np.array(data, dtype=dtype if dtype.kind == "f" else None)
-    if not isinstance(data, list) or (array.size and array.dtype.kind != dtype.kind):
-        raise ValueError(f"expected an array of {dtype}, found {data!r}")
-    return array.astype(dtype)

@@ -28,16 +28,6 @@ MARK = "'"
 CALCULATED = ("=", "+", "-", "@", "\t", "\r", "\n", MARK)
 
 
-def escaped(cell: object) -> object:
-    """A cell for the file; numbers stay unchanged."""
-    return MARK + cell if isinstance(cell, str) and cell.startswith(CALCULATED) else cell
-
-
-def unescaped(text: str) -> str:
-    """The text of a file's cell."""
-    return text.removeprefix(MARK)
-
-
 Value = int | float | str
 
 
@@ -194,7 +184,7 @@ class History:
                     f"{len(columns)} columns; was it edited?"
                 )
         history = cls(None, MPI.COMM_SELF)
-        history._columns = [unescaped(column) for column in columns]
+        history._columns = [column.removeprefix(MARK) for column in columns]
         history._rows = [{} for _ in rows]
         for index, column in enumerate(history._columns):
             values = _parsed([row[index] for row in rows])
@@ -228,9 +218,10 @@ def _plain(column: str, value: object) -> Value:
 
 
 def csv_line(values: Iterable[object]) -> str:
-    """A row of a CSV file."""
+    """A row of a CSV file; numbers stay unchanged."""
+    cells = (MARK + x if isinstance(x, str) and x.startswith(CALCULATED) else x for x in values)
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(map(escaped, values))
+    csv.writer(buffer, lineterminator="\n").writerow(cells)
     return buffer.getvalue()
 
 
@@ -242,4 +233,4 @@ def _parsed(texts: list[str]) -> list[Value]:
             continue
         if not any("_" in text for text in texts):  # Python reads "1_2" as 12
             return values
-    return [unescaped(text) for text in texts]
+    return [text.removeprefix(MARK) for text in texts]

@@ -42,15 +42,6 @@ Entry = tuple[Any, str, str]
 """Colour, text and kind ("line", "patch", "foot" or "stripes") in a legend; "" omits it."""
 
 
-def check_colours(*names: str) -> None:
-    """Raise `InputError` for names that are no colour maps of matplotlib."""
-    from matplotlib import colormaps
-
-    for name in names:
-        if name not in colormaps:
-            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
-
-
 def with_unit(label: str, unit: str) -> str:
     """Label with its unit, if any, in brackets."""
     return f"{label} [{unit}]" if unit else label

@@ -41,8 +41,7 @@ def in_words(label: str, low: float, high: float) -> str:
 def limits_of(values: Array) -> tuple[float, float]:
     """Ends of the colour scale: those of the values and 0, from which they are counted."""
     finite = values[np.isfinite(values)]
-    low = float(finite.min(initial=0.0))
-    high = float(finite.max(initial=0.0))
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     return (low, high) if low < high else (0.0, 1.0)
 
 

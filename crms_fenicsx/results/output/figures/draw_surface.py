@@ -16,7 +16,6 @@ from crms_fenicsx.results.output.figures.axes3d import (
     INK,
     Axes3D,
     bounds,
-    check_colours,
     check_view,
     foot,
 )
@@ -36,7 +35,7 @@ from crms_fenicsx.results.output.figures.picture import (
     offsets_within,
     visible,
 )
-from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points
+from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points, edges_of
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
@@ -158,12 +157,16 @@ def draw_shape(
     InputError
         Inconsistent arrays, lines without the data `line_values`, or a file that cannot be written.
     """
+    from matplotlib import colormaps
+
     how = ShapeOptions(**options)
     surface = Surface(points, triangles).checked()
     lines = [line.checked() for line in lines]
     faint = None if how.ghost is None else Surface(*how.ghost).checked()
     values = _per_corner(how.values, surface)
-    check_colours(how.colours, how.line_colours)
+    for name in (how.colours, how.line_colours):
+        if name not in colormaps:
+            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
     line_label = how.line_label or how.line_values or ""
     style = line_style(
         lines, how.line_values, line_label, how.line_limits, how.line_colours, how.loose
@@ -412,7 +415,5 @@ def outline_of(points: Array, triangles: Integers) -> Array:
     _, first, same = np.unique(
         np.round(points / step), axis=0, return_index=True, return_inverse=True
     )
-    merged = same.reshape(-1)[triangles]
-    pairs = np.sort(merged[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
+    pairs, counts = edges_of(same.reshape(-1)[triangles])
     return points[first[pairs[counts == 1]]]

@@ -78,7 +78,11 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
             "Joints",
             "Joint|Held directions|x{length}|y{length}|z{length}",
             [
-                (joint.name, _held(joint), *clean(floats(joint.position), max(extents), 1e-4))
+                (
+                    joint.name,
+                    ", ".join(x for x, k in COMPONENTS.items() if joint.held[k]),
+                    *clean(floats(joint.position), max(extents), 1e-4),
+                )
                 for joint in scene.joints
             ],
         ),
@@ -248,10 +252,6 @@ def _bar(bar: PlacedBar) -> Row:
                   for one in (bar.start, bar.end))  # fmt: skip
     of = bar.bar
     return bar.name, kind, of.strength, of.curve, of.EI, of.EA, bar.L0, start, end
-
-
-def _held(joint: Joint) -> str:
-    return ", ".join(letter for letter, k in COMPONENTS.items() if joint.held[k])
 
 
 def _loads(scene: Scene) -> list[Row]:
