@@ -196,13 +196,9 @@ def load_values(scene: Scene, name: str) -> Array:
     load = checks.named("load", {one.name: one for one in scene.loads}, name)
     if load.suction is not None:
         return np.asarray(-load.suction[:own] / load.peak)
-    forces, areas = fem.Function(membrane.V), fem.Function(membrane.nodal_values)
-    forces.x.array[:] = load.forces.ravel()
-    shares = norm(double_areas(corners))[:, None] / 6
-    np.add.at(areas.x.array, areas.function_space.dofmap.list[:own], shares)
-    for function in (forces, areas):
-        function.x.scatter_reverse(la.InsertMode.add)
-        function.x.scatter_forward()
-    at = np.linalg.norm(forces.x.array.reshape(-1, 3), axis=1)[cells].mean(axis=1)
-    around = areas.x.array[areas.function_space.dofmap.list[:own]].mean(axis=1)
+    forces = summed(membrane.V, np.arange(len(load.forces)), load.forces)
+    dofs, shares = membrane.nodal_values.dofmap.list[:own], norm(double_areas(corners)) / 6
+    areas = summed(membrane.nodal_values, dofs, shares[:, None, None])[:, 0]
+    at = np.linalg.norm(forces, axis=1)[cells].mean(axis=1)
+    around = areas[dofs].mean(axis=1)
     return np.asarray(at / around)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
@@ -31,6 +31,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.results.checkpoint.checkpoint_files import digest
 from crms_fenicsx.results.checkpoint.codec import Plain, encode
+from crms_fenicsx.results.quantities import summed
 
 
 @dataclass(frozen=True)
@@ -217,10 +218,7 @@ class RecordStorage:
             pairs = np.sort(edge_vertices(self.scene)[: self.own_edges], axis=1)
             return mixed(self.scene, pairs[values[: self.own_edges]])
         if rows is Rows.SHARES:
-            shared = fem.Function(self.scene.V)
-            shared.x.array[:] = values.ravel()
-            shared.x.scatter_reverse(la.InsertMode.add)
-            values = shared.x.array.reshape(values.shape)
+            values = summed(self.scene.V, np.arange(len(values)), values)
         ids: Integers = cell_ids(self.scene)[0] if rows is Rows.CELLS else self.ids[: self.own]
         columns = values[: len(ids)].reshape(len(ids), -1)
         if columns.dtype == bool:
