@@ -15,7 +15,6 @@ from crms_fenicsx.foundation.runtime.arrays import floats
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, replaced
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.results.output.history import csv_line
 
 STEEL = 1.2e-5
 """Coefficient of thermal expansion of steel (per kelvin)."""
@@ -115,9 +114,9 @@ class Order:
         path = absolute(checks.file("write: filename", filename), self.comm)
         with raised_together(self.comm):
             if self.comm.rank == 0:
-                text = "".join(map(csv_line, (self.COLUMNS, *self.rows())))
+                lines = [",".join(map(str, row)) for row in (self.COLUMNS, *self.rows())]
                 with replaced(path) as file:
-                    file.write_text(text, encoding="utf-8")
+                    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 @collective
