@@ -1,4 +1,4 @@
-"""Forces of cables and bars."""
+"""Forces of cables, bars and clamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reactions of supports, anchors and held joints."""
+"""Reactions of supports, anchors and held joints; residual and tangent for coupled solvers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recovered values of the membrane at its vertices, and the utilisation that is judged.
+"""Recovered values of the membrane at its vertices, reinforcement, and the utilisation judged.
 
 Cells have one value each, which jumps from cell to cell and belongs to none of its points in
 particular. The recovered value of a vertex is the mean of the cells around it, weighted by area (O.
@@ -6,6 +6,11 @@ C. Zienkiewicz and J. Z. Zhu, 1987); only cells of one material and one pair of 
 averaged. It is exact where the field is uniform. Where the field is linear it is exact at vertices
 whose cells lie symmetrically, and elsewhere, such as at edges, off by the gradient times a part of
 a cell, so that it converges with the cells' size.
+
+At a point support, a bar's end, the end of a held edge and a re-entrant corner, the section forces
+of the continuum are infinite: finer cells have larger ones, without end. Fabric is therefore
+reinforced there, by further layers or a plate, and its strength judged outside of this patch, whose
+radius is a length of the structure and not of the mesh.
 """
 
 from __future__ import annotations

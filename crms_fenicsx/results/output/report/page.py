@@ -1,4 +1,4 @@
-"""Elements of a report page: sections of texts, figures, charts and tables."""
+"""Elements of a report page: sections of texts, figures, charts and tables; units."""
 
 from __future__ import annotations
 
