@@ -139,8 +139,8 @@ def write_vtu(path: Path, grid: Grid) -> None:
         for name, values in arrays.items():
             arrays[name] = values = _plain(values)
             kind = {"i": "Int", "u": "UInt", "f": "Float"}[values.dtype.kind]
-            many = values.size != len(values)
-            components = f'NumberOfComponents="{values[:1].size}" ' if many else ""
+            many = int(np.prod(values.shape[1:]))
+            components = f'NumberOfComponents="{many}" ' if many > 1 else ""
             tags += (
                 f'        <DataArray type="{kind}{8 * values.itemsize}" Name={quoteattr(name)} '
                 f'{components}format="appended" offset="{offset}"/>\n'
