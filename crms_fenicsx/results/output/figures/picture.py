@@ -78,7 +78,7 @@ def finished(
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
         return None
-    figure._repr_png_ = lambda: png_of(figure, 100, region)  # type: ignore[attr-defined]
+    figure._repr_png_ = lambda dpi=100: png_of(figure, dpi, region)  # type: ignore[attr-defined]
     return figure
 
 

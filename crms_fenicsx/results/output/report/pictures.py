@@ -5,10 +5,8 @@ from __future__ import annotations
 import io
 import math
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,20 +77,17 @@ def with_view(
     return replace(case, view=interactive_view(solver, case.name, colour, limits, labels))
 
 
-def draw_png(solver: HasSystem, **options: Any) -> bytes:
+def draw_png(solver: HasSystem, *, dpi: int, **options: Any) -> bytes:
     """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
-    comm, buffer = solver.comm, io.BytesIO()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(comm.bcast(folder)) / "picture.png"
-        draw(solver, path, width=6.0, **options)
-        comm.barrier()
-        if comm.rank == 0 and path.exists():
-            from PIL import Image
+    figure, buffer = draw(solver, width=6.0, **options), io.BytesIO()
+    if figure is not None:
+        from PIL import Image
 
-            with Image.open(path) as picture:  # 256 colours take a third of the space
-                # not the default, "median cut", which replaces the ends of colour bars
-                reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
-                reduced.save(buffer, "PNG", optimize=True)
+        png: bytes = figure._repr_png_(dpi)  # type: ignore[attr-defined]
+        with Image.open(io.BytesIO(png)) as picture:  # 256 colours take a third of the space
+            # not the default, "median cut", which replaces the ends of colour bars
+            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+            reduced.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
