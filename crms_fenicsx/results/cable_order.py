@@ -162,7 +162,7 @@ def lengths_to_order(
     """
     call = "lengths_to_order"
     if not isinstance(scene, Scene):
-        raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
+        raise InputError(f"{call}: scene is of type {type(scene).__name__}; pass a Scene.")
     checks.same(
         scene.comm, call, tension=tension, temperature=temperature, expansion=expansion,
         allowance=allowance,
@@ -178,7 +178,7 @@ def lengths_to_order(
     expansion = checks.finite(f"{call}: expansion", expansion)
     both = allowance if isinstance(allowance, tuple) else (allowance, allowance)
     if len(both) != 2:
-        raise InputError(f"{call}: allowance = {allowance!r}; give one, or (start, end).")
+        raise InputError(f"{call}: allowance = {allowance!r}; pass one, or (start, end).")
     ends = [checks.finite(f"{call}: allowance", one) for one in both]
     warm = 1 + expansion * temperature
     _refuse_impossible(call, scene, forces, temperature, expansion)
@@ -199,16 +199,16 @@ def _refuse_impossible(
         if not 0.0 <= force <= 0.1 * EA:
             raise InputError(
                 f"{call}: tension of {name!r} = {force!r}, a strain of {force / EA:.3g} with its "
-                f"EA = {EA:.6g}; give its tension when it is measured, from 0 to 0.1 EA."
+                f"EA = {EA:.6g}; pass its tension when it is measured, from 0 to 0.1 EA."
             )
     if abs(temperature) > 200.0:
         raise InputError(
-            f"{call}: temperature = {temperature!r}; give the difference to the model's "
+            f"{call}: temperature = {temperature!r}; pass the difference to the model's "
             f"temperature in kelvin, from -200 to 200."
         )
     if abs(expansion) > 1e-3:
         raise InputError(
-            f"{call}: expansion = {expansion!r}; give it per kelvin, at most 0.001: that "
+            f"{call}: expansion = {expansion!r}; use a number per kelvin, at most 0.001: that "
             f"of steel is {STEEL:g}."
         )
 

@@ -110,7 +110,7 @@ def find_places(
         raise InputError(
             f"at: point {k} at {as_text(target)} is "
             f"{np.linalg.norm(nearest[: len(target)] - target):.6g} off the {on} surface, nearest "
-            f"to {as_text(nearest)}; give a place on it."
+            f"to {as_text(nearest)}; pass a place on it."
         )
     return places
 
@@ -130,7 +130,7 @@ def nearest_places(
     rank = np.array([np.lexsort(every[:, k].T[::-1])[0] for k in range(len(scores))])
     best = every[rank, np.arange(len(scores))]
     if np.isinf(best).any():
-        raise InputError("at: the membrane has no plan, only walls; give places in space, (k, 3).")
+        raise InputError("at: the membrane has no plan, only walls; pass places in space, (k, 3).")
     mine = rank == comm.rank
     size = np.asarray(comm.allreduce(np.where(mine, sizes, 0.0)))
     given = [np.zeros((len(targets), 3)), np.zeros((len(targets), 3))]
@@ -154,7 +154,7 @@ def _checked(points: ArrayLike) -> tuple[Array, bool]:
             "[(3.0, 4.0)]."
         )
     if not np.isfinite(array).all():
-        raise InputError(f"at: points = {points!r} are not finite; give finite coordinates.")
+        raise InputError(f"at: points = {points!r} are not finite; pass finite coordinates.")
     in_plan = array.shape[1] == 2
     return (np.pad(array, ((0, 0), (0, 1))) if in_plan else array), in_plan
 

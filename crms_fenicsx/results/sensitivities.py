@@ -273,7 +273,7 @@ def _result(scene: Scene, one: object, parts: TautParts) -> Callable[[], float]:
         vertex, axis = one
         return lambda: float(scene.frame.place_of(vertex)["xyz".index(axis)])
     raise InputError(
-        f"sensitivities: of has {one!r}; give cables and bars (their forces), ends of cables (the "
+        f"sensitivities: of has {one!r}; pass cables and bars (their forces), ends of cables (the "
         'size of their reactions), "energy", "volume", or (vertex, "z") of scene.vertex_at(...).'
     )
 
@@ -304,6 +304,6 @@ def _parameter(scene: Scene, one: object) -> Setter:
                 lambda change: cable.update(cable=replace(cable.cable, EA=cable.cable.EA + change))
             ), STEP * EA
     raise InputError(
-        f"sensitivities: by has {one!r}; give cables and bars (their unstressed lengths), "
+        f"sensitivities: by has {one!r}; pass cables and bars (their unstressed lengths), "
         '"pressure" where the air is not sealed, names of loads, or ("EA", cable).'
     )

@@ -103,15 +103,15 @@ class Line:
         label = f"line {self.name!r}" if self.name else "line"
         points = checked_points(f"{label}: points", self.points)
         if len(points) < 2:
-            raise InputError(f"{label} has {len(points)} points; give two or more")
+            raise InputError(f"{label} has {len(points)} points; pass two or more")
         data: dict[str, NDArray[Any]] = {}
         for name, given in self.data.items():
             values = np.asarray(given)
             if values.dtype.kind not in "biuf":
-                raise InputError(f"{label}: {name!r} is of type {values.dtype}; give numbers")
+                raise InputError(f"{label}: {name!r} is of type {values.dtype}; pass numbers")
             if values.shape not in {(), (len(points),), (len(points) - 1,)}:
                 raise InputError(
-                    f"{label}: {name!r} has shape {values.shape}; give one value, one for each "
+                    f"{label}: {name!r} has shape {values.shape}; pass one value, one for each "
                     f"of the {len(points)} points or one for each of the {len(points) - 1} segments"
                 )
             data[name] = values.astype(np.float64)
@@ -140,7 +140,7 @@ def checked_points(what: str, given: ArrayLike) -> Array:
         raise InputError(f"{what}: expected shape (n, 3), found shape {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
-        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; give finite coordinates")
+        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; pass finite coordinates")
     return points
 
 
@@ -150,10 +150,10 @@ def checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict[
     for name, values in given.items():
         array = np.ascontiguousarray(values)
         if array.dtype.kind not in "biuf":
-            raise InputError(f"{what} {name!r} is of type {array.dtype}; give real numbers")
+            raise InputError(f"{what} {name!r} is of type {array.dtype}; pass real numbers")
         if array.ndim not in (1, 2) or len(array) != count:
             raise InputError(
-                f"{what} {name!r} has shape {array.shape}; give ({count},) or ({count}, c)"
+                f"{what} {name!r} has shape {array.shape}; pass ({count},) or ({count}, c)"
             )
         data[name] = array.astype(np.uint8) if array.dtype.kind == "b" else array
     return data
@@ -305,7 +305,7 @@ def _gathered(
     for rank, kind in kinds.items():
         if kind != kinds[first]:
             raise InputError(
-                f"data differ: rank {first} has {kinds[first]}, rank {rank} has {kind}; give the "
+                f"data differ: rank {first} has {kinds[first]}, rank {rank} has {kind}; pass the "
                 "same on all ranks"
             )
     return {
@@ -320,7 +320,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
     """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
     checks.same(scene.comm, "to_pyvista", radius=radius)
     if radius is not None and checks.finite("to_pyvista: radius", radius) < 0.0:
-        raise InputError(f"to_pyvista: radius = {radius:g} is negative; give 0 for lines.")
+        raise InputError(f"to_pyvista: radius = {radius:g} is negative; pass 0 to draw lines.")
     scene.membrane.check_finite("to_pyvista")
     piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
     surface = whole_surface(scene.comm, piece)

@@ -145,8 +145,8 @@ def test_bad_sensitivities_are_refused(comm) -> None:
         solver.sensitivities(["energy"], ["pressure"])
     solver.advance(pressure=1.0)
     for of, by, message in (
-        (["stress"], ["pressure"], "of has 'stress'; give cables"),
-        (["energy"], ["wind"], "by has 'wind'; give cables"),
+        (["stress"], ["pressure"], "of has 'stress'; pass cables"),
+        (["energy"], ["wind"], "by has 'wind'; pass cables"),
     ):
         with pytest.raises(InputError, match=message):
             solver.sensitivities(of, by)

@@ -58,7 +58,7 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
                 os.replace(aside, folder)
             holds = not folder.is_dir() or any(folder.iterdir())
             if folder.exists() and not (folder / mark).exists() and holds:
-                raise InputError(f"{folder} is not a checkpoint; give another folder")
+                raise InputError(f"{folder} is not a checkpoint; use another folder")
             for rest in (partial, aside):
                 if rest.exists():
                     shutil.rmtree(rest)
@@ -146,7 +146,7 @@ def read_rows(
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
     """Read an array of given type, shape and digest; raises `InputError` otherwise."""
     head, values = _header(dtype, shape), np.zeros(0, dtype)
-    with readable(path, "give a checkpoint that is complete"):
+    with readable(path, "pass a checkpoint that is complete"):
         size_of_file(path)  # refuses what is not a file
         with open(path, "rb") as file:
             if file.read(len(head)) == head:

@@ -213,7 +213,7 @@ def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
 
 
 def _read(file: Path) -> Plain:
-    with readable(file, "give the folder of a checkpoint"):
+    with readable(file, "pass the folder of a checkpoint"):
         text = read_text(file)
     with reading(file):
         found = json.loads(text, parse_constant=_finite, parse_float=_finite)

@@ -61,7 +61,7 @@ class History:
             if self.path is not None and comm.rank == 0:
                 make_writable(self.path.parent)
                 if self.path.is_dir():
-                    raise InputError(f"{self.path} is a folder; give the name of a file")
+                    raise InputError(f"{self.path} is a folder; pass the name of a file")
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -122,7 +122,7 @@ class History:
                         "in columns of their own"
                     )
             if not plain:
-                raise InputError("an empty row for the history; give at least the step")
+                raise InputError("an empty row for the history; include at least the step")
             columns = self._columns + [name for name in plain if name not in self._columns]
             rows = [*self._rows, plain]
             if self.path is not None and self.comm.rank == 0:
@@ -165,7 +165,7 @@ class History:
         InputError
             A file that is missing or empty or has a row of another length.
         """
-        with readable(f"the history {path}", "give the CSV file that a run has written"):
+        with readable(f"the history {path}", "pass the CSV file that a run has written"):
             content = read_text(Path(path))
         try:
             cells = list(csv.reader(io.StringIO(content.decode("utf-8"), newline="")))
@@ -214,7 +214,7 @@ def _plain(column: str, value: object) -> Value:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value)
-    raise InputError(f"column {column!r} got {value!r}; give an int, a float or text")
+    raise InputError(f"column {column!r} got {value!r}; pass an int, a float or text")
 
 
 def csv_line(values: Iterable[object]) -> str:

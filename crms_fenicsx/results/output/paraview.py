@@ -246,7 +246,7 @@ class Series:
             if not np.isfinite(time) or (self.times and time <= self.times[-1]):
                 raise InputError(f"time {time} after times {self.times[-3:]}; times must grow")
         if self.comm.allreduce(len(np.asarray(surface.triangles))) == 0:
-            raise InputError(f"no triangle on any rank at time {time}; give the surface")
+            raise InputError(f"no triangle on any rank at time {time}; pass the surface")
         whole = whole_surface(self.comm, surface)
         with raised_together(self.comm):
             if whole is not None:
@@ -305,7 +305,7 @@ class Series:
                 for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
         except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
-            raise InputError(f"{path} cannot be read ({error}); give another folder") from None
+            raise InputError(f"{path} cannot be read ({error}); use another folder") from None
         return [_entry(time, name) for time, name in found if time in times]
 
     def _begin(self) -> None:

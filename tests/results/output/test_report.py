@@ -220,7 +220,7 @@ def test_bad_reports_write_nothing(
         ({"pictures": "stress"}, "no list to use; write pictures="),
         ({"strain_limit": 0.0}, "strain_limit = 0.0"),
         ({"template": folder / "office.html"}, "no template .*office.html"),
-        ({"template": page}, r"tent.html' is a template's name; give the page another"),
+        ({"template": page}, r"tent.html' is a template's name; use another name"),
         ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
         ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),

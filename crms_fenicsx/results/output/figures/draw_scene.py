@@ -137,7 +137,7 @@ def draw(
         Nothing is drawn, as the mesh has more than `MOST_CELLS` cells.
     """
     if not hasattr(type(solver), "system"):
-        raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
+        raise InputError(f"draw: solver is of type {type(solver).__name__}; pass a Solver.")
     checks.same(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
         tensions=tensions, directions=directions, **options,

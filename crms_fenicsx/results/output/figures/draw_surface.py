@@ -172,7 +172,7 @@ def draw_shape(
         lines, how.line_values, line_label, how.line_limits, how.line_colours, how.loose
     )
     if len(np.asarray(surface.points)) == 0 and not lines:
-        raise InputError("nothing to draw: no points and no lines; give one of them")
+        raise InputError("nothing to draw: no points and no lines; pass one of them")
     check_view(how.view)
     corners = None if isinstance(how.box, bool) else _checked_box(how.box)
     inner = _checked_hidden(how.hidden, surface)
@@ -252,7 +252,7 @@ def _corners(surface: Surface) -> Array:
 
 def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     if len(box) != 2:
-        raise InputError(f"box {box!r}; give True, False or its corners (low, high)")
+        raise InputError(f"box {box!r}; pass True, False or its corners (low, high)")
     low, high = checked_points("box corners", np.array(box, dtype=np.float64))
     if not np.all(low < high):
         raise InputError(f"box from {low} to {high}: the first corner must be the lower one")
@@ -290,7 +290,7 @@ def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
     if array.shape == (len(np.asarray(surface.points)),):
         return array[triangles]
     raise InputError(
-        f"values have shape {array.shape}; give one for each of the "
+        f"values have shape {array.shape}; pass one for each of the "
         f"{len(np.asarray(surface.points))} vertices, {len(triangles)} triangles or their corners"
     )
 

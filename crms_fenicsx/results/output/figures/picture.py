@@ -104,7 +104,7 @@ def join_pictures(
     from matplotlib.image import imread, imsave
 
     if not pictures:
-        raise InputError("no pictures to join; give at least one")
+        raise InputError("no pictures to join; pass at least one")
     wrong = [str(name) for name in (filename, *pictures) if Path(name).suffix.lower() != ".png"]
     if wrong:
         raise InputError(f"{', '.join(wrong)}: only .png files can be joined")

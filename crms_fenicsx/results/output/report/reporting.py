@@ -67,11 +67,11 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
-            f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
+            f"report: sections = {plan.sections!r}; pass what patterns.report_sections returned."
         )
     if plan.order is not None and not isinstance(plan.order, Order):
         raise InputError(
-            f"report: order = {plan.order!r}; give what nets.lengths_to_order(...) returned."
+            f"report: order = {plan.order!r}; pass what nets.lengths_to_order(...) returned."
         )
     foundations = _checked_foundations(scene, plan.foundations)
     pictures = _checked_pictures(scene, plan.pictures)
@@ -87,7 +87,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                     f"report: filename = {str(path)!r} is not a page; pass a name with .html."
                 )
             if path.is_dir():
-                raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+                raise InputError(f"report: {path} is a folder; pass the name of a file in it.")
             make_writable(path.parent)
             if plan.pdf:
                 browser()
@@ -95,12 +95,12 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                 check_interactive()
             if plan.template is not None and not Path(plan.template).is_file():
                 raise InputError(
-                    f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
+                    f"report: there is no template {str(plan.template)!r}; pass a file of jinja2, "
                     'which may begin with {% extends "report.html" %}.'
                 )
             if path.name == MACROS or (plan.template and path == Path(plan.template).absolute()):
                 raise InputError(
-                    f"report: filename = {str(path)!r} is a template's name; give the page another."
+                    f"report: filename = {str(path)!r} is a template's name; use another name."
                 )
     return replace(
         plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
@@ -124,7 +124,7 @@ def _checked_foundations(
         unknown = [one for one in members if one not in known]
         if unknown or isinstance(members, str):
             raise InputError(
-                f"report: the foundation {name!r} carries {unknown or members!r}; give a list of "
+                f"report: the foundation {name!r} carries {unknown or members!r}; pass a list of "
                 'ends of cables, such as "A1 start", and of names of joints.'
             )
     return {str(name): tuple(members) for name, members in foundations.items()}
