@@ -46,15 +46,25 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.versions import last_doubt
-from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
-from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
+from crms_fenicsx.results.cable_and_bar_results import (
+    CableResults,
+    ClampResults,
+    cable_results,
+    clamp_results,
+)
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.history import History
 from crms_fenicsx.results.output.recorder import Recorder
 from crms_fenicsx.results.quantities import fields_of
-from crms_fenicsx.results.reactions import Reactions, reactions
-from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
+from crms_fenicsx.results.reactions import (
+    Reactions,
+    Residual,
+    Tangent,
+    reactions,
+    residual,
+    tangent,
+)
 from crms_fenicsx.results.summary import Summary, summary
 
 if TYPE_CHECKING:
@@ -66,9 +76,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.results.sensitivities import Sensitivities
 
 logger = logging.getLogger("crms_fenicsx")
-
-MAX_TURNS = 3
-"""Limit of increments of a call that are halved as states take turns under turning pressure."""
 
 ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"
 """Remedy in errors about assigning a solver's options."""
@@ -164,8 +171,7 @@ class Solver:
         if options.resume is not None and options.results is not None:
             from crms_fenicsx.results.checkpoint.journal import FOLDER, Journal
 
-            same = {**vars(options)}
-            del same["results"], same["resume"]
+            same = {k: x for k, x in vars(options).items() if k not in ("results", "resume")}
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
 
     def __repr__(self) -> str:
@@ -278,13 +284,11 @@ class Solver:
                 number = len(self.steps) + 1
                 if not outcome.converged:
                     halvings, increment = halvings + 1, (goal - done) / 2
-                    turns += outcome.takes_turns
-                    if increment < 0.5**self.max_halvings * (1 - 1e-9) or turns > MAX_TURNS:
+                    turns += outcome.takes_turns  # of states under turning pressure
+                    if increment < 0.5**self.max_halvings * (1 - 1e-9) or turns > 3:
                         part, halved = done / steps, round(-np.log2(2 * increment))
-                        failure = no_equilibrium(
-                            number, outcome, halved, part,
-                            target.ponds(scene, goal / steps), scene.ponds,
-                        )  # fmt: skip
+                        ponds = target.ponds(scene, goal / steps)
+                        failure = no_equilibrium(number, outcome, halved, part, ponds, scene.ponds)
                         self._keep(done, increment, str(failure))
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
@@ -299,13 +303,13 @@ class Solver:
                 if whole:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)
-                self._record(step, done, increment)
+                self._keep(done, increment)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
     def _accept(self, step: Step, before: SceneState, unsettled: float, whole: bool) -> None:
-        """Accept a step that started from `before`, and issue its warnings; parts of a divided
-        increment are not told to be doubtful."""
+        """Accept a step that started from `before`, warn, and write history and files; parts of a
+        divided increment are not told to be doubtful."""
         scene, lasting = self.scene, [one for one in before.warnings if one.lasts]
         scene.record(warnings=(*lasting, *step.warnings))
         if step.verification is not None:
@@ -317,6 +321,9 @@ class Solver:
         warn_of_friction(step.number, scene, before, unsettled)
         told = [one for one in step.warnings if whole or one.kind != "doubtful"]
         warn_of_state(step.number, scene, told)
+        if self._journal is not None:
+            self._journal.remove_outdated()
+        self._recorder.write(step, self.system, self.case)
 
     def _resumed(self, given: Mapping[str, Any]) -> tuple[float, float]:
         """Restore the progress of a call: increments done, and the next increment. Collective."""
@@ -328,13 +335,6 @@ class Solver:
         if come.failure is not None:
             raise ConvergenceError(come.failure)
         return come.done, come.increment
-
-    def _record(self, step: Step, done: float, increment: float) -> None:
-        """Write history and files, then the checkpoint."""
-        if self._journal is not None:
-            self._journal.remove_outdated()
-        self._recorder.write(step, self.system, self.case)
-        self._keep(done, increment)
 
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
         """Write a checkpoint, if enabled."""
@@ -383,9 +383,7 @@ class Solver:
         with raised_together(self.scene.comm):
             checks.of_type("restore: snapshot", snapshot, SceneState)
             if snapshot.scene is not self.scene:
-                raise InputError(
-                    "restore: the snapshot is of another scene; give one of this scene."
-                )
+                raise InputError("restore: the snapshot belongs to another scene.")
         self._increments.go_back_to(snapshot)
 
     @contextmanager
@@ -867,7 +865,7 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
-        from crms_fenicsx.results.views.view_data import to_pyvista
+        from crms_fenicsx.results.view_data import to_pyvista
 
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 

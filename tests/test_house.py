@@ -17,7 +17,7 @@ WINGS = {
     "energy": "terms terms.paper minimization",
     "cabling": "cables contact friction paths",
     "analysis": "scene equilibrium verification steps",
-    "results": "views results output output.figures output.report checkpoint",
+    "results": "results output output.figures output.report checkpoint",
     "solver": "",
     "design": "codes exchange form_finding nets patterns study",
 }

@@ -34,7 +34,7 @@ def run(code: str, names: dict[str, Any], page: str) -> None:
 def missing(block: str) -> bool:
     """Whether a block needs what is not installed, or somebody who closes pyvista's window.
 
-    `test_coupling` runs the loop for preCICE, `tests/results/views` pyvista's pictures.
+    `test_coupling` runs the loop for preCICE, `tests/results/test_pyvista.py` pyvista's pictures.
     """
     if "pyvista" in block:
         return True

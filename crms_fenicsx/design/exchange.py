@@ -13,7 +13,6 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.foundation.meshes.gmsh_model import imported
 from crms_fenicsx.foundation.runtime import checks
@@ -32,7 +31,7 @@ from crms_fenicsx.foundation.runtime.files import (
     new_drawing,
     replaced,
 )
-from crms_fenicsx.results.views.view_data import Surface, surface_piece, whole_surface
+from crms_fenicsx.results.view_data import Surface, whole_shape
 
 SURVEY_FOOT = 1200 / 3937
 """US survey foot (m)."""
@@ -241,7 +240,7 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
     suffix = path.suffix.lower()
     checks.one_of("write_shape: the suffix", suffix, (".dxf", ".obj", ".stl", ".ply"))
     scene.membrane.check_finite("write_shape")
-    whole = _whole(scene)
+    whole = whole_shape(scene)
     held = np.any(scene.held[: scene.V.dofmap.index_map.size_local], axis=1)
     places = scene.comm.gather(scene.positions()[: len(held)][held])
     with raised_together(scene.comm):
@@ -330,11 +329,6 @@ def from_compas(comm: MPI.Intracomm, mesh: Any, **options: Any) -> MembraneMesh:
     return from_arrays(comm, points, cells, **options)
 
 
-def _whole(scene: Scene) -> Surface | None:
-    """The current surface on the first rank. Collective."""
-    return whole_surface(scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {}))
-
-
 @collective
 def to_vertices_and_faces(
     scene: Scene,
@@ -361,7 +355,7 @@ def to_vertices_and_faces(
     >>> mesh = compas.datastructures.Mesh.from_vertices_and_faces(*to_vertices_and_faces(scene))
     """
     checks.of_type("to_vertices_and_faces: scene", scene, Scene)
-    whole = _whole(scene)
+    whole = whole_shape(scene)
     if whole is None:
         return None
     vertices: list[list[float]] = np.asarray(whole.points).tolist()  # type: ignore[assignment]

@@ -115,13 +115,8 @@ class Order:
         with raised_together(self.comm):
             if self.comm.rank == 0:
                 lines = [",".join(map(str, row)) for row in (self.COLUMNS, *self.rows())]
-                try:
-                    with replaced(path) as file:
-                        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-                except OSError as error:
-                    raise InputError(
-                        f"write: {path} cannot be written ({error}); give another file."
-                    ) from None
+                with replaced(path) as file:
+                    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 @collective
@@ -167,7 +162,7 @@ def lengths_to_order(
     """
     call = "lengths_to_order"
     if not isinstance(scene, Scene):
-        raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
+        raise InputError(f"{call}: scene is of type {type(scene).__name__}; pass a Scene.")
     checks.same(
         scene.comm, call, tension=tension, temperature=temperature, expansion=expansion,
         allowance=allowance,
@@ -183,7 +178,7 @@ def lengths_to_order(
     expansion = checks.finite(f"{call}: expansion", expansion)
     both = allowance if isinstance(allowance, tuple) else (allowance, allowance)
     if len(both) != 2:
-        raise InputError(f"{call}: allowance = {allowance!r}; give one, or (start, end).")
+        raise InputError(f"{call}: allowance = {allowance!r}; pass one, or (start, end).")
     ends = [checks.finite(f"{call}: allowance", one) for one in both]
     warm = 1 + expansion * temperature
     _refuse_impossible(call, scene, forces, temperature, expansion)
@@ -194,30 +189,26 @@ def lengths_to_order(
     return Order(found, temperature, expansion, (ends[0], ends[1]), scene.comm)
 
 
-STRAINED, WARMER, EXPANDING = 0.1, 200.0, 1e-3
-"""Limits of a tension relative to EA, of a difference of temperatures (K), and of an expansion (per
-kelvin): numbers beyond are in another unit, or absolute temperatures."""
-
-
 def _refuse_impossible(
     call: str, scene: Scene, forces: Mapping[str, float], temperature: float, expansion: float
 ) -> None:
-    """Refuse tensions and temperatures at which no cable is measured."""
+    """Refuse tensions and temperatures at which no cable is measured: they are in another unit, or
+    absolute."""
     for name, force in forces.items():
         EA = scene.cable(name).cable.EA
-        if not 0.0 <= force <= STRAINED * EA:
+        if not 0.0 <= force <= 0.1 * EA:
             raise InputError(
                 f"{call}: tension of {name!r} = {force!r}, a strain of {force / EA:.3g} with its "
-                f"EA = {EA:.6g}; give its tension when it is measured, from 0 to {STRAINED} EA."
+                f"EA = {EA:.6g}; pass its tension when it is measured, from 0 to 0.1 EA."
             )
-    if abs(temperature) > WARMER:
+    if abs(temperature) > 200.0:
         raise InputError(
-            f"{call}: temperature = {temperature!r}; give the difference to the model's "
-            f"temperature in kelvin, from -{WARMER:g} to {WARMER:g}."
+            f"{call}: temperature = {temperature!r}; pass the difference to the model's "
+            f"temperature in kelvin, from -200 to 200."
         )
-    if abs(expansion) > EXPANDING:
+    if abs(expansion) > 1e-3:
         raise InputError(
-            f"{call}: expansion = {expansion!r}; give it per kelvin, at most {EXPANDING:g}: that "
+            f"{call}: expansion = {expansion!r}; use a number per kelvin, at most 0.001: that "
             f"of steel is {STEEL:g}."
         )
 

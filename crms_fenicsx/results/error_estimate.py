@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
@@ -27,7 +27,7 @@ from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.surface.points import VertexPoint
-from crms_fenicsx.results.quantities import cell_tensors
+from crms_fenicsx.results.quantities import cell_tensors, summed
 
 WIDTH = 6 + 6 + 9 + 3 + 3
 """Number of averaged components: E, S, H, unit normals; weight, material and its square."""
@@ -62,8 +62,8 @@ class ErrorEstimator:
 
     def __init__(self, scene: Scene) -> None:
         self._scene, mesh = scene, scene.mesh.mesh
-        self._sums = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,))))
-        self._dofs: Indices = self._sums.function_space.dofmap.list
+        self._space = fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,)))
+        self._dofs: Indices = self._space.dofmap.list
         vectors = area_vectors(mesh)
         self._areas: Array = scene.membrane.cell_areas
         self._normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
@@ -117,13 +117,7 @@ class ErrorEstimator:
 
     def _gathered(self, own: Array) -> Array:
         """Sums of cell values (n, WIDTH) around each cell's corners, (n, 3, WIDTH)."""
-        sums = self._sums.x.array.reshape(-1, WIDTH)
-        sums[:] = 0.0
-        for k in range(3):
-            np.add.at(sums, self._dofs[:, k], own)
-        self._sums.x.scatter_reverse(la.InsertMode.add)
-        self._sums.x.scatter_forward()
-        return sums[self._dofs].copy()
+        return summed(self._space, self._dofs.T, own)[self._dofs]
 
     def _spread(self, values: Array, folded: Booleans) -> Array:
         """Give folded cells (n,) the error per area of their neighbours."""

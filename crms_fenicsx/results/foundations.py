@@ -77,8 +77,6 @@ class Foundations:
         return float(gap.max() / (sizes.max(initial=0.0) or 1.0))
 
 
-ROUNDED = 1e-10
-"""Resultants below this part of the largest one, as of internal forces, count as zero."""
 OTHERS = "other supports"
 """Name for held vertices that belong to no group held as a whole."""
 
@@ -92,7 +90,7 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
         forces[dof] -= end.force
     every = [*held_ends(scene), *chain.from_iterable(comm.allgather([end for _, end in hung]))]
     lengths = held_lengths(membrane)
-    line = np.where(lengths[:n] > 0.0, forces / np.where(lengths[:n] > 0.0, lengths[:n], 1.0), 0.0)
+    line = forces / np.where(lengths[:n] > 0.0, lengths[:n], np.inf)
     sizes, lines = np.linalg.norm(line, axis=1), []
     for name, dofs in partition(scene, groups).items():
         own = lengths[dofs].max(axis=1, initial=0.0)
@@ -106,9 +104,12 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
         lines.append(
             FoundationLine(name, _reversed(total), length, loaded / (length or 1.0), largest)
         )
+    function, rim = fem.Function(scene.V), held_edges(scene)
+    function.x.array[: line.size] = line.ravel()
+    function.x.scatter_forward()
     return Foundations(
         tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system),
-        held_rim(scene), _along_rim(scene, line),
+        held_rim(scene), np.concatenate(comm.allgather(-function.x.array.reshape(-1, 3)[rim])),
     )  # fmt: skip
 
 
@@ -151,7 +152,8 @@ def resultants(system: System) -> dict[str, Force]:
         free = nodal_forces(system)[: system.unknowns.n_vertices]
         up = np.where(scene.held[: len(free), 2], 0.0, free[:, 2]).sum()
         found["floor"] = np.array([0.0, 0.0, scene.comm.allreduce(float(up))])
-    nothing = ROUNDED * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
+    # internal forces have resultants of rounding errors
+    nothing = 1e-10 * max((float(np.abs(x).max()) for x in found.values()), default=0.0)
     return {
         name: triple(np.asarray(force)) for name, force in found.items()
         if np.abs(force).max() > nothing
@@ -199,15 +201,6 @@ def held_edges(scene: Scene) -> Integers:
 def held_rim(scene: Scene) -> Array:
     """Ends of all ranks' held named edges, (k, 2, 3) (length). Collective."""
     return np.concatenate(scene.comm.allgather(scene.positions()[held_edges(scene)]))
-
-
-def _along_rim(scene: Scene, line: Array) -> Array:
-    """Membrane forces on `held_rim` per length, from the support forces. Collective."""
-    function = fem.Function(scene.V)
-    values = function.x.array.reshape(-1, 3)
-    values[: len(line)] = -line
-    function.x.scatter_forward()
-    return np.concatenate(scene.comm.allgather(values[held_edges(scene)]))
 
 
 def _reversed(force: Sequence[float] | Array) -> Force:

@@ -12,16 +12,11 @@ from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.results.views.view_data import surface_piece, whole_surface
+from crms_fenicsx.results.view_data import edges_of, surface_piece, whole_surface
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
 
-SHALLOW = 1e-5
-"""Depth, relative to the membrane's size, up to which a hollow is ignored."""
-
-UPRIGHT = 1e-6
-"""Least plan area of a triangle that holds water, relative to its surface area."""
 
 Place = tuple[float, float, float]
 
@@ -66,7 +61,8 @@ def find_hollows(net: CableNet) -> Hollows:
     """Find the hollows of the current surface where it faces up; water drains over its edges and
     where it overhangs. Collective."""
     membrane, comm = net.membrane, net.membrane.comm
-    shallow = SHALLOW * membrane.size  # collective
+    # shallower ones do not count
+    shallow = 1e-5 * membrane.size  # collective
     piece = surface_piece(membrane, current_surface(net), {})
     rim = np.zeros(len(np.asarray(piece.points)))
     rim[membrane.vertices(BOUNDARY)] = 1.0
@@ -89,16 +85,17 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
     from scipy.sparse import csgraph
 
     vectors = double_areas(points[triangles]) / 2
-    steep = UPRIGHT * norm(vectors)
+    # triangles of a smaller plan hold no water
+    steep = 1e-6 * norm(vectors)
     side = 1 if np.any(vectors[:, 2] > steep) else -1
     up = np.asarray(triangles[side * vectors[:, 2] > steep], dtype=np.int64)
     plan = float(np.abs(vectors[side * vectors[:, 2] > steep, 2]).sum())
     z, of_points = points[:, 2], np.full(len(points), -1)
     if not len(up):
         return Hollows((), of_points, plan)
-    pairs, counts = _edges(up)
+    pairs, counts = edges_of(up)
     # where cables fold one of two cells, their common edge belongs to a single triangle, too
-    every, times = _edges(triangles)
+    every, times = edges_of(triangles)
     inner = np.flatnonzero(times > 1)
     overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
     leads_out = rim.copy()
@@ -139,12 +136,6 @@ def _water(corners: Array, level: float) -> tuple[float, float]:
     area[wet == 2], volume[wet == 2] = 1 - area[wet == 2], (h.sum(axis=1) / 3 - volume)[wet == 2]
     area[wet == 3], volume[wet == 3] = 1.0, h[wet == 3].sum(axis=1) / 3
     return float(plan @ volume), float(plan @ area)
-
-
-def _edges(triangles: Integers) -> tuple[Integers, Integers]:
-    """Edges of triangles, (n, 2), and the number of triangles of each."""
-    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
-    return np.unique(pairs, axis=0, return_counts=True)
 
 
 def _keys(pairs: Integers, n: int) -> Integers:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
@@ -28,6 +28,7 @@ from crms_fenicsx.results.quantities import (
     cell_tensors,
     names_of,
     shown_briefly,
+    summed,
 )
 
 
@@ -35,20 +36,14 @@ def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> f
     """A linear function with the means of adjacent cells' values (n,) at the vertices.
     Collective."""
     V = membrane.nodal_values
-    weight, found = fem.Function(V), fem.Function(V, name=name)
-    known = np.isfinite(values)
-    corners = V.dofmap.list[known]
-    for function, amount in ((weight, areas), (found, areas * values)):
-        np.add.at(function.x.array, corners, amount[known, None])
-        function.x.scatter_reverse(la.InsertMode.add)
-        function.x.scatter_forward()
+    found, known = fem.Function(V, name=name), np.isfinite(values)
+    weight, sums = (
+        summed(V, V.dofmap.list[known], amount[known, None, None])
+        for amount in (areas, areas * values)
+    )
     with np.errstate(invalid="ignore"):
-        found.x.array[:] /= weight.x.array
+        found.x.array[:] = (sums / weight).ravel()
     return found
-
-
-FLAT = 1e-12
-"""Least squared stretch assumed of a cell, so that a collapsed one still has directions."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -160,8 +155,8 @@ class MembraneResults:
             given = checked_strengths("utilisation", strengths, self.membrane.mesh)
         elif not given:
             raise InputError(
-                "utilisation: there are no strengths; give them, or call "
-                "scene.set_strengths((warp, weft)) before."
+                "utilisation: there are no strengths; pass them, or call "
+                "scene.set_strengths((warp, weft)) first."
             )
         found = np.full(len(self.state), np.nan)
         for part, pair in given.items():
@@ -312,7 +307,8 @@ def membrane_results(system: System) -> MembraneResults:
 
     # With U the root of C = F^T F, F S F^T = R (U S U) R^T: one symmetric problem in the plane.
     squared, Q = np.linalg.eigh(np.eye(2) + 2 * E)
-    stretch = np.sqrt(np.maximum(squared, FLAT))
+    # a collapsed cell still has directions
+    stretch = np.sqrt(np.maximum(squared, 1e-12))
     J = stretch.prod(axis=1)
     U = np.einsum("nij,nj,nkj->nik", Q, stretch, Q)
     true_forces, turned = _principal(U @ S @ U / J[:, None, None])

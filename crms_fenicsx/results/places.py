@@ -30,9 +30,6 @@ from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM
 from crms_fenicsx.foundation.surface.feet import nearest_pairs
 from crms_fenicsx.results.quantities import shown_briefly
 
-HELD = 1e-9
-"""Distance in plan, relative to a facet's size, at which the facet still contains a point."""
-
 
 @dataclass(frozen=True, repr=False)
 class PlaceResults:
@@ -113,7 +110,7 @@ def find_places(
         raise InputError(
             f"at: point {k} at {as_text(target)} is "
             f"{np.linalg.norm(nearest[: len(target)] - target):.6g} off the {on} surface, nearest "
-            f"to {as_text(nearest)}; give a place on it."
+            f"to {as_text(nearest)}; pass a place on it."
         )
     return places
 
@@ -133,7 +130,7 @@ def nearest_places(
     rank = np.array([np.lexsort(every[:, k].T[::-1])[0] for k in range(len(scores))])
     best = every[rank, np.arange(len(scores))]
     if np.isinf(best).any():
-        raise InputError("at: the membrane has no plan, only walls; give places in space, (k, 3).")
+        raise InputError("at: the membrane has no plan, only walls; pass places in space, (k, 3).")
     mine = rank == comm.rank
     size = np.asarray(comm.allreduce(np.where(mine, sizes, 0.0)))
     given = [np.zeros((len(targets), 3)), np.zeros((len(targets), 3))]
@@ -157,7 +154,7 @@ def _checked(points: ArrayLike) -> tuple[Array, bool]:
             "[(3.0, 4.0)]."
         )
     if not np.isfinite(array).all():
-        raise InputError(f"at: points = {points!r} are not finite; give finite coordinates.")
+        raise InputError(f"at: points = {points!r} are not finite; pass finite coordinates.")
     in_plan = array.shape[1] == 2
     return (np.pad(array, ((0, 0), (0, 1))) if in_plan else array), in_plan
 
@@ -181,7 +178,7 @@ def _candidates(
     target, near = nearest_pairs(*balls(triangles), targets)
     share, _, gaps = closest(triangles[near], targets[target])
     size = longest_sides(triangles[near])
-    gaps = np.where(gaps <= HELD * size, 0.0, gaps)
+    gaps = np.where(gaps <= 1e-9 * size, 0.0, gaps)
     depth = -mix(share, corners[usable[near]])[:, 2] if in_plan else np.zeros(len(near))
     order = np.lexsort((near, depth, gaps, target))
     chosen = order[np.unique(target[order], return_index=True)[1]]

@@ -1,17 +1,23 @@
-"""Named quantities of the membrane's cells, for fields, points, files and pictures."""
+"""Named quantities of the membrane's cells and loads on them, for files and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem, la
+from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.load_cases import HasStates
+from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.membrane import Membrane
 
@@ -138,3 +144,61 @@ def fields_of(results: Any) -> dict[str, Array]:
     """Cell data of ParaView files and pyvista, by name, (n,) or (n, 3)."""
     found = {name: results.values(name) for name in SHOWN if name in results.names}
     return {**found, "direction 1": results.true_directions[:, 0], "state": results.state}
+
+
+def summed(space: fem.FunctionSpace, dofs: Integers | Indices, values: Array) -> Array:
+    """Sums (n, c) at a linear space's nodes, ghosts included, of values (..., c) at the nodes
+    `dofs` (...) of its cells or edges. Collective."""
+    found = fem.Function(space)
+    sums: Array = found.x.array.reshape(-1, space.dofmap.index_map_bs)
+    np.add.at(sums, dofs, values)
+    found.x.scatter_reverse(la.InsertMode.add)
+    found.x.scatter_forward()
+    return sums.copy()
+
+
+class HasSystem(Protocol):
+    """Protocol of `Solver`, which is in a higher layer."""
+
+    comm: MPI.Intracomm
+
+    @property
+    def system(self) -> System:
+        """The scene's potential."""
+
+
+class Solved(HasSystem, HasStates, Protocol):
+    """Protocol of `Solver` with the states of load cases."""
+
+    base: SceneState | None
+
+
+def load_label(scene: Scene, name: str) -> tuple[str, str]:
+    """Label of a load's values and the kind of unit."""
+    if any(load.name == name and load.suction is not None for load in scene.loads):
+        return f"c_p of {name}", ""
+    return f"{name} per area", "pressure"
+
+
+def load_values(scene: Scene, name: str) -> Array:
+    """Load or pond in this rank's cells at factor 1, (m,). Collective.
+
+    For wind the pressure coefficients, positive for pressure on the outer side; otherwise the
+    magnitude of the force per area, averaged around vertices.
+    """
+    membrane, own = scene.membrane, scene.mesh.mesh.topology.index_map(2).size_local
+    cells = membrane.V.dofmap.list[:own]
+    corners = membrane.positions()[cells]
+    for pond in scene.ponds:
+        if pond.name == name:
+            depth = np.maximum(pond.level - corners[..., 2].mean(axis=1), 0.0)
+            return np.asarray(pond.weight * depth * pond.cells(membrane)[:own])
+    load = checks.named("load", {one.name: one for one in scene.loads}, name)
+    if load.suction is not None:
+        return np.asarray(-load.suction[:own] / load.peak)
+    forces = summed(membrane.V, np.arange(len(load.forces)), load.forces)
+    dofs, shares = membrane.nodal_values.dofmap.list[:own], norm(double_areas(corners)) / 6
+    areas = summed(membrane.nodal_values, dofs, shares[:, None, None])[:, 0]
+    at = np.linalg.norm(forces, axis=1)[cells].mean(axis=1)
+    around = areas[dofs].mean(axis=1)
+    return np.asarray(at / around)

@@ -26,10 +26,6 @@ from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
 NAME = "rain in hollows"
 """Name of the load."""
 
-SETTLED, PATIENCE = 1e-4, 10
-"""Relative change of the water's volume at which the iteration has converged, and the number of
-fillings without a smaller change after which it is given up."""
-
 
 @dataclass(frozen=True, repr=False)
 class PondingCheck:
@@ -123,11 +119,10 @@ class Rain:
         change = abs(volume - (self.volumes[-1] if self.volumes else 0.0))
         self.volumes.append(volume)
         self._changes.append(change)
-        self.settled = change <= SETTLED * volume
-        if self.settled or (
-            len(self._changes) > PATIENCE
-            and min(self._changes[-PATIENCE:]) >= min(self._changes[:-PATIENCE])
-        ):
+        self.settled = change <= 1e-4 * volume
+        # given up after ten fillings without a smaller change
+        last, before = self._changes[-10:], self._changes[:-10]
+        if self.settled or (before and min(last) >= min(before)):
             return False
         scene.loads.update(loads=tuple(loads))
         scene.versions.change_model()

@@ -1,4 +1,4 @@
-"""Reactions of supports, anchors and held joints."""
+"""Reactions of supports, anchors and held joints; residual and tangent for coupled solvers."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
+from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge_sliders
+from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
@@ -19,6 +23,7 @@ from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.quantities import summed
 
 AT = 1e3 * SAME_PLACE
 """Distance, relative to the membrane's size, up to which an end coincides with the membrane."""
@@ -79,14 +84,6 @@ def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
     return found
 
 
-def bars_at_vertices(scene: Scene, dofs: Indices | Integers) -> list[HeldEnd]:
-    """Bar ends at this rank's owned vertices `dofs`, with the reactions on them. Collective."""
-    if not scene.frame.vertices:
-        return []
-    found = [end for dof, end in hung_bars(scene) if dof in dofs]
-    return list(chain.from_iterable(scene.comm.allgather(found)))
-
-
 def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:
     """Which places lie at vertices `dofs` (ghosts included) or on an edge of two. Collective."""
     if not places:
@@ -94,16 +91,18 @@ def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]
     marked, ends = np.zeros(len(membrane.held), dtype=bool), edge_ends(membrane.V)
     marked[dofs] = True
     points = membrane.positions()
-    start, end = points[ends[marked[ends].all(axis=1)]].transpose(1, 0, 2)
-    start, end = (np.concatenate([x, points[dofs]]) for x in (start, end))
-    way = end - start
+    edges = np.concatenate([points[ends[marked[ends].all(axis=1)]], points[dofs, None][:, [0, 0]]])
+    near = np.array([gap(place, edges) <= AT * membrane.size for place in places])
+    return np.asarray(membrane.comm.allreduce(near.astype(np.int64))) > 0
+
+
+def gap(place: Array, edges: Array) -> float:
+    """Distance of a place, (3,), from the nearest of edges (k, 2, 3); infinite without any."""
+    start, way = edges[:, 0], edges[:, 1] - edges[:, 0]
     squared = np.maximum((way * way).sum(axis=1), 1e-300)
-    near = np.zeros(len(places), dtype=np.int64)
-    for k, place in enumerate(places):
-        along = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
-        gaps = np.linalg.norm(start + along[:, None] * way - place, axis=1)
-        near[k] = gaps.min(initial=np.inf) <= AT * membrane.size
-    return np.asarray(membrane.comm.allreduce(near)) > 0
+    along = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
+    gaps = np.linalg.norm(start + along[:, None] * way - place, axis=1)
+    return float(gaps.min(initial=np.inf))
 
 
 def ends_at(
@@ -121,17 +120,14 @@ def held_there(
     scene: Scene, forces: Array, dofs: Indices | Integers, ends: Sequence[HeldEnd]
 ) -> tuple[Array, dict[str, Array]]:
     """Reactions on the membrane, (3,), and on ends and bars by name. Collective."""
-    hung = bars_at_vertices(scene, dofs)
+    own = [end for dof, end in hung_bars(scene) if dof in dofs]
+    hung = [*chain.from_iterable(scene.comm.allgather(own))]
     membrane = scene.comm.allreduce(forces.sum(axis=0))
     membrane -= sum((end.force for end in hung), np.zeros(3))
     parts = dict[str, Array]()
     for end in (*ends, *hung):
         parts[end.name] = parts.get(end.name, np.zeros(3)) + end.force
     return membrane, parts
-
-
-MOST_NAMED = 4
-"""Number of parts of a reaction named in its line of text."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -169,10 +165,8 @@ class Reactions:
     def __repr__(self) -> str:
         """One line."""
         words = [f"total {as_text(self.total)}"]
-        words += [
-            f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:MOST_NAMED]
-        ]
-        words += ["..."] if len(self.parts) > MOST_NAMED else []
+        words += [f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:4]]
+        words += ["..."] if len(self.parts) > 4 else []
         words += [f"vertices of this rank: {len(self.forces)}"]
         return f"Reactions({', '.join(words + ([] if self.in_equilibrium else [UNBALANCED]))})"
 
@@ -251,13 +245,7 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
     places = membrane.positions()
     half = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) / 2
     both = membrane.held[ends].all(axis=1)
-    found = fem.Function(membrane.V)
-    lengths: Array = found.x.array.reshape(-1, 3)
-    for k in (0, 1):
-        np.add.at(lengths, ends[:, k], half[:, None] * both)
-    found.x.scatter_reverse(la.InsertMode.add)
-    found.x.scatter_forward()
-    return lengths.copy()
+    return summed(membrane.V, ends.T, half[:, None] * both)
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:
@@ -288,3 +276,121 @@ def _hand_on_edge_sliders(system: System, g: Array) -> None:
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
         g[blocks] = 0.0
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Unbalanced forces, the gradient of the potential energy.
+
+    Attributes
+    ----------
+    membrane
+        On the membrane's vertices (force), a function on `Scene.V`, ghosts included. At supports:
+        the support forces.
+    joints
+        On the joints (force), (3,), by name, on all ranks.
+    vector
+        On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
+        in the order of the owned degrees of freedom of `Scene.V`, then cable points; the first rank
+        stores joints last. Without cables and joints it is a vector of `Scene.V`.
+    """
+
+    membrane: fem.Function
+    joints: dict[str, Array]
+    vector: PETSc.Vec
+
+    def destroy(self) -> None:
+        """Free the vector. Collective."""
+        self.vector.destroy()
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Tangent stiffness, for the unknowns of `Residual.vector`.
+
+    Rows and columns of held unknowns are those of the identity.
+
+    Attributes
+    ----------
+    matrix
+        Second derivatives of the potential energy (force per length): of type "aij"; or, where one
+        quantity such as a cable length or a sealed volume couples very many unknowns, of type
+        "lrc", the sum of `sparse` and a few dyads.
+    sparse
+        The tangent without these dyads, of type "aij", for preconditioners; identical to `matrix`
+        if there are none.
+    inexact
+        Names of terms with an inexact tangent: friction (a law of forces), the paper's step-wise
+        laws, wind (its turning is missing), pressure on a sliding rim, and your own terms
+        without ``exact_hessian = True``. None if all is exact.
+    """
+
+    matrix: PETSc.Mat
+    sparse: PETSc.Mat
+    inexact: tuple[str, ...]
+
+    def destroy(self) -> None:
+        """Free the matrices. Collective."""
+        self.matrix.destroy()
+        self.sparse.destroy()
+
+
+def residual(system: System) -> Residual:
+    """Unbalanced forces in a scene's present state; see `Residual`. Collective."""
+    forces = nodal_forces(system)
+    scene, unknowns = system.scene, system.unknowns
+    membrane = fem.Function(scene.V, name="residual")
+    owned = unknowns.n_vertices
+    membrane.x.array[: 3 * owned] = forces[:owned].ravel()
+    membrane.x.scatter_forward()
+    joints: dict[str, Array] = {}
+    if system.bars is not None:
+        own = forces[system.bars.blocks.joint_blocks] if scene.comm.rank == 0 else None
+        joints = dict(zip((j.name for j in scene.joints), scene.comm.bcast(own), strict=True))
+    system.potential.evaluate()
+    vector = PETSc.Vec().createMPI(
+        (3 * unknowns.n_owned, 3 * unknowns.n_global), bsize=3, comm=scene.comm
+    )
+    system.potential.free_gradient(vector)
+    return Residual(membrane, joints, vector)
+
+
+def tangent(system: System) -> Tangent:
+    """Tangent stiffness in a scene's present state; see `Tangent`. Collective."""
+    system.update()
+    potential = system.potential
+    potential.evaluate()
+    whole, sparse = _exact_matrix(potential)
+    inexact = {term.name: None for term in potential.terms if not term.exact_hessian}
+    inexact |= {load.name: None for load in system.scene.loads if load.is_active_wind}
+    return Tangent(whole, sparse, tuple(inexact))
+
+
+def _exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Second derivatives at the potential's current state, which must be evaluated, as
+    `Tangent.matrix` and `Tangent.sparse`. Rows and columns of held components, of those across edge
+    sliders and of points that no term touches are the identity's."""
+    unknowns = potential.unknowns
+    n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
+    stiffness = StiffnessMatrix(unknowns, potential.patterns())
+    potential.add_stiffness(stiffness, exact=True)
+    stiffness.assemble()
+    A = stiffness.petsc
+    if unknowns.comm.allreduce(unknowns.n_edge_sliders):
+        stiffen_across_edge_sliders(A, unknowns, 1.0)
+    diagonal = A.getDiagonal()
+    idle = ~diagonal.array.reshape(-1, 3).any(axis=1)
+    idle[: unknowns.n_vertices] = False
+    diagonal.destroy()
+    rows = np.flatnonzero(held | idle[:, None]) + 3 * unknowns.start
+    A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
+    stiffnesses, columns = potential.dyad_columns(held, exact=True)
+    if not len(stiffnesses):
+        return A, A
+    size = ((3 * n, 3 * unknowns.n_global), (None, len(stiffnesses)))
+    U = PETSc.Mat().createDense(size, array=columns, comm=unknowns.comm)
+    values = PETSc.Vec().createWithArray(stiffnesses, comm=PETSc.COMM_SELF)
+    whole = PETSc.Mat().createLRC(A, U, values, U)
+    U.destroy()
+    values.destroy()
+    return whole, A

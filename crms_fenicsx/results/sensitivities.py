@@ -2,10 +2,9 @@
 
 With the gradient g of the potential energy and the tangent K, a parameter p moves the equilibrium
 by du/dp = -K^-1 dg/dp, one solve each with the factors of K. A result changes with p directly and
-through du. With fewer results than parameters, one solve per result is used instead, K^-1 grad(R).
-Contacts and the cells that cables cross are kept, and so is whether parts of cables are taut or
-slack. Where parts are about to become taut or slack, derivatives for an increase and for a decrease
-of p differ (see `taut_parts`).
+through du. Contacts and the cells that cables cross are kept, and so is whether parts of cables are
+taut or slack. Where parts are about to become taut or slack, derivatives for an increase and for a
+decrease of p differ (see `taut_parts`).
 """
 
 from __future__ import annotations
@@ -25,17 +24,11 @@ from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
-from crms_fenicsx.results.residual import tangent
+from crms_fenicsx.results.reactions import tangent
 from crms_fenicsx.results.taut_parts import TautParts, Tightening
 
 STEP = 1e-5
 """Relative change of a length or stiffness in finite differences of gradients and results."""
-MOVE = 1e-6
-"""Largest movement of a point, relative to the membrane's size, in differences of results."""
-SOLVED, ITERATIONS = 1e-11, 50
-"""Relative residual of the tangent solves, and largest number of iterative refinements."""
-SAME = 1e-6
-"""Relative difference of derivatives in two directions that counts as none."""
 ROUNDING = 100 * EPSILON
 """Rounding error of results, relative to their size."""
 
@@ -88,7 +81,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     if rubs or system.has_history:
         what = "friction" if rubs else "a step-wise law"
         raise InputError(
-            f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
+            f"sensitivities: {what} makes the state path-dependent, so it has no derivatives; "
             "compare load steps instead."
         )
     parts = TautParts(system)
@@ -118,12 +111,7 @@ def _differentiated(
     solver = _TangentSolver(K.matrix, K.sparse)
     try:
         changes = _Changes(system, read, parts)
-        backward = len(of) < len(by) and not parts.owners and not parts.loose
-        if backward and all(_has_slope(scene, one) for one in of):
-            values, named = _by_results(changes, solver, of, setters), set[str]()
-            both = np.array([values, values])
-        else:
-            both, named = _by_parameters(changes, solver, of, setters)
+        both, named = _by_parameters(changes, solver, of, setters)
     finally:
         solver.destroy()
         K.destroy()
@@ -161,7 +149,7 @@ def _by_parameters(
             parts.choose(np.zeros(len(parts.owners), dtype=bool))
             energy = [one == "energy" for one in of]  # its first derivatives have no jumps
             both[:, energy, j] = both[:, energy, j].mean(axis=0)
-            same = SAME * np.abs(both[:, :, j]).max(axis=0) + rounding
+            same = 1e-6 * np.abs(both[:, :, j]).max(axis=0) + rounding
             if np.any(np.abs(both[0, :, j] - both[1, :, j]) > same):
                 own = np.flatnonzero(turned[0] != turned[1])
                 named |= {parts.owners[i].name for i in own}
@@ -208,7 +196,7 @@ class _Changes:
         (change, step), system = setter, self.system
         comm, n = self.scene.comm, system.unknowns.n_owned
         far = comm.allreduce(float(np.abs(way).max(initial=0.0)), op=MPI.MAX)
-        size = min(step, MOVE * self.scene.membrane.size / max(far, 1e-300))
+        size = min(step, 1e-6 * self.scene.membrane.size / max(far, 1e-300))
         place = system.potential.x_vector.duplicate()
         found, excess = [], []
         for sign in (1.0, -1.0):
@@ -229,75 +217,6 @@ class _Changes:
         return slope, np.asarray(ROUNDING * np.abs(found[0]) / size)
 
 
-def _by_results(
-    changes: _Changes, solver: _TangentSolver, of: Sequence[object], setters: Sequence[Setter]
-) -> Array:
-    """Derivatives with one solve per result: ``dR/dp - grad(R) K^-1 dg/dp``."""
-    still = np.zeros(3 * changes.system.unknowns.n_owned)
-    adjoints = [solver.solve(_slope_of(changes, one)) for one in of]
-    values = np.zeros((len(of), len(setters)))
-    for j, setter in enumerate(setters):
-        work = np.array(adjoints) @ changes.slope(setter)[0]
-        directly, _ = changes.along(setter, still)
-        values[:, j] = directly + changes.scene.comm.allreduce(work)
-    return values
-
-
-def _has_slope(scene: Scene, one: object) -> bool:
-    """Whether `_slope_of` supports a result."""
-    cable = one.cable if isinstance(one, CableEnd) else one
-    if isinstance(cable, LaidCable):
-        return cable.taut
-    return one != "volume" or scene.air.sealed is None
-
-
-def _slope_of(changes: _Changes, one: object) -> Array:
-    """Derivatives of a result by the unknowns, in the free components, (3 n_owned,): by Maxwell's
-    reciprocity, the forces' derivatives by the conjugate parameter. The energy's derivatives are
-    -(T + T^2/(2 EA)) by an unstressed length and -V by the pressure."""
-    scene, slope = changes.scene, np.zeros(3 * changes.system.unknowns.n_owned)
-    if isinstance(one, CableEnd | LaidCable):
-        cable = one if isinstance(one, LaidCable) else one.cable
-        if cable.state.parts is not None:
-            end = one.which if isinstance(one, CableEnd) else None
-            return changes.slope(_part_lengths(cable, end))[0]
-        one = cable
-    if isinstance(one, LaidCable):
-        slope, _ = changes.slope(_parameter(scene, one))
-        return np.asarray(slope / (1 + one.tension / one.cable.EA))
-    if isinstance(one, PlacedBar):
-        slope, _ = changes.slope(_parameter(scene, one))
-        return np.asarray(slope / (1 + one.force / one.bar.EA))
-    if one == "volume":
-        return changes.slope(_parameter(scene, "pressure"))[0]
-    if isinstance(one, tuple):
-        vertex, axis = one
-        rank, dof = scene.frame.home(vertex)
-        at = 3 * dof + "xyz".index(axis)
-        if rank == scene.comm.rank and not scene.held.ravel()[at]:
-            slope[at] = 1.0
-    return slope
-
-
-def _part_lengths(cable: LaidCable, end: str | None) -> Setter:
-    """Setter of the unstressed lengths of a cable's parts between clamps or bonds whose gradient is
-    that of the mean tension, or of the tension at an end."""
-    assert cable.state.parts is not None
-    lengths, parts = cable.part_lengths, cable.state.parts
-    weights = lengths / cable.L0
-    if end is not None:
-        weights = np.zeros(len(lengths))
-        weights[0 if end == "start" else -1] = 1.0
-    step = STEP * float(lengths[weights > 0.0].sum())
-    weights = weights / (1 + parts.tensions / cable.cable.EA)
-
-    def change(size: float) -> None:
-        passed = np.cumsum(lengths + size * weights)
-        cable.update(L0=float(passed[-1]), parts=replace(parts, at=passed[:-1] / passed[-1]))
-
-    return change, step
-
-
 class _TangentSolver:
     """Solver of the tangent, factorised with the tensions of the cables' parts as extra unknowns.
     Collective."""
@@ -307,7 +226,7 @@ class _TangentSolver:
         self._b, self._y = whole.createVecs()
         self._ksp.setOperators(whole, sparse)
         self._ksp.setType(PETSc.KSP.Type.GMRES)
-        self._ksp.setTolerances(rtol=SOLVED, max_it=ITERATIONS)
+        self._ksp.setTolerances(rtol=1e-11, max_it=50)
         pc = self._ksp.getPC()
         if whole.getType() != PETSc.Mat.Type.LRC:
             pc.setType(PETSc.PC.Type.LU)
@@ -354,7 +273,7 @@ def _result(scene: Scene, one: object, parts: TautParts) -> Callable[[], float]:
         vertex, axis = one
         return lambda: float(scene.frame.place_of(vertex)["xyz".index(axis)])
     raise InputError(
-        f"sensitivities: of has {one!r}; give cables and bars (their forces), ends of cables (the "
+        f"sensitivities: of has {one!r}; pass cables and bars (their forces), ends of cables (the "
         'size of their reactions), "energy", "volume", or (vertex, "z") of scene.vertex_at(...).'
     )
 
@@ -385,6 +304,6 @@ def _parameter(scene: Scene, one: object) -> Setter:
                 lambda change: cable.update(cable=replace(cable.cable, EA=cable.cable.EA + change))
             ), STEP * EA
     raise InputError(
-        f"sensitivities: by has {one!r}; give cables and bars (their unstressed lengths), "
+        f"sensitivities: by has {one!r}; pass cables and bars (their unstressed lengths), "
         '"pressure" where the air is not sealed, names of loads, or ("EA", cable).'
     )

@@ -23,13 +23,14 @@ from crms_fenicsx.model.versions import UNBALANCED, StateWarning
 from crms_fenicsx.results.cable_and_bar_results import (
     BarResults,
     CableResults,
+    ClampResults,
     Force,
     bar_results,
     cable_results,
+    clamp_results,
     joint_reactions,
     triple,
 )
-from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import shown_briefly
@@ -41,8 +42,13 @@ from crms_fenicsx.results.reactions import (
     held_there,
     support_forces,
 )
-from crms_fenicsx.results.recovered_values import JudgedUtilisation, judged_utilisation
-from crms_fenicsx.results.reinforcement import Patch, patches, reinforced
+from crms_fenicsx.results.recovered_values import (
+    JudgedUtilisation,
+    Patch,
+    judged_utilisation,
+    patches,
+    reinforced,
+)
 
 SUMMED_UP = (
     "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",

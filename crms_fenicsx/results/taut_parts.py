@@ -34,10 +34,6 @@ AT_THRESHOLD = 1e-9
 """Strain of a part, of either sign, up to which it is about to turn taut or slack: more than what
 an equilibrium leaves open, and less than any change of length of practical size."""
 
-KEPT = 1e-7
-"""Stiffness of a slack guy at the threshold, relative to its axial one: without any, the tangent
-may be singular, as that of a mast that guys without force hold."""
-
 
 class TautParts:
     """Keeps the parts of a system's cables, and guys, taut or slack until `release`. Collective.
@@ -52,7 +48,10 @@ class TautParts:
 
     def __init__(self, system: System) -> None:
         self.system, scene, self._before = system, system.scene, system.scene.state
-        slack = [cable for cable in scene.cables if not cable.taut and _is_at_threshold(cable)]
+        slack = [
+            cable for cable in scene.cables
+            if not cable.taut and np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD)
+        ]  # fmt: skip
         self._added = [cable for cable in slack if cable.keeps_line]
         self.loose = [cable for cable in slack if not cable.keeps_line]
         if self._added:
@@ -117,7 +116,8 @@ class TautParts:
         """Copy to the potential which guys are taut."""
         if self._bars is not None and len(self._bars.EA):  # on the first rank
             shares = np.where(self._taut_bars, 1.0, 0.0)
-            shares[self._guys] = np.maximum(shares[self._guys], KEPT)
+            # without any, the tangent may be singular, as that of a mast that slack guys hold
+            shares[self._guys] = np.maximum(shares[self._guys], 1e-7)
             self._bars.EA[:] = shares * self._table_before[0]
             self._bars.tension_only[:] = False
 
@@ -227,8 +227,3 @@ class Tightening:
 def strains_of(cable: LaidCable) -> Array:
     """Strains of a cable's parts between clamps and bonds, negative where slack."""
     return np.asarray(current_lengths(cable) / cable.part_lengths - 1)
-
-
-def _is_at_threshold(cable: LaidCable) -> bool:
-    """Whether a cable has parts at the threshold."""
-    return bool(np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD))

@@ -11,8 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.foundation.meshes import MembraneMesh
-from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
-from crms_fenicsx.results.reinforcement import patches
+from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 
 UNITS = pytest.mark.parametrize("units", [(1.0, 1.0), (1000.0, 1e-3)], ids=["m, kN", "mm, MN"])
 STRAIN = 1e-6

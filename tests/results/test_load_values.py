@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.load_values import load_label, load_values
+from crms_fenicsx.results.quantities import load_label, load_values
 
 pytestmark = pytest.mark.ranks
 

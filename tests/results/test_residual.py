@@ -21,7 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.results.residual import Tangent
+from crms_fenicsx.results.reactions import Tangent
 
 CLOTH = OrthotropicMembrane(E1=300.0, E2=200.0, G12=20.0, nu21=0.2, thickness=0.08)
 

@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, meshes
-from crms_fenicsx.results.shape_change import shape_change, shape_of
+from crms_fenicsx.results.output.report.case import shape_change, shape_of
 
 pytestmark = pytest.mark.ranks
 

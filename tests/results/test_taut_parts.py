@@ -171,10 +171,6 @@ def test_a_belt_with_slack_parts(
         of_tensions, of_energy = np.abs(found.values[:, j] - exact)[:3], found.values[3, j]
         assert of_tensions.max() < 1e-3 * np.abs(exact[:3]).max()
         assert of_energy == pytest.approx(exact[3], rel=1e-3)
-    largest = np.abs(found.values[:3]).max(axis=0)
-    for k, one in enumerate(of[:3]):
-        alone = solver.sensitivities([one], by).values[0]  # one solve for each result
-        np.testing.assert_array_less(np.abs(alone - found.values[k]), 1e-6 * largest)
 
 
 @pytest.mark.ranks

@@ -116,8 +116,8 @@ def test_what_gmsh_could_take_for_a_script(tmp_path: Path, text: bytes) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"step\n\xff\n", "no table"),
-        (b"step\n" + b"1" * 200_000, "no table"),
+        (b"step\n\xff\n", "not a table"),
+        (b"step\n" + b"1" * 200_000, "not a table"),
         (b"", "is empty"),
         (None, "it is no regular file"),
     ],

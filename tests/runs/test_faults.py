@@ -20,9 +20,9 @@ from vtu_file import read_vtu
 from crms_fenicsx import Cable, InputError, Solver
 from crms_fenicsx.foundation.runtime import files
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.results.checkpoint import folder as checkpoint_folder
-from crms_fenicsx.results.checkpoint.folder import complete
-from crms_fenicsx.results.output import History, shared_file
+from crms_fenicsx.results.checkpoint import checkpoint_files
+from crms_fenicsx.results.checkpoint.checkpoint_files import complete
+from crms_fenicsx.results.output import History, paraview
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
@@ -86,18 +86,18 @@ def due(tmp_path_factory: pytest.TempPathFactory) -> Array:
 def test_a_disk_that_is_full_at_some_write(
     folder: Path, monkeypatch: pytest.MonkeyPatch, due: Array, call: str
 ) -> None:
-    """On rank 0, or of a file that all write together on the last one."""
+    """On rank 0, which writes all files."""
     refusals = 0
     for count in (1, 2, 4, 7, 12, 18, 30) if COMM.size == 1 else (4, 12):
         place = folder / f"{count}"
         with monkeypatch.context() as patch:
             if call == "flush":
-                for module in (files, checkpoint_folder):
+                for module in (files, checkpoint_files):
                     patch.setattr(module, "flush", full_at(count, files.flush))
             elif call == "replace":
                 patch.setattr(os, "replace", full_at(count, os.replace))
-            elif COMM.rank == COMM.size - 1:
-                patch.setattr(shared_file, "_write", full_at(count, shared_file._write))
+            elif COMM.rank == 0:
+                patch.setattr(paraview, "_sized", full_at(count, paraview._sized))
             try:
                 script(place, False)
             except InputError as error:
@@ -141,18 +141,18 @@ import os, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from test_faults import COMM, script
-from crms_fenicsx.results.output import shared_file
+from crms_fenicsx.results.output import paraview
 
-whole, left = shared_file._write, {count}
+whole, left = paraview.whole_surface, {count}
 
-def write(*arguments):
+def gathered(*arguments):
     global left
     left -= 1
     if left == 0 and COMM.rank == 1:
         os._exit(9)
-    whole(*arguments)
+    return whole(*arguments)
 
-shared_file._write = write
+paraview.whole_surface = gathered
 script(Path({folder!r}), {resume})
 """
 
@@ -162,7 +162,7 @@ def test_a_rank_that_dies(tmp_path: Path, due: Array) -> None:
     if COMM.size > 1:
         pytest.skip("it starts its own processes")
     text = {"tests": str(Path(__file__).parent), "folder": str(tmp_path / "out")}
-    died = run(DYING.format(count=20, resume=False, **text), *MPIRUN)
+    died = run(DYING.format(count=3, resume=False, **text), *MPIRUN)
     assert died.returncode != 0
     assert list((tmp_path / "out" / "checkpoints").iterdir()), "it died after its first steps"
     assert_whole(tmp_path / "out")

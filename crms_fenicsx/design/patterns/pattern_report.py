@@ -22,8 +22,8 @@ from crms_fenicsx.results.output.report.page import (
     PageSection,
     Paragraph,
     Table,
+    Units,
 )
-from crms_fenicsx.results.output.report.units import Units
 
 TEXT = (
     "Each piece is cut as the flat shape from which it takes the form with the wanted strain and "

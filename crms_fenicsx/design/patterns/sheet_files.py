@@ -22,7 +22,7 @@ from crms_fenicsx.foundation.runtime.files import (
     replaced,
 )
 from crms_fenicsx.results.output.figures.picture import checked_picture, finished, new_figure
-from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.page import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,6 +1,6 @@
 """Encode dataclasses of numbers, texts, arrays and other dataclasses as JSON data, and decode them.
 
-Decoded data must have the fields, types and array shapes of the class's type hints. Numbers keep
+Decoded data must have the fields and types of the class's type hints. Numbers keep
 every digit; NaN in an array becomes None. `Storage` writes arrays hinted as `Rows` of the mesh to
 separate files, replaces handles by their names, and omits fields marked `UNSAVED`.
 """
@@ -112,10 +112,10 @@ def decode(kind: type[Kind], data: object, storage: Storage | None = None, path:
     hints = _hints(kind)  # type: ignore[arg-type]
     if not isinstance(data, dict) or data.keys() != hints.keys():
         found = sorted(data) if isinstance(data, dict) else data
-        raise ValueError(f"{found!r} where {kind.__name__} has {sorted(hints)}")
-    reader = _Reader(storage)
+        raise ValueError(f"expected {kind.__name__} with {sorted(hints)}, found {found!r}")
     read = {
-        name: reader.decoded(hint, data[name], _below(path, name)) for name, hint in hints.items()
+        name: _decoded(hint, data[name], storage, _below(path, name))
+        for name, hint in hints.items()
     }
     return kind(**read, **({} if storage is None else storage.unsaved(kind)))
 
@@ -128,80 +128,59 @@ def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(SimpleNamespace(__annotations__=saved), names, include_extras=True)
 
 
-class _Reader:
-    """Decodes the fields of one dataclass, whose arrays share named sizes."""
-
-    def __init__(self, storage: Storage | None) -> None:
-        self._storage = storage
-        self._sizes: dict[str, int] = {}
-
-    def decoded(self, hint: Any, data: Any, path: str) -> Any:
-        """Decode the value of a type hint."""
-        origin, args = get_origin(hint), get_args(hint)
-        if hasattr(origin, "__value__"):  # since 2.5 NumPy's NDArray is a named alias
-            return self.decoded(origin.__value__[args], data, path)
-        if self._storage is not None and isinstance(hint, type):
-            made = self._storage.restore(hint, data, path)
-            if made is not NotImplemented:
-                return made
-        if is_dataclass(hint):
-            return decode(hint, data, self._storage, path)  # type: ignore[arg-type]
-        if origin is Annotated and isinstance(args[1], Rows) and self._storage is not None:
-            dtype = np.dtype(get_args(get_args(args[0])[1])[0])
-            return self._storage.read(path, args[1], dtype, args[2:], data)
-        if origin is Annotated:
-            return _shaped(self.decoded(args[0], data, path), args[1:], self._sizes)
-        if origin in (Union, UnionType):
-            return self._one_of(args, data, path)
-        if origin is np.ndarray:
-            return _array(data, np.dtype(get_args(args[1])[0]))
-        if origin is tuple and isinstance(data, list):
-            hints = repeat(args[0], len(data)) if args[-1] is Ellipsis else args
-            return tuple(
-                self.decoded(of, one, _below(path, k))
-                for k, (of, one) in enumerate(zip(hints, data, strict=True))
-            )
-        if origin in (list, set) and isinstance(data, list):
-            return origin(self.decoded(args[0], one, path) for one in data)
-        if origin in (dict, Mapping) and isinstance(data, dict):
-            return {
-                self.decoded(args[0], key, path): self.decoded(args[1], one, _below(path, k))
-                for k, (key, one) in enumerate(data.items())
-            }
-        if hint is float and type(data) in (int, float):
-            return float(data)
-        if hint is Any or type(data) is hint or (origin is Literal and data in args):
-            return data
-        raise ValueError(f"{data!r} where {getattr(hint, '__name__', hint)} is due")
-
-    def _one_of(self, hints: Iterable[Any], data: Any, path: str) -> Any:
-        """Decode data as the first matching type."""
-        error: Exception | None = None
-        for hint in hints:
-            if (hint is NoneType) == (data is None):
-                try:
-                    return self.decoded(hint, data, path)
-                except (ArithmeticError, LookupError, TypeError, ValueError) as one:
-                    error = one
-        raise ValueError(f"{data!r}: {error or 'a value is due'}")
+def _decoded(hint: Any, data: Any, storage: Storage | None, path: str) -> Any:
+    """Decode the value of a type hint."""
+    origin, args = get_origin(hint), get_args(hint)
+    if hasattr(origin, "__value__"):  # since 2.5 NumPy's NDArray is a named alias
+        return _decoded(origin.__value__[args], data, storage, path)
+    if storage is not None and isinstance(hint, type):
+        made = storage.restore(hint, data, path)
+        if made is not NotImplemented:
+            return made
+    if is_dataclass(hint):
+        return decode(hint, data, storage, path)  # type: ignore[arg-type]
+    if origin is Annotated and isinstance(args[1], Rows) and storage is not None:
+        dtype = np.dtype(get_args(get_args(args[0])[1])[0])
+        return storage.read(path, args[1], dtype, args[2:], data)
+    if origin is Annotated:
+        value = _decoded(args[0], data, storage, path)
+        none = isinstance(value, np.ndarray) and value.shape == (0,) and len(args) > 2
+        return value.reshape(0, *args[2:]) if none else value
+    if origin in (Union, UnionType):
+        return _one_of(args, data, storage, path)
+    if origin is np.ndarray:
+        dtype = np.dtype(get_args(args[1])[0])
+        array = np.array(data, dtype=dtype if dtype.kind == "f" else None)
+        if not isinstance(data, list) or (array.size and array.dtype.kind != dtype.kind):
+            raise ValueError(f"expected an array of {dtype}, found {data!r}")
+        return array.astype(dtype)
+    if origin is tuple and isinstance(data, list):
+        hints = repeat(args[0], len(data)) if args[-1] is Ellipsis else args
+        return tuple(
+            _decoded(of, one, storage, _below(path, k))
+            for k, (of, one) in enumerate(zip(hints, data, strict=True))
+        )
+    if origin in (list, set) and isinstance(data, list):
+        return origin(_decoded(args[0], one, storage, path) for one in data)
+    if origin in (dict, Mapping) and isinstance(data, dict):
+        return {
+            _decoded(args[0], key, storage, path): _decoded(args[1], one, storage, _below(path, k))
+            for k, (key, one) in enumerate(data.items())
+        }
+    if hint is float and type(data) in (int, float):
+        return float(data)
+    if hint is Any or type(data) is hint or (origin is Literal and data in args):
+        return data
+    raise ValueError(f"expected {getattr(hint, '__name__', hint)}, found {data!r}")
 
 
-def _array(data: Any, dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
-    array = np.array(data, dtype=dtype if dtype.kind == "f" else None)
-    if not isinstance(data, list) or (array.size and array.dtype.kind != dtype.kind):
-        raise ValueError(f"{data!r} where an array of {dtype} is due")
-    return array.astype(dtype)
-
-
-def _shaped(value: Any, shape: tuple[int | str, ...], sizes: dict[str, int]) -> Any:
-    """The array or tuple if its shape matches; names stand for sizes found before."""
-    if isinstance(value, np.ndarray) and value.shape == (0,) and len(shape) > 1:
-        value = value.reshape(0, *shape[1:])
-    found = value.shape if isinstance(value, np.ndarray) else (len(value),)
-    due = tuple(
-        sizes.setdefault(n, size) if isinstance(n, str) else n
-        for n, size in zip(shape, found, strict=True)
-    )
-    if found != due:
-        raise ValueError(f"numbers of shape {found} where {due} are due")
-    return value
+def _one_of(hints: Iterable[Any], data: Any, storage: Storage | None, path: str) -> Any:
+    """Decode data as the first matching type."""
+    error: Exception | None = None
+    for hint in hints:
+        if (hint is NoneType) == (data is None):
+            try:
+                return _decoded(hint, data, storage, path)
+            except (ArithmeticError, LookupError, TypeError, ValueError) as one:
+                error = one
+    raise ValueError(f"{data!r}: {error or 'expected a value'}")

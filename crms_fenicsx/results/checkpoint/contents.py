@@ -1,29 +1,37 @@
-"""Contents of a checkpoint except its arrays, and the fingerprint of its scene."""
+"""Contents of a checkpoint except its arrays; fingerprint and record of its scene.
+
+By the record a resumed script is compared with the one that was interrupted. It is derived from the
+whole state of the scene and from its model, so that whatever becomes part of them is compared, too.
+Arrays on the mesh are recorded by weighted sums and functions by their values on the mesh: the same
+on any number of processes, to rounding.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.energy.terms.kinematics import warp_field
-from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.foundation.runtime.arrays import Integers
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, Rows
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.bar import Joint, MeshVertex
+from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.changed_materials import numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.ufl_material import UflMembrane
+from crms_fenicsx.results.checkpoint.checkpoint_files import digest
 from crms_fenicsx.results.checkpoint.codec import Plain, encode
-from crms_fenicsx.results.output.shared_file import digest
+from crms_fenicsx.results.quantities import summed
 
 
 @dataclass(frozen=True)
@@ -47,54 +55,6 @@ class Contents:
     run: Run
     # call of `Solver.advance` that the checkpoint belongs to, if any
     call: Plain | None
-
-
-def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
-    """Refuse an inconsistent state, or one that does not fit the mesh's parts and vertices."""
-    net, loads, joints = state.net, state.loads, {joint.name for joint in state.frame.joints}
-    if net.laid < len(net.cables):
-        raise ValueError(f"{net.laid} cables were laid, but {len(net.cables)} are there")
-    for load in loads.loads:
-        if not load.intensity >= 0:
-            raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
-        if not load.joints.keys() <= joints:
-            raise ValueError(f"a load {load.name!r} on joints that are not there")
-    if not {name for cable in net.cables.values() for name in cable.joints} - {None} <= joints:
-        raise ValueError("a cable that is fixed to a joint that is not there")
-    ends = [end for bar in state.frame.bars.values() for end in (bar.start, bar.end)]
-    if any(isinstance(end, Joint) and end not in state.frame.joints for end in ends):
-        raise ValueError("a bar that ends at a joint that is not there")
-    for pond in loads.ponds:
-        if not (pond.weight > 0 and pond.side in (-1, 1)):
-            raise ValueError(f"a pond {pond.name!r} of {pond.weight} on the side {pond.side}")
-        if unknown := set(pond.parts) - set(parts):
-            raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
-    air = state.air.sealed
-    if air is not None and not min(air.volume, air.absolute) > 0:
-        raise ValueError(f"sealed air that is none, {air}")
-    nodes = [node for one in net.cables.values() for node in one.nodes]
-    supports = [node.point.support for node in nodes if node.point is not None]
-    ids = [*chain(*supports, *(crossing.support for crossing in net.crossings))]
-    ids += [] if net.strip is None else net.strip.complete
-    ids += [end.number for end in ends if isinstance(end, MeshVertex)]
-    if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
-        raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")
-    numbers = range(len(net.cables))
-    if any(k.lower not in numbers or k.upper not in numbers for k in net.crossings):
-        raise ValueError("a crossing of cables that are not there")
-    names = {cable.name for cable in net.cables}
-    if any(not names >= {*clamp.cables} for clamp in net.clamps):
-        raise ValueError("a clamp of cables that are not there")
-    for node in nodes:
-        if (node.point is None) != (node.kind == "anchor"):
-            raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
-        if node.crossing is not None and node.crossing not in range(len(net.crossings)):
-            raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
-    for one in net.cables.values():
-        if one.parts is not None and len(one.parts.tensions) != len(one.parts.at) + 1:
-            raise ValueError("a cable whose tensions are not those of its parts between clamps")
-        if one.axial is not None and len(one.axial.rest) != len(one.axial.curve.arc):
-            raise ValueError("a cable whose unstressed arcs are not those of its curve")
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
@@ -177,3 +137,114 @@ def described(material: MembraneMaterial) -> list[Any]:
 def mixed(scene: Scene, rows: Integers) -> str:
     """Hash of all ranks' integer rows, independent of their order. Collective."""
     return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)
+
+
+WAY = ("nodes", "positions", "fractions", "lifted", "reference_positions")
+"""Fields of a cable's state that are recorded by the moments of its way: its points depend on
+rounding where it meets vertices."""
+
+
+def cell_ids(scene: Scene) -> tuple[Integers, int]:
+    """Numbers of this rank's cells in the mesh as given, and their global count."""
+    topology = scene.mesh.mesh.topology
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
+
+
+def edge_vertices(scene: Scene) -> Integers:
+    """End ids of this rank's edges, (m, 2)."""
+    mesh = scene.mesh.mesh
+    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
+
+
+def scene_record(scene: Scene) -> Plain:
+    """A scene as numbers and texts, independent of the number of ranks to rounding. Collective."""
+    storage = RecordStorage(scene)
+    mesh, cells = scene.mesh, cell_ids(scene)[0]
+    pressed = scene.membrane.pressed[: len(cells)].astype(np.int64)
+    edges = np.sort(edge_vertices(scene), axis=1)
+    groups = {
+        "parts": {name: mixed(scene, cells[_own(rows, len(cells)), None])
+                  for name, rows in sorted(mesh.parts.items())},
+        "edges": {name: mixed(scene, edges[_own(rows, storage.own_edges)])
+                  for name, rows in sorted(mesh.edges.items())},
+        "points": {
+            name: mixed(scene, storage.ids[_own(rows, storage.own), None])
+            for name in sorted(mesh.points)
+            for rows in [fem.locate_dofs_topological(scene.V, 0, mesh.points[name])]
+        },
+    }  # fmt: skip
+    return {
+        **fingerprint(scene),
+        "groups of the mesh (mixed to one number each)": groups,
+        "pressure_on (cells, mixed to one number)": mixed(scene, np.stack([cells, pressed], 1)),
+        "section forces of added terms": [
+            None if term.section_forces is None
+            else storage.write("", Rows.CELLS, term.section_forces)
+            for term in scene.terms
+        ],
+        **encode(scene.state, storage),
+    }  # fmt: skip
+
+
+def _own(rows: Indices, count: int) -> Indices:
+    return rows[rows < count]
+
+
+class RecordStorage:
+    """Replaces the arrays of a scene's state by sums that do not depend on the ranks."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.ids = scene, scene.membrane.vertex_ids
+        self.own = scene.V.dofmap.index_map.size_local
+        self.own_edges = scene.mesh.mesh.topology.index_map(1).size_local
+
+    def reduce(self, value: Any) -> Any:
+        """A material as numbers, a cable by its way; a strip belongs to the mesh."""
+        if isinstance(value, Strip):
+            return None
+        if isinstance(value, MembraneMaterial):
+            return described(value)
+        if isinstance(value, CableState):
+            found = {one.name: getattr(value, one.name) for one in fields(value)}
+            kept = {name: one for name, one in found.items() if name not in WAY}
+            return kept | {"way": way(value)}
+        return value
+
+    def write(self, path: str, rows: Rows, values: Array) -> Any:
+        """Weighted sums over all ranks and the largest component; Booleans as one number.
+        Collective."""
+        if rows is Rows.EDGES:
+            pairs = np.sort(edge_vertices(self.scene)[: self.own_edges], axis=1)
+            return mixed(self.scene, pairs[values[: self.own_edges]])
+        if rows is Rows.SHARES:
+            values = summed(self.scene.V, np.arange(len(values)), values)
+        ids: Integers = cell_ids(self.scene)[0] if rows is Rows.CELLS else self.ids[: self.own]
+        columns = values[: len(ids)].reshape(len(ids), -1)
+        if columns.dtype == bool:
+            return mixed(self.scene, np.column_stack([ids, columns.astype(np.int64)]))
+        weights = 0.5 + (0.6180339887498949 * ids) % 1.0
+        sums: Array = self.scene.comm.allreduce(weights @ columns)
+        largest = self.scene.comm.allreduce(float(np.abs(columns).max(initial=0.0)), op=MPI.MAX)
+        return [*map(float, sums), largest]
+
+    def read(self, *arguments: Any) -> Any:
+        """Nothing is read from a record."""
+        raise NotImplementedError
+
+    restore = unsaved = read
+
+
+def way(state: CableState) -> Plain:
+    """Ends, middle and second moments of a cable's polyline."""
+    points = state.positions[~state.lifted]
+    spans = np.diff(points, axis=0)
+    lengths, middles = np.linalg.norm(spans, axis=1), (points[1:] + points[:-1]) / 2
+    length = max(float(lengths.sum()), np.finfo(float).tiny)
+    places = [lengths @ middles / length, points[0], points[-1]]
+    square = np.einsum("s,si,sj->ij", lengths, middles, middles)
+    square += np.einsum("s,si,sj->ij", lengths, spans, spans) / 12
+    return {
+        "ends and middle": [float(x) for place in places for x in place],
+        "moments": (square / length).ravel().tolist(),
+    }

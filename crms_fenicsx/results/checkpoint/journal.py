@@ -22,15 +22,15 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.checks import LONGEST
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.results.checkpoint.checkpoint_files import ASIDE, complete
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import Run, refuse_history
-from crms_fenicsx.results.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.results.checkpoint.record import scene_record
-from crms_fenicsx.results.checkpoint.saving import STATE, Saved, read, reading, restore, save
+from crms_fenicsx.results.checkpoint.contents import Run, refuse_history, scene_record
+from crms_fenicsx.results.checkpoint.saving import STATE, read, reading, restore, save
 
 ROUNDING = 1e-7
 """Difference of numbers, relative to the largest beside them, that is attributed to rounding on
@@ -54,37 +54,29 @@ def difference(was: object, now: object) -> str | None:
                 label = name if name == "name" or "name" not in now else f"{now['name']!r}, {name}"
                 return label + ("" if found.startswith((" =", ":")) else ", ") + found
         return None
-    if _close(was, now):
-        return None
-    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
-        pairs = zip(was, now, strict=True)
-        found = next((d for d in (difference(a, b) for a, b in pairs) if d is not None), "")
-        if not found.startswith(" ="):
-            return f": {found}"
-    return f" = {_short(was)}, and now {_short(now)}"
-
-
-def _close(was: object, now: object) -> bool:
     if _numeric(was) and _numeric(now):
         a, b = np.atleast_1d(was), np.atleast_1d(now)  # type: ignore[call-overload]
         size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        return a.shape == b.shape and bool(np.all(np.abs(a - b) <= ROUNDING * size))
-    if isinstance(was, list) and isinstance(now, list):
-        return len(was) == len(now) and all(
-            difference(a, b) is None for a, b in zip(was, now, strict=True)
-        )
-    return was == now
+        if a.shape == b.shape and np.all(np.abs(a - b) <= ROUNDING * size):
+            return None
+    elif was == now:
+        return None
+    elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+        pairs = zip(was, now, strict=True)
+        found = next((d for a, b in pairs if (d := difference(a, b)) is not None), None)
+        if found is None or not found.startswith(" ="):
+            return found and f": {found}"
+    before, after = (
+        text if len(text := repr(value)) <= LONGEST else text[:LONGEST] + "..."
+        for value in (was, now)
+    )
+    return f" = {before}, and now {after}"
 
 
 def _numeric(value: object) -> bool:
     """Whether the value is a rounded number, or a list of such."""
     values: list[Any] = value if isinstance(value, list) and value else [value]
     return all(isinstance(one, float) for one in values)
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 200 else text[:200] + "..."
 
 
 logger = logging.getLogger("crms_fenicsx")
@@ -125,34 +117,32 @@ class Journal:
         loads["L0"] = {_name(key): float(length) for key, length in L0.items()}
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
-        saved = self._saved() if self._replaying else None
+        saved, place = None, complete(self._place)
+        if self._replaying and checks.from_first(self.comm, lambda: os.path.lexists(place / STATE)):
+            saved = read(place, self.comm)
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
             return CallProgress(), None
-        before = saved.contents.call
+        before = saved.call
         if before is None:
-            raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
+            raise InputError(f"{place / STATE} is not a checkpoint of a call; delete it")
         for name, now in call.items():
             found = difference(before.get(name), now)
             if found is not None:
                 raise InputError(
                     f"resume: at call {self._number} of advance the script is not the one that "
                     f"was interrupted: {name}, {found}. Run it as it was, or begin anew with "
-                    f"resume=False, or delete {saved.file.parent} and those after it, to compute "
+                    f"resume=False, or delete {place} and those after it, to compute "
                     "from this call on anew."
                 )
-        with reading(saved.file):
+        with reading(place / STATE):
             progress = decode(CallProgress, before["progress"])
-            if not (0 <= progress.done <= steps and 0 < progress.increment <= 1):
-                raise ValueError(f"{progress} of {steps} steps")
-            if progress.done > 0 and not saved.contents.run.steps:
-                raise ValueError(f"{progress.done} steps are done, but it has none")
-        run = restore(saved, scene)
+        run = restore(place, saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:
             self._replaying, self._outdated = False, self._number + 1
         logger.info("call %d of advance: %g of %d steps from %s", self._number, progress.done,
-                    steps, saved.file.parent)  # fmt: skip
+                    steps, place)  # fmt: skip
         return progress, run
 
     def remove_outdated(self) -> None:
@@ -182,12 +172,6 @@ class Journal:
     @property
     def _place(self) -> Path:
         return self.folder / f"{self._number:04d}"
-
-    def _saved(self) -> Saved | None:
-        """Checkpoint of this call; None if it has not begun."""
-        place = complete(self._place)
-        there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
-        return read(place, self.comm) if there else None
 
 
 def _remove(path: Path, folder: Path) -> None:

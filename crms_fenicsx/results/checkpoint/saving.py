@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys
-from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Booleans, Integers, Rows
@@ -29,10 +28,22 @@ from crms_fenicsx.foundation.runtime.handle import Handle
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.results.checkpoint.checkpoint_files import (
+    complete,
+    first_row,
+    read_rows,
+    replaced_folder,
+    write_rows,
+)
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import Contents, Run, check, check_same, fingerprint
-from crms_fenicsx.results.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.results.output.shared_file import first_row, read_rows, write_rows
+from crms_fenicsx.results.checkpoint.contents import (
+    Contents,
+    Run,
+    cell_ids,
+    check_same,
+    edge_vertices,
+    fingerprint,
+)
 
 STATE = "state.json"
 POSITIONS = "positions"
@@ -85,7 +96,7 @@ class SceneStorage:
         """Restore a handle by name (making new ones), a strip or a material."""
         if issubclass(kind, Handle):
             if not isinstance(data, str):
-                raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
+                raise ValueError(f"expected the name of a {kind.__name__}, found {data!r}")
             return self._handles.setdefault((kind, data), kind(data, None))
         if kind is Strip:
             complete = [int(one) for one in data if not isinstance(one, list)]
@@ -124,7 +135,7 @@ class SceneStorage:
     ) -> np.ndarray[Any, Any]:
         """Read this rank's rows, (n, *shape); shared values go to their owner. Collective."""
         if not isinstance(data, dict) or data.keys() != {"digest", "rows"}:
-            raise ValueError(f"{data!r} where a file {path}.npy is due")
+            raise ValueError(f"expected a file {path}.npy, found {data!r}")
         file, due = self.folder / f"{path}.npy", str(data["digest"])
         if rows is Rows.EDGES:
             pairs = read_rows(file, self.comm, None, np.int64, (int(data["rows"]), 2), due)
@@ -154,19 +165,6 @@ class SceneStorage:
                 )
 
 
-def cell_ids(scene: Scene) -> tuple[Integers, int]:
-    """Numbers of this rank's cells in the mesh as given, and their global count."""
-    topology = scene.mesh.mesh.topology
-    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
-    return ids, topology.index_map(2).size_global
-
-
-def edge_vertices(scene: Scene) -> Integers:
-    """End ids of this rank's edges, (m, 2)."""
-    mesh = scene.mesh.mesh
-    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
-
-
 def signed(data: Plain) -> str:
     """JSON text of plain data with its digest."""
     content = json.dumps(data, allow_nan=False)
@@ -177,43 +175,32 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class Saved:
-    """Contents of a checkpoint, the same on all ranks."""
-
-    file: Path  # path of state.json
-    contents: Contents  # decoded contents
-
-
-def read(folder: Path, comm: MPI.Intracomm) -> Saved:
-    """Read a checkpoint without its arrays. Collective."""
+def read(folder: Path, comm: MPI.Intracomm) -> Contents:
+    """Read a checkpoint without its arrays, the same on all ranks. Collective."""
     data = checks.from_first(comm, lambda: _read(folder / STATE))
     with reading(folder / STATE):
-        return Saved(folder / STATE, decode(Contents, data))
+        return decode(Contents, data)
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
     """Restore a scene from a folder and return its run; see `Solver.load`. Collective."""
     checks.same(scene.comm, "load", folder=folder)
-    place = checks.file("load: folder", folder).resolve()
-    return restore(read(complete(place), scene.comm), scene)
+    place = complete(checks.file("load: folder", folder).resolve())
+    return restore(place, read(place, scene.comm), scene)
 
 
-def restore(saved: Saved, scene: Scene) -> Run:
+def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
     """Restore a scene from a checkpoint and return its run. Collective."""
-    contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
+    storage = SceneStorage(folder, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
-    with reading(saved.file):
+    with reading(folder / STATE):
         state = decode(SceneState, contents.state, storage)
-        check(state, scene.mesh.parts, scene.V.dofmap.index_map.size_global)
-    net = state.net
-    points = (node.point for one in net.cables.values() for node in one.nodes)
-    known = [point.support for point in points if point is not None]
-    if known and (net.strip is None or not all(net.strip.rows(one) for one in known)):
+    unknown = {part for pond in state.loads.ponds for part in pond.parts} - set(scene.mesh.parts)
+    if unknown:
         raise InputError(
-            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
-            "checkpoint"
+            f"load: the checkpoint has ponds on the parts {sorted(unknown)}, which the mesh does "
+            "not have; build the mesh as it was when it was saved"
         )
     scene.state = state
     scene.versions.change_model()
@@ -226,12 +213,12 @@ def restore(saved: Saved, scene: Scene) -> Run:
 
 
 def _read(file: Path) -> Plain:
-    with readable(file, "give the folder of a checkpoint"):
+    with readable(file, "pass the folder of a checkpoint"):
         text = read_text(file)
     with reading(file):
         found = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if found["format"] != FORMAT:
-            raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
+            raise ValueError(f"expected the format {FORMAT!r}, found {found['format']!r}")
         data: Plain = found["content"]
         if _digest(json.dumps(data)) != found["digest"]:
             raise ValueError("its content is not what was written")

@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from crms_fenicsx.results.output.figures.draw_surface import ShapeOptions, draw_shape
     from crms_fenicsx.results.output.figures.picture import join_pictures
     from crms_fenicsx.results.output.figures.plots import HistoryOptions, draw_history
-    from crms_fenicsx.results.output.paraview import Series
-    from crms_fenicsx.results.output.vtkhdf import write_vtkhdf
-    from crms_fenicsx.results.views.view_data import Line, Surface
+    from crms_fenicsx.results.output.paraview import Series, write_vtkhdf
+    from crms_fenicsx.results.view_data import Line, Surface
 
 __all__ = [
     "History",
@@ -38,9 +37,8 @@ NAMES = {
     "crms_fenicsx.results.output.figures.draw_surface": ("ShapeOptions", "draw_shape"),
     "crms_fenicsx.results.output.figures.picture": ("join_pictures",),
     "crms_fenicsx.results.output.figures.plots": ("HistoryOptions", "draw_history"),
-    "crms_fenicsx.results.output.paraview": ("Series",),
-    "crms_fenicsx.results.output.vtkhdf": ("write_vtkhdf",),
-    "crms_fenicsx.results.views.view_data": ("Line", "Surface"),
+    "crms_fenicsx.results.output.paraview": ("Series", "write_vtkhdf"),
+    "crms_fenicsx.results.view_data": ("Line", "Surface"),
 }
 """Modules imported at the first access to one of their names."""
 

@@ -28,20 +28,7 @@ MARK = "'"
 CALCULATED = ("=", "+", "-", "@", "\t", "\r", "\n", MARK)
 
 
-def escaped(cell: object) -> object:
-    """A cell for the file; numbers stay unchanged."""
-    return MARK + cell if isinstance(cell, str) and cell.startswith(CALCULATED) else cell
-
-
-def unescaped(text: str) -> str:
-    """The text of a file's cell."""
-    return text.removeprefix(MARK)
-
-
 Value = int | float | str
-
-MOST_SHOWN = 20
-"""Number of last rows shown in a notebook."""
 
 
 class History:
@@ -74,7 +61,7 @@ class History:
             if self.path is not None and comm.rank == 0:
                 make_writable(self.path.parent)
                 if self.path.is_dir():
-                    raise InputError(f"{self.path} is a folder; give the name of a file")
+                    raise InputError(f"{self.path} is a folder; pass the name of a file")
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -89,7 +76,7 @@ class History:
         """The last rows as a table, for notebooks."""
         heads = "".join(f"<th>{escape(name)}</th>" for name in self.columns)
         rows = [f"<tr>{heads}</tr>"]
-        for row in self._rows[-MOST_SHOWN:]:
+        for row in self._rows[-20:]:
             cells = "".join(f"<td>{_short(row.get(name))}</td>" for name in self.columns)
             rows.append(f"<tr>{cells}</tr>")
         return f"<table>{''.join(rows)}</table>"
@@ -135,16 +122,16 @@ class History:
                         "in columns of their own"
                     )
             if not plain:
-                raise InputError("an empty row for the history; give at least the step")
+                raise InputError("an empty row for the history; include at least the step")
             columns = self._columns + [name for name in plain if name not in self._columns]
             rows = [*self._rows, plain]
             if self.path is not None and self.comm.rank == 0:
                 if columns == self._columns:
-                    lines = [*self._lines, _line(plain.get(name, "") for name in columns)]
+                    lines = [*self._lines, csv_line(plain.get(name, "") for name in columns)]
                 else:
-                    lines = [_line(old.get(name, "") for name in columns) for old in rows]
+                    lines = [csv_line(old.get(name, "") for name in columns) for old in rows]
                 with replaced(self.path) as partial:
-                    partial.write_text(_line(columns) + "".join(lines), encoding="utf-8")
+                    partial.write_text(csv_line(columns) + "".join(lines), encoding="utf-8")
                 self._lines = lines
         self._columns, self._rows = columns, rows
 
@@ -165,7 +152,7 @@ class History:
         for row in rows:
             old.append(row)
         self._columns, self._rows = old._columns, old._rows
-        self._lines = [_line(row.get(name, "") for name in self._columns) for row in self._rows]
+        self._lines = [csv_line(row.get(name, "") for name in self._columns) for row in self._rows]
 
     @classmethod
     def read(cls, path: str | Path) -> History:
@@ -178,14 +165,14 @@ class History:
         InputError
             A file that is missing or empty or has a row of another length.
         """
-        with readable(f"the history {path}", "give the CSV file that a run has written"):
+        with readable(f"the history {path}", "pass the CSV file that a run has written"):
             content = read_text(Path(path))
         try:
             cells = list(csv.reader(io.StringIO(content.decode("utf-8"), newline="")))
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(
-                f"the history {path} is no table ({error}); give the CSV file that a run has "
-                "written"
+                f"the history {path} is not a table ({error}); pass the CSV file that a run "
+                "has written"
             ) from None
         if not cells:
             raise InputError(f"the history {path} is empty; a run writes at least its header")
@@ -197,7 +184,7 @@ class History:
                     f"{len(columns)} columns; was it edited?"
                 )
         history = cls(None, MPI.COMM_SELF)
-        history._columns = [unescaped(column) for column in columns]
+        history._columns = [column.removeprefix(MARK) for column in columns]
         history._rows = [{} for _ in rows]
         for index, column in enumerate(history._columns):
             values = _parsed([row[index] for row in rows])
@@ -209,7 +196,7 @@ class History:
 
 def _name(column: object) -> str:
     if not isinstance(column, str) or not column or column != column.strip():
-        raise InputError(f"{column!r} is no name for a column; give text without blanks around it")
+        raise InputError(f"{column!r} is not a column name; pass text without blanks around it")
     return column
 
 
@@ -227,12 +214,14 @@ def _plain(column: str, value: object) -> Value:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value)
-    raise InputError(f"column {column!r} got {value!r}; give an int, a float or text")
+    raise InputError(f"column {column!r} got {value!r}; pass an int, a float or text")
 
 
-def _line(values: Iterable[object]) -> str:
+def csv_line(values: Iterable[object]) -> str:
+    """A row of a CSV file; numbers stay unchanged."""
+    cells = (MARK + x if isinstance(x, str) and x.startswith(CALCULATED) else x for x in values)
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(map(escaped, values))
+    csv.writer(buffer, lineterminator="\n").writerow(cells)
     return buffer.getvalue()
 
 
@@ -244,4 +233,4 @@ def _parsed(texts: list[str]) -> list[Value]:
             continue
         if not any("_" in text for text in texts):  # Python reads "1_2" as 12
             return values
-    return [unescaped(text) for text in texts]
+    return [text.removeprefix(MARK) for text in texts]

@@ -1,25 +1,33 @@
-"""Time series for ParaView: `surface.pvd` and `cables.pvd` list meshes in VTK XML files (.vtu).
+"""Files for ParaView: a series of VTK XML files (.vtu), and combinations in one VTKHDF file.
 
-The arrays follow the XML text in binary form ("appended raw"), each after its size in bytes. So
-every rank knows its offsets in the file from all ranks' counts.
+Both have unstructured grids, which the first rank writes. In a .vtu file the arrays follow the XML
+text in binary form ("appended raw"), each after its size in bytes. In a VTKHDF file the arrays of
+all steps are concatenated; the group Steps holds their offsets (VTKHDF 2.2).
 """
 
 from __future__ import annotations
 
+import io
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx.analysis.steps.load_cases import (
+    Combination,
+    back_to_now,
+    checked_states,
+)
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.foundation.runtime.files import (
     PARTIAL,
     absolute,
@@ -27,120 +35,139 @@ from crms_fenicsx.foundation.runtime.files import (
     read_text,
     replaced,
 )
-from crms_fenicsx.results.output.shared_file import Part, first_row, write_together
-from crms_fenicsx.results.views.view_data import Line, Surface, joined
+from crms_fenicsx.results.membrane_results import membrane_results
+from crms_fenicsx.results.quantities import Solved, fields_of
+from crms_fenicsx.results.view_data import (
+    Line,
+    Surface,
+    bar_lines,
+    cable_lines,
+    joined,
+    surface_piece,
+    whole_surface,
+)
 
-CELL_TYPES = {2: 3, 3: 5}
-"""VTK cell types by number of corners: line and triangle."""
-
-SECTIONS = ("Points", "Cells", "PointData", "CellData")
-
-SIZE = np.dtype("<u8")
-"""Type of the size before each array."""
+Arrays = dict[str, NDArray[Any]]
+Texts = dict[str, list[str]]
 
 BEGIN = """<?xml version="1.0"?>
 <VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">
   <UnstructuredGrid>
 {}    <Piece NumberOfPoints="{}" NumberOfCells="{}">
-"""
-MIDDLE = """    </Piece>
+{}    </Piece>
   </UnstructuredGrid>
   <AppendedData encoding="raw">
 _"""
 END = b"\n  </AppendedData>\n</VTKFile>\n"
 
 
-class Column(NamedTuple):
-    """An array of the file: its section, name, type and components per row."""
+@dataclass(frozen=True)
+class Grid:
+    """Surface and lines of a step as one grid: triangles, then segments."""
 
-    section: str
-    name: str
-    dtype: str
-    components: int
+    geometry: Arrays  # "Points", "Connectivity", "Offsets" and "Types"
+    on_points: Arrays
+    on_cells: Arrays
+    texts: Texts  # by name, one or more each
 
-    @property
-    def on_points(self) -> bool:
-        """Whether it has a row per point, rather than per cell."""
-        return self.section in ("Points", "PointData")
 
-    @property
-    def row_size(self) -> int:
-        """Bytes per row."""
-        return np.dtype(self.dtype).itemsize * self.components
-
-    def tag(self, offset: int) -> str:
-        """XML element with the array's offset."""
-        dtype = np.dtype(self.dtype)
-        kind = {"i": "Int", "u": "UInt", "f": "Float"}[dtype.kind] + str(8 * dtype.itemsize)
-        # VTK counts the corners of cells one by one, although a row holds all corners of a cell.
-        many = self.components > 1 and self.section != "Cells"
-        components = f'NumberOfComponents="{self.components}" ' if many else ""
-        return (
-            f'        <DataArray type="{kind}" Name={quoteattr(self.name)} {components}'
-            f'format="appended" offset="{offset}"/>\n'
+def grid_of(surface: Surface | None, lines: Sequence[Line] | None, texts: Texts) -> Grid:
+    """A surface, lines, or both as a grid. In a grid of both, data that one of them does not have
+    are NaN there, and "line" is -1 on the surface."""
+    points = list[Array]()
+    cells, data = list[NDArray[Any]](), list[tuple[Arrays, Arrays]]()
+    if surface is not None:
+        points.append(np.asarray(surface.points))
+        cells.append(np.asarray(surface.triangles))
+        on_points, on_cells = (
+            {name: np.asarray(values) for name, values in found.items()}
+            for found in (surface.point_data, surface.cell_data)
         )
-
-
-def write_vtu(
-    path: Path,
-    comm: MPI.Intracomm,
-    points: Array,
-    cells: Integers,
-    point_data: Mapping[str, NDArray[Any]],
-    cell_data: Mapping[str, NDArray[Any]],
-    texts: Mapping[str, Sequence[str]] | None = None,
-) -> None:
-    """Write points (n, 3), cells (m, corners), data on both, and named texts. Collective."""
-    corners = cells.shape[1]
-    first_point, n_points = first_row(len(points), comm)
-    first_cell, n_cells = first_row(len(cells), comm)
-    index = "<i4" if max(n_points, corners * n_cells) < 2**31 else "<i8"
-    ends = corners * np.arange(first_cell + 1, first_cell + len(cells) + 1)
-    own = {
-        ("Points", "Points"): points,
-        ("Cells", "connectivity"): cells.astype(index),
-        ("Cells", "offsets"): ends.astype(index),
-        ("Cells", "types"): np.full(len(cells), CELL_TYPES[corners], dtype=np.uint8),
+        if lines is not None:
+            on_cells["line"] = np.full(len(cells[0]), -1)
+        data.append((on_points, on_cells))
+    if lines is not None:
+        places, pairs, *on_lines = joined([line.checked() for line in lines])
+        cells.append(pairs + sum(map(len, points)))
+        points.append(places)
+        data.append((on_lines[0], on_lines[1]))
+        texts = {**texts, "names": [line.name for line in lines]}
+    corners = np.repeat([x.shape[1] for x in cells], [len(x) for x in cells])
+    geometry: Arrays = {
+        "Points": np.concatenate(points),
+        "Connectivity": np.concatenate([x.ravel() for x in cells]).astype(np.int64),
+        "Offsets": np.concatenate([[0], np.cumsum(corners)]),
+        "Types": np.where(corners == 3, 5, 3).astype(np.uint8),  # VTK's triangle and line
     }
-    own |= {("PointData", name): _plain(values) for name, values in point_data.items()}
-    own |= {("CellData", name): _plain(values) for name, values in cell_data.items()}
-    if not len(points) + len(cells) and n_points + n_cells:
-        own = {}
-    columns = [
-        Column(*key, values.dtype.str, int(np.prod(values.shape[1:])))
-        for key, values in own.items()
-    ]
-    columns = _agreed(columns, comm)
-
-    rows = [n_points if column.on_points else n_cells for column in columns]
-    sizes = [column.row_size * n for column, n in zip(columns, rows, strict=True)]
-    offsets = [sum(sizes[:k]) + SIZE.itemsize * k for k in range(len(sizes) + 1)]
-    text = BEGIN.format(_field_data(texts or {}), n_points, n_cells)
-    for section in SECTIONS:
-        tags = (c.tag(at) for c, at in zip(columns, offsets, strict=False) if c.section == section)
-        text += f"      <{section}>\n{''.join(tags)}      </{section}>\n"
-    head = (text + MIDDLE).encode()
-    starts = [len(head) + offset for offset in offsets]
-    parts: list[Part] = []
-    if comm.rank == 0:
-        parts = [(0, _bytes(head)), (starts[-1], _bytes(END))]
-        parts += [(at, np.array([n], dtype=SIZE)) for at, n in zip(starts, sizes, strict=False)]
-    for column, start in zip(columns, starts, strict=False):
-        if own:
-            before = column.row_size * (first_point if column.on_points else first_cell)
-            values = own[column.section, column.name]
-            parts.append((start + SIZE.itemsize + before, values))
-    write_together(path, comm, starts[-1] + len(END), parts)
+    on_points, on_cells = (
+        _concatenated([one[k] for one in data], [len(x) for x in rows])
+        for k, rows in ((0, points), (1, cells))
+    )
+    return Grid(geometry, on_points, on_cells, {name: some for name, some in texts.items() if some})
 
 
-def _field_data(texts: Mapping[str, Sequence[str]]) -> str:
+def _concatenated(parts: Sequence[Arrays], rows: Sequence[int]) -> Arrays:
+    """Data of parts with some rows each, by name, NaN where a part does not have them."""
+    like = {name: np.asarray(values) for part in reversed(parts) for name, values in part.items()}
+    names = dict.fromkeys(name for part in parts for name in part)
+    return {
+        name: np.concatenate([
+            part[name] if name in part else np.full((n, *like[name].shape[1:]), np.nan)
+            for part, n in zip(parts, rows, strict=True)
+        ])
+        for name in names
+    }  # fmt: skip
+
+
+def write_vtu(path: Path, grid: Grid) -> None:
+    """Write a grid to a .vtu file."""
+    geometry = grid.geometry
+    wide = max(len(geometry["Points"]), len(geometry["Connectivity"])) >= 2**31
+    sections: dict[str, Arrays] = {
+        "Points": {"Points": geometry["Points"]},
+        "Cells": {
+            "connectivity": geometry["Connectivity"].astype("<i8" if wide else "<i4"),
+            "offsets": geometry["Offsets"][1:].astype("<i8" if wide else "<i4"),
+            "types": geometry["Types"],
+        },
+        "PointData": grid.on_points,
+        "CellData": grid.on_cells,
+    }
+    tags, offset = "", 0
+    for section, arrays in sections.items():
+        tags += f"      <{section}>\n"
+        for name, values in arrays.items():
+            arrays[name] = values = _plain(values)
+            kind = {"i": "Int", "u": "UInt", "f": "Float"}[values.dtype.kind]
+            many = int(np.prod(values.shape[1:]))
+            components = f'NumberOfComponents="{many}" ' if many > 1 else ""
+            tags += (
+                f'        <DataArray type="{kind}{8 * values.itemsize}" Name={quoteattr(name)} '
+                f'{components}format="appended" offset="{offset}"/>\n'
+            )
+            offset += 8 + values.nbytes  # the size itself takes eight
+        tags += f"      </{section}>\n"
+    cells = len(geometry["Types"])
+    head = BEGIN.format(_field_data(grid.texts), len(geometry["Points"]), cells, tags)
+    with replaced(path) as partial, open(partial, "wb") as file:
+        file.write(head.encode())
+        file.writelines(_sized(x) for arrays in sections.values() for x in arrays.values())
+        file.write(END)
+
+
+def _sized(values: NDArray[Any]) -> bytes:
+    """An array after its size in bytes."""
+    return np.array([values.nbytes], dtype="<u8").tobytes() + values.tobytes()
+
+
+def _field_data(texts: Texts) -> str:
     """XML element of texts, which VTK stores as byte values, each text ending in zero."""
     arrays = [
         f'      <DataArray type="String" Name={quoteattr(name)} NumberOfTuples="{len(some)}" '
         f'format="ascii">{" ".join(str(k) for text in some for k in (*text.encode(), 0))}'
         "</DataArray>\n"
-        for name, some in texts.items() if some
-    ]  # fmt: skip
+        for name, some in texts.items()
+    ]
     return f"    <FieldData>\n{''.join(arrays)}    </FieldData>\n" if arrays else ""
 
 
@@ -152,24 +179,6 @@ def _plain(values: NDArray[Any]) -> NDArray[Any]:
     return values.astype(dtype.newbyteorder("<"), copy=False)
 
 
-def _bytes(text: bytes) -> NDArray[np.uint8]:
-    return np.frombuffer(text, dtype=np.uint8)
-
-
-def _agreed(own: list[Column], comm: MPI.Intracomm) -> list[Column]:
-    """The columns common to all ranks that have points or cells."""
-    known = [(rank, part) for rank, part in enumerate(comm.allgather(own)) if part]
-    first, columns = known[0]
-    for rank, other in known[1:]:
-        if sorted(other) != sorted(columns):
-            a, b = set(columns), set(other)
-            raise InputError(
-                f"data differ: rank {first} has {[tuple(c) for c in sorted(a - b)]}, rank {rank} "
-                f"has {[tuple(c) for c in sorted(b - a)]} instead; give the same on all ranks"
-            )
-    return columns
-
-
 _OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface|cables)_\d{{6,}}\.vtu")
 
 
@@ -179,8 +188,8 @@ class Series:
     The folder then holds ::
 
         surface.pvd  cables.pvd     the collections, to be opened in ParaView
-        steps/surface_000000.vtu    the surface of a step, written by all ranks together
-        steps/cables_000000.vtu     all lines of a step, from rank 0
+        steps/surface_000000.vtu    the surface of a step
+        steps/cables_000000.vtu     all lines of a step
 
     Binary VTK XML, double precision. A collection is replaced at once when the step's files are
     complete, so that all it lists can be read.
@@ -191,7 +200,7 @@ class Series:
         Folder, created if missing. The first step replaces an older series in it, and no other
         file.
     comm : MPI communicator
-        Ranks that write together.
+        Ranks with pieces of the surface; the first one writes.
 
     Raises
     ------
@@ -218,7 +227,7 @@ class Series:
             Time or load factor, larger than in the step before.
         surface : Surface
             This rank's piece, which may be empty, with data of the same names on all ranks. Points
-            are written by the ranks they belong to (`Surface.homes`), once.
+            are taken from the ranks they belong to (`Surface.homes`), once.
         lines : sequence of Line
             All lines, on rank 0; those of other ranks are ignored. The file has them joined, with
             their names as texts "names"; without lines it is empty.
@@ -236,61 +245,31 @@ class Series:
             lines = [line.checked() for line in lines] if self.comm.rank == 0 else []
             if not np.isfinite(time) or (self.times and time <= self.times[-1]):
                 raise InputError(f"time {time} after times {self.times[-3:]}; times must grow")
-        if self.comm.allreduce(len(surface.triangles)) == 0:  # type: ignore[arg-type]
-            raise InputError(f"no triangle on any rank at time {time}; give the surface")
-        own, rows = self._rows(surface)
-
-        step, steps = len(self.times), self.folder / "steps"
-        texts = {"case": [case] if case else []}
-        if not self._begun:
-            checks.from_first(self.comm, lambda: self._begin(steps))
-        self._begun = True
-        write_vtu(
-            steps / f"surface_{step:06d}.vtu",
-            self.comm,
-            np.asarray(surface.points)[own],
-            rows[np.asarray(surface.triangles)],
-            {name: np.asarray(values)[own] for name, values in surface.point_data.items()},
-            {name: np.asarray(values) for name, values in surface.cell_data.items()},
-            texts,
-        )
+        if self.comm.allreduce(len(np.asarray(surface.triangles))) == 0:
+            raise InputError(f"no triangle on any rank at time {time}; pass the surface")
+        whole = whole_surface(self.comm, surface)
         with raised_together(self.comm):
-            if self.comm.rank == 0:
-                # without a new file, ParaView would keep showing the last lines
-                some = lines or self._entries["cables"]
-                names = {"names": [line.name for line in lines]}
-                if some:
-                    write_vtu(
-                        steps / f"cables_{step:06d}.vtu",
-                        MPI.COMM_SELF,
-                        *joined(lines),
-                        texts | names,
-                    )
-                self._list("surface", time, f"surface_{step:06d}.vtu")
-                if some:
-                    self._list("cables", time, f"cables_{step:06d}.vtu")
+            if whole is not None:
+                self._write_step(time, whole, lines, {"case": [case] if case else []})
+        self._begun = True
         self.times.append(float(time))
 
-    def _rows(self, surface: Surface) -> tuple[Integers, Integers]:
-        """Indices of the points that this rank writes, and the file row of each of its points."""
-        n = len(surface.points)  # type: ignore[arg-type]
-        homes = np.stack([np.full(n, self.comm.rank), np.arange(n)], axis=1)
-        if surface.homes is not None:
-            homes = np.asarray(surface.homes, dtype=np.int64)
-        own = np.flatnonzero(homes[:, 0] == self.comm.rank)
-        own = own[np.argsort(homes[own, 1])]
-        counts = np.array(self.comm.allgather(len(own)))
-        with raised_together(self.comm):
-            ranks, numbers = homes.T
-            lost = (ranks < 0) | (ranks >= len(counts)) | (numbers < 0)
-            lost |= numbers >= counts[np.where(lost, 0, ranks)]
-            if lost.any() or not np.array_equal(numbers[own], np.arange(len(own))):
-                raise InputError(
-                    f"homes: rank {self.comm.rank} has points number {numbers[own].tolist()[:9]} "
-                    f"of its own and, of others, {homes[lost].tolist()[:3]}, where the ranks have "
-                    f"{counts.tolist()}; number each rank's from 0"
-                )
-        return own, np.concatenate([[0], np.cumsum(counts)])[homes[:, 0]] + homes[:, 1]
+    def _write_step(
+        self, time: float, surface: Surface, lines: Sequence[Line], texts: Texts
+    ) -> None:
+        """Write the files of a step, then list them."""
+        if not self._begun:
+            self._begin()
+        name, grids = f"_{len(self.times):06d}.vtu", {"surface": grid_of(surface, None, texts)}
+        # without a new file, ParaView would keep showing the last lines
+        if lines or self._entries["cables"]:
+            grids["cables"] = grid_of(None, lines, texts)
+        for kind, grid in grids.items():
+            write_vtu(self.folder / "steps" / f"{kind}{name}", grid)
+        for kind in grids:
+            entries = [*self._entries[kind], _entry(time, f"{kind}{name}")]
+            self._write(kind, entries)
+            self._entries[kind] = entries
 
     def resume(self, times: Sequence[float]) -> None:
         """Continue the series in the folder. Collective.
@@ -326,11 +305,12 @@ class Series:
                 for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
         except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
-            raise InputError(f"{path} cannot be read ({error}); give another folder") from None
+            raise InputError(f"{path} cannot be read ({error}); use another folder") from None
         return [_entry(time, name) for time, name in found if time in times]
 
-    def _begin(self, steps: Path) -> None:
+    def _begin(self) -> None:
         """Remove an older series except for the steps to keep."""
+        steps = self.folder / "steps"
         make_writable(steps)
         # collections first, so that none ever lists a removed file
         for collection, entries in self._entries.items():
@@ -342,11 +322,6 @@ class Series:
         for path in steps.iterdir():
             if _OURS.fullmatch(path.name) and quoteattr(f"steps/{path.name}") not in kept:
                 path.unlink()
-
-    def _list(self, collection: str, time: float, name: str) -> None:
-        entries = [*self._entries[collection], _entry(time, name)]
-        self._write(collection, entries)
-        self._entries[collection] = entries
 
     def _write(self, collection: str, entries: Sequence[str]) -> None:
         with replaced(self.folder / f"{collection}.pvd") as partial:
@@ -360,3 +335,118 @@ class Series:
 def _entry(time: float, name: str) -> str:
     file = quoteattr(f"steps/{name}")
     return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'
+
+
+@collective
+def write_vtkhdf(
+    solver: Solved, filename: str | Path, combinations: Mapping[str, Combination] | None = None
+) -> None:
+    """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
+
+    Each combination is a step with the surface, cables and bars and the arrays of
+    `Solver.to_pyvista`, NaN on cells that do not have them. "line" is -1 on the surface, else the
+    number of the cable or bar; texts of a step are "case", the name of the combination, and
+    "names" of cables and bars in the order of "line".
+
+    Parameters
+    ----------
+    solver
+        Solver of the scene, whose state is restored.
+    filename
+        File ending in .vtkhdf; an existing one is replaced once the new one is complete.
+    combinations
+        Combinations from `Solver.combine`; by default the current state alone.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with nothing written: another suffix, no combinations of this solver, or a
+        file that cannot be written.
+    ImportError
+        On all ranks: h5py is not installed.
+
+    Examples
+    --------
+    >>> write_vtkhdf(solver, "results/roof.vtkhdf", solver.combine({"snow": {"snow": 1.5}}))
+    """
+    comm, scene = solver.comm, solver.scene
+    states = checked_states("write_vtkhdf", scene, combinations)
+    checks.same(comm, "write_vtkhdf", filename=filename)
+    path = absolute(checks.file("write_vtkhdf: filename", filename), comm)
+    checks.one_of("write_vtkhdf: the suffix", path.suffix.lower(), (".vtkhdf",))
+    with raised_together(comm):
+        if comm.rank == 0:
+            _h5py()
+            make_writable(path.parent)
+            if path.is_dir():
+                raise InputError(f"write_vtkhdf: {path} is a folder; name a file in it.")
+    grids = list[Grid]()
+    with back_to_now(solver):
+        for name in states or [""]:
+            if states:
+                solver.restore(states[name].snapshot)
+            results = membrane_results(solver.system)
+            piece = surface_piece(scene.membrane, results.surface, fields_of(results))
+            whole = whole_surface(comm, piece)
+            lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
+            if whole is not None:
+                grids.append(grid_of(whole, lines, {"case": [name] if name else []}))
+    with raised_together(comm):
+        if grids:
+            # in memory at first: HDF5 ends the process if the disk is full while it closes a file
+            content = io.BytesIO()
+            with _h5py().File(content, "w") as file:
+                _write(file.create_group("VTKHDF"), grids)
+            with replaced(path) as partial:
+                partial.write_bytes(content.getvalue())
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise ImportError(
+            "write_vtkhdf needs h5py: install it (pip install h5py; Debian: python3-h5py)."
+        ) from None
+    return h5py
+
+
+def _write(root: Any, grids: Sequence[Grid]) -> None:
+    """Write the steps into the file's group."""
+    root.attrs["Version"] = np.array([2, 2], dtype=np.int64)
+    root.attrs["Type"] = np.bytes_("UnstructuredGrid")
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(len(grids))
+    steps["Values"] = np.arange(1.0, len(grids) + 1.0)
+    steps["PartOffsets"], steps["NumberOfParts"] = np.arange(len(grids)), np.ones(len(grids), int)
+    starts = {}
+    for of, kind, array in (
+        ("Points", "Point", "Points"), ("Cells", "Cell", "Types"),
+        ("ConnectivityIds", "ConnectivityId", "Connectivity"),
+    ):  # fmt: skip
+        counts = np.array([len(grid.geometry[array]) for grid in grids])
+        root[f"NumberOf{of}"] = counts
+        starts[kind] = np.cumsum(counts) - counts
+        steps[f"{kind}Offsets"] = starts[kind] if kind == "Point" else starts[kind][:, None]
+    for name in grids[0].geometry:
+        root[name] = np.concatenate([grid.geometry[name] for grid in grids])
+    for kind, data in (
+        ("Point", [grid.on_points for grid in grids]), ("Cell", [grid.on_cells for grid in grids]),
+    ):  # fmt: skip
+        for name, values in _concatenated(data, root[f"NumberOf{kind}s"][:].tolist()).items():
+            root[f"{kind}Data/{name}"] = values
+            steps[f"{kind}DataOffsets/{name}"] = starts[kind]
+    for name in ("case", "names"):
+        _write_texts(root, name, [grid.texts.get(name, []) for grid in grids])
+
+
+def _write_texts(root: Any, name: str, of_steps: Sequence[Sequence[str]]) -> None:
+    """Write texts of each step as field data."""
+    counts = np.array([len(some) for some in of_steps])
+    if counts.any():
+        texts = [text.encode() for some in of_steps for text in some]
+        # VTK accepts only strings marked ASCII, but reads them as UTF-8
+        kind = _h5py().string_dtype("ascii")
+        root.create_dataset(f"FieldData/{name}", data=texts, dtype=kind)
+        root[f"Steps/FieldDataOffsets/{name}"] = np.cumsum(counts) - counts
+        root[f"Steps/FieldDataSizes/{name}"] = np.column_stack([np.ones_like(counts), counts])

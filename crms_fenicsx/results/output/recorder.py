@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 NAME = ".lock"
 """Name of the locked file, which is never removed: a recreated file could be locked twice."""
-GRACE = 10.0
-"""Seconds for which a resumed run waits for processes of the killed one."""
 
 
 class FolderLock:
@@ -47,7 +45,7 @@ class FolderLock:
 
     def take(self, going_on: bool) -> None:
         """Acquire the lock. Collective."""
-        deadline = time.monotonic() + (GRACE if going_on else 0.0)
+        deadline = time.monotonic() + (10.0 if going_on else 0.0)
         collected = False
         while not self._taken:
             holder = checks.from_first(self.comm, self._try)
@@ -124,7 +122,7 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
-            from crms_fenicsx.results.views.view_data import bar_lines, cable_lines, surface_piece
+            from crms_fenicsx.results.view_data import bar_lines, cable_lines, surface_piece
 
             scene, results = self.scene, membrane_results(system)
             surface = surface_piece(scene.membrane, results.surface, fields_of(results))
@@ -173,7 +171,7 @@ class Recorder:
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
         if scene.clamps:
-            from crms_fenicsx.results.clamp_results import clamp_results
+            from crms_fenicsx.results.cable_and_bar_results import clamp_results
 
             for clamp in clamp_results(scene).values():
                 row[f"clamp {clamp.name}"] = clamp.size
@@ -185,12 +183,8 @@ class Recorder:
             row["blocked points"] = sum(len(cable.state.blocked) for cable in scene.cables)
         if step.warnings:
             row["warnings"] = "; ".join(map(str, step.warnings))
-        row["iterations"] = outcome.iterations
-        row["evaluations"] = outcome.evaluations
-        row["factorizations"] = outcome.factorizations
-        row["solves"] = outcome.solves
-        row["flips"] = outcome.flips
-        row["residual"] = outcome.residual
+        counts = ("iterations", "evaluations", "factorizations", "solves", "flips", "residual")
+        row |= {name: getattr(outcome, name) for name in counts}
         # ranks' clocks differ, but a row must be the same on all
         row["seconds"] = scene.comm.bcast(step.seconds)
         return row

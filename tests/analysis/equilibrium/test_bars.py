@@ -24,7 +24,7 @@ from crms_fenicsx import (
 from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.model.bar import IMPERFECTIONS
 from crms_fenicsx.results.output import draw
-from crms_fenicsx.results.views.view_data import bar_lines
+from crms_fenicsx.results.view_data import bar_lines
 
 FOIL = IsotropicMembrane(E=3000.0, nu=0.3, thickness=0.1, prestress=1.0)
 A, H, EA = 4.0, 1.0, 1000.0

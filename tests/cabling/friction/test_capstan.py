@@ -267,7 +267,7 @@ def test_cables_with_and_without_in_one_scene(comm) -> None:
     assert np.ptp(plain.tensions) == 0.0
     assert rough.tensions[-1] > 1.1 * rough.tensions[0]
     assert rough.tension == pytest.approx(plain.tension, rel=1e-2)
-    from crms_fenicsx.results.views.view_data import cable_lines
+    from crms_fenicsx.results.view_data import cable_lines
 
     of_plain, of_rough = (np.asarray(line.data["tension"]) for line in cable_lines(scene.net))
     assert of_plain.shape == ()

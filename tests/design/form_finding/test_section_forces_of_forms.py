@@ -11,7 +11,7 @@ from mpi4py import MPI
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.design.form_finding import FoundForm, find_form
 from crms_fenicsx.results.output.report.model_tables import model_of_scene
-from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.page import Units
 from crms_fenicsx.results.quantities import fields_of
 
 pytestmark = pytest.mark.usefixtures("comm")

@@ -21,7 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.results.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.results.checkpoint.checkpoint_files import complete, replaced_folder
 from crms_fenicsx.results.checkpoint.saving import signed
 from crms_fenicsx.results.output import History
 
@@ -261,9 +261,7 @@ BROKEN = {
     "no object": ("state.json", lambda path: path.write_text("[1, 2]")),
     "other version": ("state.json", lambda path: path.write_text('{"format": "9"}')),
     "no loads": ("state.json", lambda path: change(path, "pressure", None)),
-    "no vertex": ("state.json", lambda path: change(path, "strip", [0, 99])),
-    "no cells": ("state.json", lambda path: change(path, "strip", [0])),
-    "no kind": ("state.json", lambda path: change(path, "cables", "kind")),
+    "no kind": ("state.json", lambda path: change(path, "kind", "knot")),
     "a long text that is none": (
         "state.json",
         lambda path: path.write_bytes(b'"' + b"a" * 9999 + b"\xff"),
@@ -274,8 +272,6 @@ BROKEN = {
     "flipped bit": ("membrane.u.npy", lambda path: flip(path)),
     "pipe": ("state.json", lambda path: (path.unlink(), os.mkfifo(path))),
     "device": ("membrane.held.npy", lambda path: (path.unlink(), path.symlink_to("/dev/zero"))),
-    "pulling load": ("state.json", lambda path: change(path, "intensity", -1.0)),
-    "few points": ("state.json", lambda path: change(path, "cables", "positions")),
 }
 
 
@@ -303,16 +299,10 @@ def change(path: Path, name: str, value: object) -> None:
     cable = next(iter(state["net"]["cables"].values()))
     if name == "edges":
         state["membrane"]["held_edges"]["rows"] = value
-    elif name == "cables" and value == "kind":
-        cable["nodes"][1]["kind"] = "knot"
-    elif name == "cables":
-        cable[value].pop()
-    elif name == "pressure":
-        state["air"][name] = value
-    elif name == "intensity":
-        state["loads"]["loads"][0][name] = value
+    elif name == "kind":
+        cable["nodes"][1]["kind"] = value
     else:
-        state["net"][name] = value
+        state["air"][name] = value
     path.write_text(signed(data))
 
 
@@ -342,8 +332,8 @@ def test_what_is_no_checkpoint_is_not_replaced(folder: Path) -> None:
     COMM.barrier()
     solver = sheet(COMM, 3)
     for name, message in (
-        ("results", "results is no checkpoint"),
-        ("file", "file is no checkpoint"),
+        ("results", "results is not a checkpoint"),
+        ("file", "file is not a checkpoint"),
         ("file/point", "cannot be written"),
     ):
         with pytest.raises(InputError, match=message):

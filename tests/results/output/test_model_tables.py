@@ -20,7 +20,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.results.output.report.model_tables import model_of_scene
-from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.page import Units
 
 COMM = MPI.COMM_SELF
 WOVEN: dict[str, Any] = {"G12": 30.0, "nu21": 0.2, "warp": (0.0, 1.0, 0.0), "prestress": (2, 1)}

@@ -180,9 +180,9 @@ def test_a_full_disk_reaches_all_ranks(folder: Path, monkeypatch: pytest.MonkeyP
         ({"step": None}, "'step' got None"),
         ({"step": 1 + 2j}, r"got \(1\+2j\)"),
         ({"step": "one"}, "got 'one' after 0"),
-        ({"": 1}, "no name"),
-        ({" step": 1}, "no name"),
-        ({3: 1}, "3 is no name"),
+        ({"": 1}, "not a column name"),
+        ({" step": 1}, "not a column name"),
+        ({3: 1}, "3 is not a column name"),
     ],
 )
 def test_bad_rows(row: dict, message: str) -> None:

@@ -33,9 +33,9 @@ from crms_fenicsx.results.output.figures.cable_lines import (
     limits_of,
     line_style,
 )
-from crms_fenicsx.results.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.results.output.figures.draw_paths import _spaced_steps
 from crms_fenicsx.results.output.figures.draw_surface import outline_of, sides_among
+from crms_fenicsx.results.output.figures.picture import Camera, brightness, visible
 from crms_fenicsx.results.output.figures.plots import default_panels, units_of_results
 
 

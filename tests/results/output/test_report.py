@@ -17,20 +17,21 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
-from crms_fenicsx.results.output.report import case as cases_of_reports
-from crms_fenicsx.results.output.report import net_tables, sections
+from crms_fenicsx.results.output.report import pictures as pictures_of_reports
+from crms_fenicsx.results.output.report import sections
+from crms_fenicsx.results.output.report.foundation_tables import cables_to_order
 from crms_fenicsx.results.output.report.page import (
     BarChart,
     PagePart,
     PageSection,
     Paragraph,
     Table,
+    Units,
     number,
     page,
     per_cent,
     place,
 )
-from crms_fenicsx.results.output.report.units import Units
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
@@ -151,7 +152,7 @@ def test_pictures_to_be_compared_have_one_scale(
             drawn[options["colour"]].append(options["limits"])
         return b""
 
-    monkeypatch.setattr(cases_of_reports, "draw_png", png)
+    monkeypatch.setattr(pictures_of_reports, "draw_png", png)
     solver.report(folder / "two.html", found, pictures=["displacement", "stress"])
     forces = []
     for one in found.values():
@@ -166,8 +167,8 @@ def test_pictures_to_be_compared_have_one_scale(
 def test_pictures_of_reports_keep_their_colours(comm: MPI.Intracomm, folder: Path) -> None:
     """Reduced to 256 colours; of those at the ends of a bar there are few pixels."""
     solver, options = tent(comm), {"colour": "displacement", "dpi": 100}
-    solver.draw(folder / "whole.png", width=cases_of_reports.WIDTH, **options)
-    png = cases_of_reports.draw_png(solver, **options)
+    solver.draw(folder / "whole.png", width=6.0, **options)
+    png = pictures_of_reports.draw_png(solver, **options)
     with Image.open(folder / "whole.png") as whole, Image.open(io.BytesIO(png)) as reduced:
         wanted, got = (np.asarray(one.convert("RGB"), dtype=float) for one in (whole, reduced))
     coloured = np.ptp(wanted, axis=-1) > 30.0
@@ -203,7 +204,7 @@ def test_bad_reports_write_nothing(
         (folder / "folder.html").mkdir()
     comm.barrier()
     for options, words in (
-        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is no page; give one with .html"),
+        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is not a page; pass a name with .html"),
         ({"filename": folder / "folder.html"}, "folder.html is a folder"),
         ({"filename": page / "below.html"}, "cannot be written"),
         ({"filename": 3}, "filename = 3 is no path"),
@@ -219,7 +220,7 @@ def test_bad_reports_write_nothing(
         ({"pictures": "stress"}, "no list to use; write pictures="),
         ({"strain_limit": 0.0}, "strain_limit = 0.0"),
         ({"template": folder / "office.html"}, "no template .*office.html"),
-        ({"template": page}, r"tent.html' is a template's name; give the page another"),
+        ({"template": page}, r"tent.html' is a template's name; use another name"),
         ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
         ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
@@ -320,7 +321,7 @@ def test_lengths_to_order_have_millimetres(comm: MPI.Intracomm, unit: str, metre
     length, L0, cut = sum(spacings), 126.6 * metre / 1.001, 127.19876543 * metre
     cable = CableOrder("A1", 2e4, L0, 10.0, length, ("A1 x B1", "A1 x B2"), spacings, cut)
     order = Order({"A1": cable}, -15.0, 1.2e-5, (0.3, 0.3), comm)
-    table = net_tables.order(order, Units(unit, "kN"))
+    table = cables_to_order(order, Units(unit, "kN"))
     (heads, *rows) = Page(html(table)).tables[table.caption]
     lengths = [k for k, name in enumerate(heads) if name.endswith(f"[{unit}]")]
     assert len(lengths) == 5 and len(rows) == 3

@@ -11,9 +11,8 @@ from mpi4py import MPI
 from report_page import Page, read_csv
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.output.report.case import case_of
+from crms_fenicsx.results.output.report.case import case_of, shape_of
 from crms_fenicsx.results.output.report.results_tables import families
-from crms_fenicsx.results.shape_change import shape_of
 
 SNOW, LAMP, WATER = 0.2, 0.5, 10.0
 SIDE = 8.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +12,16 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.output.report.case import Case, case_of
-from crms_fenicsx.results.output.report.page import Table, number
+from crms_fenicsx.results.output.report.case import (
+    Case,
+    ShapeChange,
+    case_of,
+    shape_of,
+    verdict_on,
+)
+from crms_fenicsx.results.output.report.page import Table, Units, Verdict, number
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
-from crms_fenicsx.results.shape_change import ShapeChange, shape_of
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +41,21 @@ def case(comm: MPI.Intracomm) -> Case:
     return case_of(solver, "snow", before)
 
 
+def judged(
+    cases: Sequence[Case], strain: float = 0.1, cables: Mapping[str, float] | None = None
+) -> Verdict:
+    return verdict_on(cases, 8.0, strain, cables or {})
+
+
 def reasons(case: Case, **limits: Any) -> str:
-    verdict = verdict_on([case], Limits(**limits), 8.0)
+    verdict = judged([case], **limits)
     return " ".join(verdict.reasons)
 
 
 def test_reasons_in_plain_words(case: Case) -> None:
     assert case.summary.bars["prop"].force < 0.0
     good = replace(case, summary=replace(case.summary, bars={}, hollows=()))
-    verdict = verdict_on([good], Limits(), 8.0)
+    verdict = judged([good])
     assert verdict.look == ""
     assert [text.split(":")[0].split(" (")[0] for text in verdict.reasons] == [
         "snow", "Corners to be reinforced"
@@ -60,7 +70,7 @@ def test_reasons_in_plain_words(case: Case) -> None:
         assert words in reasons(changed)
     bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
     unknown = replace(good, summary=replace(good.summary, bars=bars))
-    assert "Buckling is not checked" in " ".join(verdict_on([unknown], Limits(), 8.0).reasons)
+    assert "Buckling is not checked" in " ".join(judged([unknown]).reasons)
     assert "limit 0.1 %" in reasons(good, strain=1e-3)
     assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
 
@@ -69,7 +79,7 @@ def test_rain_that_would_stand(case: Case) -> None:
     """The square sags under its snow: it holds water, which is to be checked and no failure."""
     wet = replace(case, summary=replace(case.summary, bars={}))
     dry = replace(wet, name="dry", summary=replace(wet.summary, hollows=()))
-    verdict = verdict_on([dry, wet], Limits(), 8.0)
+    verdict = judged([dry, wet])
     assert verdict.look == "doubtful"
     reason = verdict.reasons[-1]
     deepest = wet.summary.hollows[0]
@@ -78,9 +88,9 @@ def test_rain_that_would_stand(case: Case) -> None:
     )
     assert "(snow)" in reason
     assert "checked for ponding" in reason
-    red = verdict_on([wet], Limits(strain=1e-3), 8.0)
+    red = judged([wet], strain=1e-3)
     assert red.look == "failed" and "Rain would stand in 1 of 1" in red.reasons[-1]
-    unknown = verdict_on([replace(wet, verification=None)], Limits(), 8.0)
+    unknown = judged([replace(wet, verification=None)])
     assert "Rain would stand" in " ".join(unknown.reasons)
 
 
@@ -92,7 +102,7 @@ def test_utilisation_and_what_finer_cells_change(case: Case) -> None:
         largest = {**membrane.largest, "utilisation": replace(used, value=value)}
         part = replace(membrane, largest=largest, change=change)
         summary = replace(case.summary, bars={}, hollows=(), parts={"": part})
-        verdict = verdict_on([replace(case, summary=summary)], Limits(), 8.0)
+        verdict = judged([replace(case, summary=summary)])
         text = " ".join(verdict.reasons)
         assert verdict.look == look
         assert f"the membrane is used to {100 * value:.1f} % of its strength" in text
@@ -105,11 +115,11 @@ def test_reinforced_corners_are_told(case: Case) -> None:
     ((name, one),) = case.summary.patches.items()
     assert (name, one.patch.reason, one.patch.at) == ("corner 1", "bar", (4.0, 6.0, 0.0))
     bare = replace(case.summary, bars={}, hollows=())
-    text = " ".join(verdict_on([replace(case, summary=bare)], Limits(), 8.0).reasons)
+    text = " ".join(judged([replace(case, summary=bare)]).reasons)
     assert "Corners to be reinforced (corner 1): within a radius of 0.4" in text
     assert "depends on the mesh" in text and "not given" in text
     given = replace(bare, patches={name: replace(one, patch=replace(one.patch, given=True))})
-    text = " ".join(verdict_on([replace(case, summary=given)], Limits(), 8.0).reasons)
+    text = " ".join(judged([replace(case, summary=given)]).reasons)
     assert "Corners to be reinforced" in text and "not given" not in text
     (row,) = ResultTables([case], Units(), 8.0, {}).patches().rows
     assert row[:2] == ("corner 1", "bar")
@@ -126,7 +136,7 @@ def test_doubtful_and_failed_checks(case: Case) -> None:
     assert "doubtful: the tension of 'A1' is between 1 and 2." in reasons(told)
     moved = replace(good, summary=replace(good.summary, in_equilibrium=False))
     assert "changed since its last load step" in reasons(moved)
-    unknown = verdict_on([replace(good, verification=None)], Limits(), 8.0)
+    unknown = judged([replace(good, verification=None)])
     assert (unknown.look, unknown.text) == ("doubtful", "Not verified in this run: snow")
 
 

@@ -13,8 +13,13 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.results.output.figures.camera import Camera
-from crms_fenicsx.results.output.figures.picture import finished, new_figure
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    add_lines,
+    add_polygons,
+    finished,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,28 +33,13 @@ RIM = "#1d1f24"
 STRIPES = (0.0, (0.9, 0.9))
 """Dashes of cables off the membrane; the rim shows between them."""
 _GRID = "#d3d7dc"
-_WALL = "#f4f5f7"
 DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours safe for colour-blind readers."""
 FLAT = 1e-6
 """Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
-_POINTS_PER_INCH = 72.0
-_APART = 14.0
-"""Least distance of ticks (points), on average."""
-_ROW, _HANDLE, _LETTER = 0.19, 0.42, 0.066
-"""Height of a legend's row, width of its symbols, and of a letter of its texts (inches)."""
 Entry = tuple[Any, str, str]
 """Colour, text and kind ("line", "patch", "foot" or "stripes") in a legend; "" omits it."""
-
-
-def check_colours(*names: str) -> None:
-    """Raise `InputError` for names that are no colour maps of matplotlib."""
-    from matplotlib import colormaps
-
-    for name in names:
-        if name not in colormaps:
-            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
 
 
 def with_unit(label: str, unit: str) -> str:
@@ -77,7 +67,7 @@ def style_axes(axes: Axes, size: float) -> None:
 def check_view(view: tuple[float, float]) -> None:
     """Raise `InputError` for a view that is no pair of finite angles."""
     if np.shape(view) != (2,) or not np.all(np.isfinite(view)):
-        raise InputError(f"view {view!r}; give (azimuth, elevation) in degrees")
+        raise InputError(f"view {view!r}; pass (azimuth, elevation) in degrees")
 
 
 def foot() -> Any:
@@ -113,12 +103,12 @@ class Axes3D:
         left, right, bottom = 0.62, 0.58 + 0.95 * bars + room[0], 0.55
         columns = _columns([text for _, text, _ in told], width - left - right + 0.4)
         rows = -(-len(told) // columns)
-        top = (0.42 if title else 0.15) + _ROW * rows
+        top = (0.42 if title else 0.15) + 0.19 * rows
         free = np.array([width - left - right, 0.95 * width])
         scale = float((span / free).max())
         height = span[1] / scale + bottom + top
         height = max(height, room[1])
-        self.point = scale / _POINTS_PER_INCH
+        self.point = scale / 72.0
         self.figure = new_figure(width, height)
         self._size = np.array([width, height])
         self._bars = bars
@@ -165,7 +155,6 @@ class Axes3D:
 
     def draw_box(self, unit: str) -> None:
         """Draw the box's three far faces with a grid, and tick labels along its near edges."""
-        from matplotlib.collections import LineCollection, PolyCollection
         from matplotlib.ticker import MaxNLocator
 
         towards = self.camera.axes[2]
@@ -179,7 +168,7 @@ class Axes3D:
             edge[1, axis] = near[axis]
             room = float(np.linalg.norm(np.diff(self._flat(edge), axis=0))) / self.point
             wanted = int(np.clip(round(6 * size / whole), 3, 6))
-            wanted = min(wanted, max(int(room / _APART), 2))
+            wanted = min(wanted, max(int(room / 14.0), 2))
             values = MaxNLocator(wanted, steps=[1, 2, 2.5, 5, 10]).tick_values(
                 self.low[axis], self.high[axis]
             )
@@ -200,10 +189,9 @@ class Axes3D:
                     ends[:, along] = value
                     ends[:, across] = self.low[across], self.high[across]
                     grid.append(self._flat(ends))
-        self.axes.add_collection(
-            PolyCollection(faces, facecolors=_WALL, edgecolors=_GRID, linewidths=0.7, zorder=0)
-        )
-        self.axes.add_collection(LineCollection(grid, colors=_GRID, linewidths=0.5, zorder=0.1))
+        wall = {"facecolors": "#f4f5f7", "edgecolors": _GRID}
+        add_polygons(self.axes, faces, linewidths=0.7, zorder=0, **wall)
+        add_lines(self.axes, grid, colors=_GRID, linewidths=0.5, zorder=0.1)
         for axis in range(3):
             self._label_edge(axis, self._ruler(axis, far, near), ticks[axis], unit)
 
@@ -295,7 +283,7 @@ class Axes3D:
             (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
         )
         colorbar = self.figure.colorbar(mappable, cax=bar)
-        lines = fill(label, max(int(0.9 * height / _LETTER), 12))
+        lines = fill(label, max(int(0.9 * height / 0.066), 12))
         colorbar.set_label(lines, fontsize=_SMALL + 0.5, color=INK)
         colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
         colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]
@@ -304,7 +292,7 @@ class Axes3D:
 
 def _columns(texts: Sequence[str], width: float) -> int:
     """Number of columns in which texts of a legend fit into a width (inches), at least one."""
-    widths = [_HANDLE + _LETTER * len(text) for text in texts]
+    widths = [0.42 + 0.066 * len(text) for text in texts]  # of symbol and letters
     if sum(widths) <= width:
         return max(len(texts), 1)
     return max(int(width / max(widths)), 1)

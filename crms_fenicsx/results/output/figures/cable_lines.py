@@ -13,21 +13,19 @@ from numpy.typing import NDArray
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
-from crms_fenicsx.results.output.figures.camera import offsets_within, visible
-from crms_fenicsx.results.views.view_data import Line
+from crms_fenicsx.results.output.figures.picture import add_lines, offsets_within, visible
+from crms_fenicsx.results.view_data import Line
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
 
 NO_VALUE = (0.784, 0.784, 0.784)
-_SAME = 1e-2
-"""Relative range of values that get one colour."""
 
 
 def common_value(values: Array) -> tuple[float, float] | None:
     """Range of values that are nearly equal; None if they differ or none is finite."""
     finite = values[np.isfinite(values)]
-    if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
+    if len(finite) == 0 or np.ptp(finite) > 1e-2 * np.abs(finite).max():
         return None
     return float(finite.min()), float(finite.max())
 
@@ -43,8 +41,7 @@ def in_words(label: str, low: float, high: float) -> str:
 def limits_of(values: Array) -> tuple[float, float]:
     """Ends of the colour scale: those of the values and 0, from which they are counted."""
     finite = values[np.isfinite(values)]
-    low = float(finite.min(initial=0.0))
-    high = float(finite.max(initial=0.0))
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     return (low, high) if low < high else (0.0, 1.0)
 
 
@@ -67,7 +64,6 @@ def colouring(
 
 
 CABLE = "#c8322b"
-_SHORTEST = 3  # pieces of a line; shorter runs are specks in a crease
 
 
 @dataclass(frozen=True)
@@ -87,7 +83,7 @@ class LineStyle:
         if self.paint is None:
             return CABLE
         values = [
-            _per_segment(values, off)[off]
+            _interpolated(values, np.flatnonzero(off), np.array(0.5), len(off) + 1)
             for values, off in zip(self.values, self.off, strict=True)
         ]
         return self.paint.to_rgba(np.concatenate(values).mean(keepdims=True))[0]
@@ -140,8 +136,6 @@ def paint_lines(
     show_names: bool,
 ) -> None:
     """Paint the parts of lines not hidden by triangles (m, 3, 3)."""
-    from matplotlib.collections import LineCollection
-
     runs: list[Array] = []
     run_values: list[float] = []
     run_off: list[bool] = []
@@ -167,11 +161,10 @@ def paint_lines(
     cores = CABLE if style.paint is None else style.paint.to_rgba(np.array(run_values)[order])
     styles = [STRIPES if run_off[i] else "solid" for i in order]
     for zorder, colour, thick, dashes in ((3, RIM, 2.9, "solid"), (4, cores, 1.7, styles)):
-        axes3d.axes.add_collection(
-            LineCollection(
-                paths, colors=colour, linewidths=thick, linestyles=dashes, joinstyle="round",
-                capstyle="butt" if dashes is styles and any(run_off) else "round", zorder=zorder,
-            )
+        add_lines(
+            axes3d.axes, paths, colors=colour, linewidths=thick, linestyles=dashes,
+            joinstyle="round", zorder=zorder,
+            capstyle="butt" if dashes is styles and any(run_off) else "round",
         )  # fmt: skip
     for line in lines:
         held = np.asarray(line.data.get("clamp", 0.0)) > 0.0
@@ -193,17 +186,10 @@ def _seen(
     if clip is not None:
         places = axes3d.camera.place(middles)
         seen &= np.all((places >= clip[0]) & (places <= clip[1]), axis=1)
-    if len(seen) >= 2 * _SHORTEST:
+    if len(seen) >= 6:  # runs of one or two pieces are specks in a crease
         for start, end in _runs(seen[:, None]):
-            seen[start:end] &= end - start >= _SHORTEST
+            seen[start:end] &= end - start > 2
     return seen
-
-
-def _per_segment(given: Array, off: Booleans) -> Array:
-    """Values of a line's segments from one value, one per point or one per segment."""
-    if given.shape == (len(off) + 1,):
-        return (given[1:] + given[:-1]) / 2
-    return np.broadcast_to(given, len(off))
 
 
 def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
@@ -213,7 +199,7 @@ def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
 
 
 def _interpolated(given: Array, segment: Integers, middle: Array, count: int) -> Array:
-    """Values at the midpoints of pieces of a line with `count` points."""
+    """Values at the middles, 0 to 1, of segments of a line with `count` points."""
     if given.shape == (count,):
         return given[segment] + middle * (given[segment + 1] - given[segment])
     return np.broadcast_to(given, count - 1)[segment]

@@ -23,15 +23,18 @@ from crms_fenicsx.results.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.results.output.figures.camera import Camera
-from crms_fenicsx.results.output.figures.picture import checked_picture
-from crms_fenicsx.results.views.view_data import Line, Surface
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    add_lines,
+    add_polygons,
+    checked_picture,
+)
+from crms_fenicsx.results.view_data import Line, Surface
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CLOSEUP = 2.3  # inches, with labels
-_LABELS = 0.75  # inches
 _CABLE = "#8a8f98"
 
 
@@ -95,9 +98,9 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     how = PathOptions(**options)
     lines, closeups = how.lines, how.closeups or {}
     if not paths and not lines:
-        raise InputError("nothing to draw: no paths and no lines; give one of them")
+        raise InputError("nothing to draw: no paths and no lines; pass one of them")
     if (how.points is None) != (how.triangles is None):
-        raise InputError("points and triangles belong together; give both or neither")
+        raise InputError("points and triangles belong together; pass both or neither")
     ways = [np.asarray(path.checked().points) for path in paths]
     cables = [np.asarray(line.checked().points) for line in lines]
     corners = np.empty((0, 3, 3))
@@ -107,7 +110,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     for name, numbers in closeups.items():
         if len(numbers) == 0 or not all(0 <= number < len(paths) for number in numbers):
             raise InputError(
-                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
+                f"close-up {name!r} of the paths {list(numbers)}; pass numbers from 0 to "
                 f"{len(paths) - 1}"
             )
     check_view(how.view)
@@ -163,7 +166,7 @@ def _add_closeups(
     # points that stand still but for the solver's tolerance are no paths to be enlarged
     half = 0.66 * extent if extent > FLAT * size else 0.05 * size
     width, height = axes3d.figure.get_size_inches()
-    side = _CLOSEUP - _LABELS
+    side = _CLOSEUP - 0.75
     for row, (title, numbers) in enumerate(closeups.items()):
         middle = 0.5 * (lows[row] + highs[row])
         bottom = height - 0.1 - _CLOSEUP * (row + 1) + 0.5
@@ -190,22 +193,14 @@ def _draw_below(
     axes: Any, triangles: Array, cables: Sequence[Array], colours: Sequence[str], point: float
 ) -> None:
     """Draw triangles and the cables on them; `point` is the length shown by a typographic point."""
-    from matplotlib.collections import LineCollection, PolyCollection
-
     # the edges of a fine mesh would dominate the picture
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
     fine = len(sides) > 0 and float(np.median(sides)) < 30.0 * point
-    axes.add_collection(
-        PolyCollection(
-            list(triangles), facecolors=(0.80, 0.86, 0.93, 0.55),
-            edgecolors="#a9b2be" if fine else "#5f6b7a", linewidths=0.4 if fine else 0.9, zorder=1,
-        )
+    add_polygons(
+        axes, triangles, facecolors=(0.80, 0.86, 0.93, 0.55),
+        edgecolors="#a9b2be" if fine else "#5f6b7a", linewidths=0.4 if fine else 0.9, zorder=1,
     )  # fmt: skip
-    axes.add_collection(
-        LineCollection(
-            list(cables), colors=list(colours), linewidths=1.6, capstyle="round", zorder=2
-        )
-    )
+    add_lines(axes, cables, colors=list(colours), linewidths=1.6, capstyle="round", zorder=2)
 
 
 def _draw_point_path(axes: Any, at: Array, number: int, size: float, steps: Sequence[int]) -> None:

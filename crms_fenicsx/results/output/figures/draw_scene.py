@@ -6,10 +6,9 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.analysis.equilibrium.system import System
@@ -24,17 +23,15 @@ from crms_fenicsx.foundation.runtime.errors import (
     raised_together,
 )
 from crms_fenicsx.results.foundations import held_rim
-from crms_fenicsx.results.load_values import load_label, load_values
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.quantities import QUANTITIES
-from crms_fenicsx.results.reactions import held_ends
-from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, recovered
-from crms_fenicsx.results.reinforcement import patches
-from crms_fenicsx.results.views.view_data import (
+from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, load_label, load_values
+from crms_fenicsx.results.reactions import gap, held_ends
+from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
+from crms_fenicsx.results.view_data import (
     Line,
     Surface,
     bar_lines,
@@ -77,16 +74,6 @@ def label_of(colour: str) -> tuple[str, str]:
         return colour, "length"
     one = QUANTITIES[QUANTITY_OF[colour]]
     return one.label, one.unit
-
-
-class HasSystem(Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
-
-    comm: MPI.Intracomm
-
-    @property
-    def system(self) -> System:
-        """The scene's potential."""
 
 
 @collective
@@ -150,7 +137,7 @@ def draw(
         Nothing is drawn, as the mesh has more than `MOST_CELLS` cells.
     """
     if not hasattr(type(solver), "system"):
-        raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
+        raise InputError(f"draw: solver is of type {type(solver).__name__}; pass a Solver.")
     checks.same(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
         tensions=tensions, directions=directions, **options,
@@ -234,13 +221,8 @@ def _supports(scene: Scene) -> dict[str, Any]:
         *(joint.position[None] for joint in scene.joints if joint.held.any()),
         *(end.place[None] for end in held_ends(scene)),
     ])  # fmt: skip
-    start, way = rim[:, 0], rim[:, 1] - rim[:, 0]
-    squared = np.maximum((way * way).sum(axis=1), 1e-300)
-    off = []
-    for place in np.unique(places, axis=0):
-        share = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
-        gaps = np.linalg.norm(start + share[:, None] * way - place, axis=1)
-        off += [place] if gaps.min(initial=np.inf) > 1e-6 * scene.membrane.size else []
+    near = 1e-6 * scene.membrane.size
+    off = [place for place in np.unique(places, axis=0) if gap(place, rim) > near]
     return {"held": rim, "supports": np.reshape(off, (-1, 3))}
 
 

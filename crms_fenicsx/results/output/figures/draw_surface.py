@@ -16,7 +16,6 @@ from crms_fenicsx.results.output.figures.axes3d import (
     INK,
     Axes3D,
     bounds,
-    check_colours,
     check_view,
     foot,
 )
@@ -27,21 +26,24 @@ from crms_fenicsx.results.output.figures.cable_lines import (
     line_style,
     paint_lines,
 )
-from crms_fenicsx.results.output.figures.camera import Camera, brightness, offsets_within, visible
-from crms_fenicsx.results.output.figures.picture import checked_picture
-from crms_fenicsx.results.views.view_data import Line, Surface, checked_points
+from crms_fenicsx.results.output.figures.picture import (
+    Camera,
+    add_lines,
+    add_polygons,
+    brightness,
+    checked_picture,
+    offsets_within,
+    visible,
+)
+from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points, edges_of
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
-_ON_SURFACE = 0.006  # relative to the size: depth of a cable below unfolded triangles
 _BEHIND = 5e-4  # relative to the size: depth at which edges are hidden, which no fold lies above
-_PIECE = 6.0  # length of the parts of an edge that are seen or hidden (points)
 _GHOST = (0.20, 0.33, 0.60)
-FINEST, MOST_PARTS = 4, 40_000
-"""Parts along the sides of a triangle whose colour varies, and most parts in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,18 +157,22 @@ def draw_shape(
     InputError
         Inconsistent arrays, lines without the data `line_values`, or a file that cannot be written.
     """
+    from matplotlib import colormaps
+
     how = ShapeOptions(**options)
     surface = Surface(points, triangles).checked()
     lines = [line.checked() for line in lines]
     faint = None if how.ghost is None else Surface(*how.ghost).checked()
     values = _per_corner(how.values, surface)
-    check_colours(how.colours, how.line_colours)
+    for name in (how.colours, how.line_colours):
+        if name not in colormaps:
+            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
     line_label = how.line_label or how.line_values or ""
     style = line_style(
         lines, how.line_values, line_label, how.line_limits, how.line_colours, how.loose
     )
     if len(np.asarray(surface.points)) == 0 and not lines:
-        raise InputError("nothing to draw: no points and no lines; give one of them")
+        raise InputError("nothing to draw: no points and no lines; pass one of them")
     check_view(how.view)
     corners = None if isinstance(how.box, bool) else _checked_box(how.box)
     inner = _checked_hidden(how.hidden, surface)
@@ -203,7 +209,8 @@ def draw_shape(
     flat = camera.project(spatial)
     shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
     _paint_surface(axes3d, spatial, flat, values, paint, shown, ghostly)
-    tolerance = _ON_SURFACE * size
+    # depth of a cable below unfolded triangles
+    tolerance = 0.006 * size
     _paint_outline(axes3d, surface, flat, _BEHIND * size, INK)
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
@@ -245,7 +252,7 @@ def _corners(surface: Surface) -> Array:
 
 def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     if len(box) != 2:
-        raise InputError(f"box {box!r}; give True, False or its corners (low, high)")
+        raise InputError(f"box {box!r}; pass True, False or its corners (low, high)")
     low, high = checked_points("box corners", np.array(box, dtype=np.float64))
     if not np.all(low < high):
         raise InputError(f"box from {low} to {high}: the first corner must be the lower one")
@@ -253,19 +260,13 @@ def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
 
 
 def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
-    pairs = np.asarray(() if hidden is None else hidden)
-    if pairs.size == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
-        raise InputError(
-            f"hidden has shape {pairs.shape} and type {pairs.dtype}; give pairs of vertices, (h, 2)"
-        )
-    if not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
+    pairs = checked_integers("hidden", () if hidden is None else hidden, 2)
+    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
         raise InputError(
             f"hidden refers to vertices {pairs.min()} to {pairs.max()}, but there are "
             f"{len(np.asarray(surface.points))} points"
         )
-    return pairs.astype(np.int64)
+    return pairs
 
 
 def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
@@ -289,7 +290,7 @@ def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
     if array.shape == (len(np.asarray(surface.points)),):
         return array[triangles]
     raise InputError(
-        f"values have shape {array.shape}; give one for each of the "
+        f"values have shape {array.shape}; pass one for each of the "
         f"{len(np.asarray(surface.points))} vertices, {len(triangles)} triangles or their corners"
     )
 
@@ -300,7 +301,7 @@ def _fine(flat: Array, values: Array) -> tuple[Array, Array, Integers, Integers]
     Returns the corners of the parts (p, 3, 3), their values (p,), the triangle of each (p,), and of
     which side (3: none) of it each part's sides are (p, 3).
     """
-    n = int(np.clip(np.sqrt(MOST_PARTS / max(len(flat), 1)), 1, FINEST))
+    n = int(np.clip(np.sqrt(40_000 / max(len(flat), 1)), 1, 4))
     parts, sides = [], []
     for i in range(n):
         for j in range(n - i):
@@ -332,8 +333,6 @@ def _paint_triangles(
 ) -> None:
     """Paint the surface and the `faint` triangles; `shown` (m, 3) tells which sides get an edge of
     which strength (m,)."""
-    from matplotlib.collections import PolyCollection
-
     faces = np.column_stack([np.clip(colours, 0, 1), np.ones(len(colours))])
     dark = np.column_stack([faces[:, :3] * (1.0 - 0.35 * strength)[:, None], faces[:, 3]])
     # faces without edges get rims of their colour, to close the gaps left by antialiasing
@@ -358,11 +357,9 @@ def _paint_triangles(
         thick = np.concatenate([thick, np.full(len(extra), 0.4)])
         depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
     order = np.argsort(depth, kind="stable")
-    axes3d.axes.add_collection(
-        PolyCollection(
-            [polygons[i] for i in order], facecolors=faces[order], edgecolors=rims[order],
-            linewidths=thick[order], joinstyle="round", zorder=1,
-        )
+    add_polygons(
+        axes3d.axes, [polygons[i] for i in order], facecolors=faces[order],
+        edgecolors=rims[order], linewidths=thick[order], joinstyle="round", zorder=1,
     )  # fmt: skip
 
 
@@ -378,26 +375,17 @@ def _paint_seen(
     axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
 ) -> None:
     """Paint the parts of strokes (k, 2, 3) that no triangle hides."""
-    from matplotlib.collections import LineCollection
-
     if len(strokes):
         ends = axes3d.camera.project(strokes)
-        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / _PIECE
+        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / 6.0
                          / axes3d.point).astype(np.int64)  # fmt: skip
         stroke, k = offsets_within(np.maximum(pieces, 1))
         share = np.stack([k, k + 1], axis=1) / np.maximum(pieces, 1)[stroke, None]
         way = ends[stroke, 1] - ends[stroke, 0]
         ends = ends[stroke, :1] + share[..., None] * way[:, None]
         seen = visible(ends.mean(axis=1), flat, tolerance)
-        axes3d.axes.add_collection(
-            LineCollection(
-                list(ends[seen, :, :2]),
-                colors=[colour],
-                linewidths=thick,
-                capstyle="round",
-                zorder=2,
-            )
-        )
+        add_lines(axes3d.axes, ends[seen, :, :2], colors=[colour], linewidths=thick,
+                  capstyle="round", zorder=2)  # fmt: skip
 
 
 def _paint_feet(axes3d: Axes3D, places: Array, flat: Array, tolerance: float) -> None:
@@ -427,7 +415,5 @@ def outline_of(points: Array, triangles: Integers) -> Array:
     _, first, same = np.unique(
         np.round(points / step), axis=0, return_index=True, return_inverse=True
     )
-    merged = same.reshape(-1)[triangles]
-    pairs = np.sort(merged[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
+    pairs, counts = edges_of(same.reshape(-1)[triangles])
     return points[first[pairs[counts == 1]]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,17 +16,13 @@ from crms_fenicsx.results.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.results.output.figures.picture import MARGIN, new_figure
-from crms_fenicsx.results.views.view_data import Line
+from crms_fenicsx.results.output.figures.picture import add_lines, add_polygons, new_figure, png_of
+from crms_fenicsx.results.view_data import Line
 
 UPLIFT, DOWNWARD, CABLE, BAR = DISTINCT[1], DISTINCT[0], "#444b55", DISTINCT[3]
 HELD = "#1d1f24"
 ROOM = 0.16
 """Longest arrow and highest ordinate of a diagram, relative to the plan's size."""
-LETTER = 3.9
-"""Mean width of a letter (points)."""
-MOST_NAMES, MOST_VALUES = 80, 30
-"""Largest numbers of names of lines, and of values of vertical forces, written in a plan."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +39,6 @@ class ForcePlan:
 
 def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float = 6.0) -> bytes:
     """Draw arrows of horizontal forces and a diagram of the forces per length beside the rim."""
-    from matplotlib.collections import LineCollection, PolyCollection
-
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
     places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
@@ -64,16 +57,11 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         outer = flat + sizes[..., None] * out[:, None]
         quads = np.concatenate([flat, outer[:, ::-1]], axis=1)
         up = plan.per_length[..., 2].sum(axis=1) > 0.0
-        axes.add_collection(
-            PolyCollection(
-                list(quads), facecolors=[UPLIFT if x else DOWNWARD for x in up], alpha=0.35,
-                edgecolors="none",
-            )
-        )  # fmt: skip
-        axes.add_collection(LineCollection(list(outer), colors=INK, linewidths=0.6))
-    faint = list(plan.outline[..., :2])
-    axes.add_collection(LineCollection(faint, colors="#9aa3ad", linewidths=0.7, zorder=1))
-    axes.add_collection(LineCollection(list(plan.rim[..., :2]), colors=HELD, linewidths=1.4))
+        colours = [UPLIFT if x else DOWNWARD for x in up]
+        add_polygons(axes, quads, facecolors=colours, alpha=0.35, edgecolors="none")
+        add_lines(axes, outer, colors=INK, linewidths=0.6)
+    add_lines(axes, plan.outline[..., :2], colors="#9aa3ad", linewidths=0.7, zorder=1)
+    add_lines(axes, plan.rim[..., :2], colors=HELD, linewidths=1.4)
     for name, (at, one) in plan.points.items():
         size_of = float(np.linalg.norm(one))
         colour = INK if size_of == 0.0 else UPLIFT if one[2] > 0.0 else DOWNWARD
@@ -84,7 +72,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
                 "", tip, at[:2], zorder=4,
                 arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3},
             )  # fmt: skip
-        few = len(plan.points) <= MOST_VALUES
+        few = len(plan.points) <= 30
         side = (at[:2] - centre) / np.maximum(np.ptp(flats, axis=0), 1e-300)
         across = abs(side[1]) > abs(side[0])  # at the upper or lower side
         out = np.sign(side) * (not across, across)
@@ -100,7 +88,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         per = f"{force}/{unit}" if force and unit else ""
         text.append(f"largest force of the rim {plan.most_per_length:.4g} {per}".rstrip())
     axes.set_title("; ".join(text), fontsize=8, color=INK)
-    return _png(axes.figure, dpi)
+    return png_of(axes.figure, dpi)
 
 
 @dataclass(frozen=True)
@@ -117,34 +105,26 @@ class ModelPlan:
 
 def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> bytes:
     """Draw the mesh, supports, warp directions, and cables and bars with their names."""
-    from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.lines import Line2D
 
     lines = [np.asarray(line.points)[:, :2] for line in (*plan.cables, *plan.bars)]
     places = [plan.corners[..., :2].reshape(-1, 2), *lines]
     axes, size = _axes(np.concatenate(places), unit, width, 0.04)
     centre = plan.corners[..., :2].reshape(-1, 2).mean(axis=0)
-    axes.add_collection(
-        PolyCollection(
-            list(plan.corners[..., :2]), facecolors="#eef2f7", edgecolors="#cfd6de",
-            linewidths=0.3, zorder=1,
-        )
-    )  # fmt: skip
+    add_polygons(axes, plan.corners[..., :2], facecolors="#eef2f7", edgecolors="#cfd6de",
+                 linewidths=0.3, zorder=1)  # fmt: skip
     at, way = plan.warp
     half = 0.02 * size * way[:, :2]
     strokes = np.stack([at[:, :2] - half, at[:, :2] + half], axis=1)
-    axes.add_collection(LineCollection(list(strokes), colors=DISTINCT[2], linewidths=1.4, zorder=2))
-    axes.add_collection(
-        LineCollection(list(plan.rim[..., :2]), colors=HELD, linewidths=2.2, zorder=3)
-    )
-    for one, colour in ((plan.cables, CABLE), (plan.bars, BAR)):
-        shown = [np.asarray(line.points)[:, :2] for line in one]
-        axes.add_collection(LineCollection(shown, colors=colour, linewidths=1.2, zorder=3))
+    add_lines(axes, strokes, colors=DISTINCT[2], linewidths=1.4, zorder=2)
+    add_lines(axes, plan.rim[..., :2], colors=HELD, linewidths=2.2, zorder=3)
+    colours = [CABLE] * len(plan.cables) + [BAR] * len(plan.bars)
+    add_lines(axes, lines, colors=colours, linewidths=1.2, zorder=3)
     for _, place in plan.points:
         axes.plot(place[0], place[1], "^", color=HELD, markersize=5, zorder=4)
     named = _line_names(plan, centre, 1e-3 * size)
-    names = named if len(named) <= MOST_NAMES else []
-    if len(plan.points) <= MOST_VALUES:
+    names = named if len(named) <= 80 else []
+    if len(plan.points) <= 30:
         names += [(name, [(place[:2], way) for way in _ways(place[:2] - centre)])
                   for name, place in plan.points if name]  # fmt: skip
     _write_apart(axes, names, plan.rim[..., :2])
@@ -157,7 +137,7 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
         handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8,
         frameon=False,
     )  # fmt: skip
-    return _png(axes.figure, dpi)
+    return png_of(axes.figure, dpi)
 
 
 Place = tuple[Array, Array]
@@ -222,7 +202,7 @@ def _write_apart(axes: Any, names: Sequence[tuple[str, Sequence[Place]]], rim: A
         for at, out in places:
             away = 9.0 * out / (np.linalg.norm(out) or 1.0)
             x, y = axes.transData.transform(at) * points + away
-            wide = LETTER * len(name)
+            wide = 3.9 * len(name)
             left = x if away[0] > 4.0 else x - wide if away[0] < -4.0 else x - wide / 2
             box = np.array([left - 2.0, y - 4.5, left + wide + 2.0, y + 4.5])
             over = np.minimum(taken[:, 2:], box[2:]) - np.maximum(taken[:, :2], box[:2])
@@ -260,9 +240,3 @@ def _name(axes: Any, text: str, at: Array, away: Array) -> None:
     axes.texts[-1].set_horizontalalignment(
         "left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center"
     )
-
-
-def _png(figure: Any, dpi: int) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight", pad_inches=MARGIN)
-    return buffer.getvalue()

@@ -78,10 +78,6 @@ def draw_convergence(
         return finished(figure, path, 160)
 
 
-_SEEN = 0.01
-"""Fraction of a panel's largest value above which a column is visible."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class HistoryOptions:
     """Options of `draw_history`.
@@ -194,20 +190,18 @@ def default_panels(history: History) -> list[list[str]]:
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
-    shown = [[c for c in group if not _constant(history[c])] for group in groups]
+    shown = [  # constant but for the solver's tolerance
+        [c for c in group if np.ptp(_extent([history[c]])) > FLAT * _size(history[c])]
+        for group in groups
+    ]
     if not any(shown):  # such as a single step
         shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
     largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
     seen = [
-        [c for c in group if _size(history[c]) >= _SEEN * size]
+        [c for c in group if _size(history[c]) >= 0.01 * size]
         for group, size in zip(shown, largest, strict=True)
     ]
     return [group for group in seen if group]
-
-
-def _constant(values: Array) -> bool:
-    """Whether values are one but for the solver's tolerance."""
-    return float(np.ptp(_extent([values]))) <= FLAT * _size(values)
 
 
 def _size(values: Array) -> float:

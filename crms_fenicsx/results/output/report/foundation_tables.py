@@ -1,4 +1,5 @@
-"""Tables of the forces on foundations, grouped by points where cables, bars and supports meet."""
+"""Tables of the forces on foundations, grouped by points where cables, bars and supports meet;
+of clamps, anchors and cables to order."""
 
 from __future__ import annotations
 
@@ -10,18 +11,16 @@ from itertools import count
 import numpy as np
 
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
+from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.foundations import FoundationPoint
 from crms_fenicsx.results.output.report.case import Case
-from crms_fenicsx.results.output.report.page import Table
-from crms_fenicsx.results.output.report.results_tables import Row, clean, with_size
-from crms_fenicsx.results.output.report.units import Units
+from crms_fenicsx.results.output.report.page import Measured, Table, Units
+from crms_fenicsx.results.output.report.results_tables import ResultTables, Row, clean, with_size
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal component and angles."""
 NOTHING = 1e-4
 """Components below this fraction of the largest are shown as zero."""
-BALANCED = 1e-8
-"""Relative difference of loads and foundation forces attributed to rounding."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class FoundationTables:
             scale = max([abs(x) for one in of.loads.values() for x in one], default=0.0)
             for name, force in of.loads.items():
                 rows.append((case.name, name, *clean(force, scale, NOTHING)))
-            words = f"to {BALANCED:g}" if of.unbalanced <= BALANCED else f"to {of.unbalanced:.1e}"
+            words = "to 1e-08" if of.unbalanced <= 1e-8 else f"to {of.unbalanced:.1e}"
             rows.append(
                 (case.name, f"all foundations (balanced {words})", *clean(of.total, scale, NOTHING))
             )
@@ -166,3 +165,54 @@ def inclined(force: Force) -> tuple[float | None, float | None, float]:
 def _angle(way: Sequence[float]) -> float:
     """Direction in plan from the x axis, 0 to 360 degrees."""
     return math.degrees(math.atan2(way[1], way[0])) % 360.0
+
+
+DECIMALS = {"mm": 0, "cm": 1, "in": 2}
+"""Decimals of lengths to order, to the millimetre, by unit; 3 of metres, feet and unknown ones."""
+
+
+def clamps(results: ResultTables) -> Table:
+    """Tensions on both sides of each clamp, and its force, in all cases."""
+    rows: list[Row] = [
+        (name, case, one.before[0], one.after[0], one.before[1], one.after[1], one.size)
+        for name, case, one in results.each("clamps")
+    ]
+    columns = results.units.headings(
+        "Clamp|Combination|Cable 1, before{force}|Cable 1, after{force}|Cable 2, before{force}|"
+        "Cable 2, after{force}|Force{force}"
+    )
+    return Table("Clamps", columns, rows, "clamps", headings=2)
+
+
+def anchors(results: ResultTables) -> Table:
+    """Anchor forces on the cables' ends."""
+    cases = results.cases
+    rows: list[Row] = [
+        (name, which, case.name, *with_size(force), *inclined(force))
+        for name in results.names("cables") for which in ("start", "end") for case in cases
+        if (force := getattr(case.summary.cables.get(name), which, None)) is not None
+    ]  # fmt: skip
+    columns = results.units.headings(
+        "Cable|End|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}|" + DIRECTION
+    )
+    return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
+
+
+def cables_to_order(cables: Order, units: Units) -> Table:
+    """Manufacturing lengths and marks of cables."""
+    kinds = ["", "force", "length", "force", "length", "", "", "length", "length", "length"]
+    columns = [name + units[kind] for name, kind in zip(cables.COLUMNS, kinds, strict=True)]
+    decimals = DECIMALS.get(units.length, 3)
+    rows = [
+        [
+            Measured(cell, decimals) if kind == "length" and isinstance(cell, float) else cell
+            for cell, kind in zip(row, kinds, strict=True)
+        ]
+        for row in cables.rows()
+    ]
+    start, end = cables.allowance
+    caption = (
+        f"Cables to order, measured at {cables.temperature:g} K above the model's temperature; cut "
+        f"with allowances of {start:g} and {end:g}"
+    )
+    return Table(caption, columns, rows, "order")

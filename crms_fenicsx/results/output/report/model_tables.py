@@ -26,9 +26,8 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
-from crms_fenicsx.results.output.report.page import Cell, Figure, Table, number, shown
+from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row, clean, families, part_name
-from crms_fenicsx.results.output.report.units import Units
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 
@@ -79,7 +78,11 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
             "Joints",
             "Joint|Held directions|x{length}|y{length}|z{length}",
             [
-                (joint.name, _held(joint), *clean(floats(joint.position), max(extents), 1e-4))
+                (
+                    joint.name,
+                    ", ".join(x for x, k in COMPONENTS.items() if joint.held[k]),
+                    *clean(floats(joint.position), max(extents), 1e-4),
+                )
                 for joint in scene.joints
             ],
         ),
@@ -249,10 +252,6 @@ def _bar(bar: PlacedBar) -> Row:
                   for one in (bar.start, bar.end))  # fmt: skip
     of = bar.bar
     return bar.name, kind, of.strength, of.curve, of.EI, of.EA, bar.L0, start, end
-
-
-def _held(joint: Joint) -> str:
-    return ", ".join(letter for letter, k in COMPONENTS.items() if joint.held[k])
 
 
 def _loads(scene: Scene) -> list[Row]:

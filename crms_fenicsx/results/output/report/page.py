@@ -1,10 +1,8 @@
-"""Elements of a report page: sections of texts, figures, charts and tables."""
+"""Elements of a report page: sections of texts, figures, charts and tables; units."""
 
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import math
 import struct
 from collections.abc import Sequence
@@ -13,13 +11,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from crms_fenicsx.results.output.history import escaped
+from crms_fenicsx.results.output.figures.plots import units_of_results
+from crms_fenicsx.results.output.history import csv_line
 
 Cell = str | int | float | None
 """None is an empty cell: no value."""
 
-MOST_ROWS = 600
-"""Number of rows above which a table is in the CSV file only."""
 SHORT = 8
 """Number of rows up to which a table is kept on one printed page."""
 
@@ -195,7 +192,7 @@ class Table:
     @property
     def is_long(self) -> bool:
         """Whether it is in the CSV file only."""
-        return bool(self.name) and len(self.rows) > MOST_ROWS
+        return bool(self.name) and len(self.rows) > 600
 
     @property
     def is_short(self) -> bool:
@@ -233,11 +230,7 @@ class Table:
 
     def csv(self) -> str:
         """The table as CSV text, numbers with all digits, texts escaped."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(map(escaped, self.columns))
-        writer.writerows(["" if x is None else escaped(x) for x in row] for row in self.rows)
-        return buffer.getvalue()
+        return "".join(map(csv_line, (self.columns, *self.rows)))
 
 
 @dataclass(frozen=True)
@@ -325,3 +318,24 @@ def place(at: Sequence[float], size: float) -> str:
     decimals = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 3
     numbers = (f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
     return "; ".join(numbers).replace("-", MINUS)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of length and force, as in headings."""
+
+    length: str = ""  # such as "m" and "kN"; "" if unknown
+    force: str = ""
+
+    def __getitem__(self, kind: str) -> str:
+        """Unit of a kind of quantity as " [m]"; "" if unknown."""
+        unit = units_of_results(self.length, self.force).get(kind)
+        return f" [{unit}]" if unit else ""
+
+    def plain(self, kind: str) -> str:
+        """Unit of a kind of quantity as " m", without brackets."""
+        return self[kind].replace("[", "").replace("]", "")
+
+    def headings(self, text: str) -> list[str]:
+        """Headings from a text such as "Length{length}|State", with units."""
+        return text.format_map(self).split("|")

@@ -1,30 +1,127 @@
-"""Report pictures independent of a single load case: model, loads, foundation forces."""
+"""Pictures of a report: load cases, model, loads, foundation forces."""
 
 from __future__ import annotations
 
+import io
+import math
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.foundations import held_rim
-from crms_fenicsx.results.load_values import load_label
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.output.figures.draw_scene import LOAD, MOST_STROKES, HasSystem, spread
+from crms_fenicsx.results.output.figures.draw_scene import (
+    LOAD,
+    MOST_STROKES,
+    QUANTITY_OF,
+    SIGNED,
+    draw,
+    label_of,
+    spread,
+)
 from crms_fenicsx.results.output.figures.draw_surface import outline_of
 from crms_fenicsx.results.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
-from crms_fenicsx.results.output.report.case import SHARPEST, draw_png
+from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
-from crms_fenicsx.results.output.report.page import Figure
+from crms_fenicsx.results.output.report.page import Figure, Units
+from crms_fenicsx.results.output.report.pdf_and_views import interactive_view
 from crms_fenicsx.results.output.report.results_tables import families
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.views.view_data import Line, surface_piece, whole_surface
+from crms_fenicsx.results.quantities import HasSystem, load_label
+from crms_fenicsx.results.reactions import gap
+from crms_fenicsx.results.summary import SUMMED_UP
+from crms_fenicsx.results.view_data import Line, whole_shape
 
-MOST_PLANNED = 40_000
-"""Largest number of cells in a plan; more would print black."""
+SHARPEST = 150
+"""Largest resolution of pictures (pixels per inch), for up to 20 of them."""
+
+
+def with_pictures(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
+) -> Case:
+    """The case with pictures of the solver's current state. Collective."""
+    common = _common(every)
+    options = {"box": common[0], "line_limits": common[1], **look}
+    if common[1] is not None and common[1][0] < 0.0:
+        options.setdefault("line_colours", SIGNED)
+    count = max(len(every) * len(colours), 1)
+    dpi = int(np.clip(SHARPEST * math.sqrt(20 / count), 70, SHARPEST))
+    pictures = []
+    for colour in colours:  # one colour bar per picture, to leave room for the shape
+        fabric = None if colour == TENSION else colour
+        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        options |= {
+            "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
+            "directions": forces, "loose": "lifted" if fabric is None else None,
+        }  # fmt: skip
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        if png:
+            label = LINES if fabric is None else label_of(colour)[0]
+            label += "; strokes: larger principal force" if forces else ""
+            pictures.append(Figure(png, f"{case.name}: {label}"))
+    return replace(case, pictures=tuple(pictures))
+
+
+def with_view(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
+) -> Case:
+    """The case with an interactive page of the solver's current state. Collective."""
+    known = (one for one in colours if QUANTITY_OF.get(one) in SUMMED_UP)
+    colour = next(known, "stress")
+    limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
+    labels = units[label_of(colour)[1]], units["force"]
+    return replace(case, view=interactive_view(solver, case.name, colour, limits, labels))
+
+
+def draw_png(solver: HasSystem, *, dpi: int, **options: Any) -> bytes:
+    """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
+    figure, buffer = draw(solver, width=6.0, **options), io.BytesIO()
+    if figure is not None:
+        from PIL import Image
+
+        png: bytes = figure._repr_png_(dpi)  # type: ignore[attr-defined]
+        with Image.open(io.BytesIO(png)) as picture:  # 256 colours take a third of the space
+            # not the default, "median cut", which replaces the ends of colour bars
+            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+            reduced.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
+    """Box and force range common to all cases; no range without forces."""
+    low = np.min([case.low for case in every], axis=0)
+    high = np.max([case.high for case in every], axis=0)
+    air = 0.03 * float((high - low).max())
+    box = low - np.array([air, air, 0.0]), high + np.array([air, air, air / 2])
+    forces = [0.0]
+    for case in every:
+        forces += [one.largest for one in case.summary.cables.values()]
+        forces += [one.force for one in case.summary.bars.values()]
+    low, high = min(forces), max(forces)
+    if low < 0.0:  # symmetric, as the colours of compression and tension
+        low, high = min(low, -high), max(-low, high)
+    return box, (low, high) if any(forces) else None
+
+
+TENSION, LINES = "tension", "axial forces of cables and bars"
+"""Name and caption of the picture of axial forces on plain fabric."""
+
+
+def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
+    """Range of a colour over all cases; None if unknown."""
+    if colour == "displacement":
+        return 0.0, max(case.summary.displacement.value for case in every) or 1.0
+    name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]
+    if name not in SUMMED_UP:
+        return None
+    low = min(part.least[name].value for part in parts if name in part.least)
+    high = max(part.largest[name].value for part in parts if name in part.largest)
+    low = 0.0 if low > -1e-9 * high else low
+    return (low, max(high, 0.0)) if low < high else None
 
 
 def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
@@ -33,7 +130,8 @@ def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list
     png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
     if png:
         found.append(Figure(png, f"{caption}; faintly the stress-free shape", "model"))
-    if scene.mesh.mesh.topology.index_map(2).size_global <= MOST_PLANNED:
+    # more would print black
+    if scene.mesh.mesh.topology.index_map(2).size_global <= 40_000:
         plan = _model_plan(solver)
         if scene.comm.rank == 0:
             warp = "warp, " if len(plan.warp[0]) else ""
@@ -71,16 +169,14 @@ def _model_plan(solver: HasSystem) -> ModelPlan:
 def _held_points(scene: Scene) -> dict[str, Array]:
     """Positions of named held mesh points off the held edges. Collective."""
     found, n = dict[str, Array](), scene.V.dofmap.index_map.size_local
-    rim = held_rim(scene).reshape(-1, 3)
+    rim = held_rim(scene)
     for name in scene.mesh.points:
         dofs = scene.vertices(name)
         own = dofs[dofs < n]
         places = scene.positions()[own[scene.held[own].any(axis=1)]]
         every = np.concatenate(scene.comm.allgather(places))
-        if len(every):
-            gaps = np.linalg.norm(rim - every[0], axis=1)
-            if gaps.min(initial=np.inf) > 1e-9 * scene.membrane.size:
-                found[name] = every[0]
+        if len(every) and gap(every[0], rim) > 1e-9 * scene.membrane.size:
+            found[name] = every[0]
     return found
 
 
@@ -102,9 +198,7 @@ def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
 
 def outline_in_plan(scene: Scene) -> Array:
     """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
-    surface = whole_surface(
-        scene.comm, surface_piece(scene.membrane, current_surface(scene.net), {})
-    )
+    surface = whole_shape(scene)
     edges: Array = np.zeros((0, 2, 3))
     if surface is not None:
         edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))

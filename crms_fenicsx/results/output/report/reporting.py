@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.load_cases import (
     Combination,
-    HasStates,
     back_to_now,
     checked_states,
 )
@@ -24,72 +22,31 @@ from crms_fenicsx.foundation.runtime.files import absolute, make_writable, repla
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
-from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF, HasSystem
+from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF
 from crms_fenicsx.results.output.report.case import (
-    TENSION,
     Case,
+    Shape,
     case_of,
-    with_pictures,
-    with_view,
+    shape_of,
 )
-from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
-from crms_fenicsx.results.output.report.interactive import check_interactive
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import MACROS, PageSection
+from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
 from crms_fenicsx.results.output.report.pictures import (
+    TENSION,
     force_figures,
     load_figures,
     model_figures,
     outline_in_plan,
+    with_pictures,
+    with_view,
 )
-from crms_fenicsx.results.output.report.printing import browser, print_page
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import Report, with_codes
-from crms_fenicsx.results.output.report.units import Units
-from crms_fenicsx.results.output.report.verdict import Limits
-from crms_fenicsx.results.quantities import names_of
-from crms_fenicsx.results.shape_change import Shape, shape_of
+from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
+from crms_fenicsx.results.quantities import Solved, names_of
 
 NOW = "Current state"
 """Case name in a report without combinations."""
-
-
-class Reported(HasSystem, HasStates, Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
-
-    base: SceneState | None
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Contents of a report: the options of `Solver.report`."""
-
-    path: Path  # of the page
-    title: str = "Membrane structure"  # title, about: heading, and entries below it
-    about: Mapping[str, str] = field(default_factory=dict)
-    unit: str = ""
-    force: str = ""
-    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
-    pictures: Sequence[str] | None = None  # colours of the membrane
-    view: tuple[float, float] = (-60.0, 30.0)
-    sections: Sequence[PageSection] = ()  # additional ones
-    order: Order | None = None  # lengths of the cables to be made
-    # joints, or cables with "start" or "end", by foundation
-    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    strain_limit: float = 0.1  # limit of the larger principal strain
-    template: str | Path | None = None  # jinja2 template of the page
-    pdf: bool = False  # whether to print the page to PDF, too
-    interactive: bool = False  # whether to write interactive pages
-
-    @property
-    def units(self) -> Units:
-        """Units of length and force."""
-        return Units(self.unit, self.force)
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """Options of `draw` common to all pictures."""
-        return {"unit": self.unit, "force": self.force, "view": self.view}
 
 
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
@@ -110,11 +67,11 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
-            f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
+            f"report: sections = {plan.sections!r}; pass what patterns.report_sections returned."
         )
     if plan.order is not None and not isinstance(plan.order, Order):
         raise InputError(
-            f"report: order = {plan.order!r}; give what nets.lengths_to_order(...) returned."
+            f"report: order = {plan.order!r}; pass what nets.lengths_to_order(...) returned."
         )
     foundations = _checked_foundations(scene, plan.foundations)
     pictures = _checked_pictures(scene, plan.pictures)
@@ -127,10 +84,10 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         if comm.rank == 0:
             if path.suffix.lower() not in (".html", ".htm"):
                 raise InputError(
-                    f"report: filename = {str(path)!r} is no page; give one with .html."
+                    f"report: filename = {str(path)!r} is not a page; pass a name with .html."
                 )
             if path.is_dir():
-                raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+                raise InputError(f"report: {path} is a folder; pass the name of a file in it.")
             make_writable(path.parent)
             if plan.pdf:
                 browser()
@@ -138,12 +95,12 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                 check_interactive()
             if plan.template is not None and not Path(plan.template).is_file():
                 raise InputError(
-                    f"report: there is no template {str(plan.template)!r}; give a file of jinja2, "
+                    f"report: there is no template {str(plan.template)!r}; pass a file of jinja2, "
                     'which may begin with {% extends "report.html" %}.'
                 )
             if path.name == MACROS or (plan.template and path == Path(plan.template).absolute()):
                 raise InputError(
-                    f"report: filename = {str(path)!r} is a template's name; give the page another."
+                    f"report: filename = {str(path)!r} is a template's name; use another name."
                 )
     return replace(
         plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
@@ -167,7 +124,7 @@ def _checked_foundations(
         unknown = [one for one in members if one not in known]
         if unknown or isinstance(members, str):
             raise InputError(
-                f"report: the foundation {name!r} carries {unknown or members!r}; give a list of "
+                f"report: the foundation {name!r} carries {unknown or members!r}; pass a list of "
                 'ends of cables, such as "A1 start", and of names of joints.'
             )
     return {str(name): tuple(members) for name, members in foundations.items()}
@@ -186,7 +143,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
         if QUANTITY_OF.get(colour, known[0]) not in known:
             raise InputError(
                 "report: pictures has 'utilisation', but there are no strengths; call "
-                "scene.set_strengths(...) before."
+                "scene.set_strengths(...) first."
                 if colour == "utilisation"
                 else f"report: pictures has {colour!r}, but the membrane is isotropic and has no "
                 'warp; take "stress" and "stress 2".'
@@ -194,7 +151,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
     return tuple(pictures)
 
 
-def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
+def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
     """Results of the combinations, or of the current state if there are none. Collective."""
     cases = list[Case]()
     if not states:
@@ -215,7 +172,7 @@ def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case
 
 
 def drawn(
-    solver: Reported, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
+    solver: Solved, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
     every: Sequence[Case],
 ) -> list[Case]:  # fmt: skip
     """The cases with pictures in the colour scales of `every` case. Collective."""
@@ -232,7 +189,7 @@ def drawn(
     return pictured
 
 
-def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) -> Model:
+def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> Model:
     """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
@@ -260,7 +217,7 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
         return _pictured(solver, plan, model, caption)
 
 
-def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
+def _pictured(solver: Solved, plan: Plan, model: Model, caption: str) -> Model:
     """A model with pictures of the scene's current state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
@@ -270,25 +227,16 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
     return replace(model, pictures=figures, loads=loads, outline=outline_in_plan(scene))
 
 
-def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
+def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
     """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
             factors = results.factors(model.pressure, model.factors)
-            limits = Limits(plan.strain_limit, plan.cable_strengths)
-            held = FoundationTables(cases, plan.units, plan.foundations)
-            report = Report(
-                plan.title, [*plan.about.items()], model, factors, results, held, limits,
-                plan.sections, stem=plan.path.stem, order=plan.order,
-                template=Path(plan.template) if plan.template else None,
-            )  # fmt: skip
-            path, tables, coded = plan.path, report.tables(), with_codes(cases, factors)
-            held = replace(held, cases=coded)
-            report = replace(
-                report, results=replace(results, cases=coded), held=held,
-                plans=force_figures(held, model.outline),
-            )  # fmt: skip
+            report = Report(plan, model, cases, factors)
+            path, tables = plan.path, report.tables()
+            report = replace(report, cases=with_codes(cases, factors))
+            report = replace(report, plans=force_figures(report.held, model.outline))
             texts = {path: report.html()}
             texts |= {path.with_name(name): page for name, page in report.views.items()}
             for table in tables:
@@ -302,7 +250,7 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
 
 
 def write_report(
-    solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
+    solver: Solved, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
     """Write a report of combinations or the current state; options as `Plan`. Collective."""

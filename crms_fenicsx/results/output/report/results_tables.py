@@ -16,10 +16,10 @@ from crms_fenicsx.results.output.report.page import (
     PagePart,
     Paragraph,
     Table,
+    Units,
     per_cent,
     place,
 )
-from crms_fenicsx.results.output.report.units import Units
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
 
@@ -31,10 +31,6 @@ NOISE = 1e-6
 """Force components below this fraction of the largest are rounding errors."""
 FINE = 1e-3
 """Values below this fraction of the largest are shown as zero, as irrelevant to design."""
-PEAK = 1.25
-"""Ratio of largest to largest smoothed cell value above which it is called a peak."""
-FAMILY = 10
-"""Number of bars from which those with numbered names share rows on the page."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ class ResultTables:
             nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
-            elif nodal is not None and high.value > PEAK * max(nodal, 0.0):
+            elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
                 peak = "single-cell peak"
             rows.append((
                 part_name(part), label, *clean([low.value], abs(high.value), FINE),
@@ -243,7 +239,7 @@ class ResultTables:
             least, low = min(found, key=lambda one: one[1].force)
             largest, high = max(found, key=lambda one: one[1].force)
             most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
-                       key=_share, default=None)  # fmt: skip
+                       key=lambda one: one[1] or 0.0, default=None)  # fmt: skip
             used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
             rows.append((label, low.force, least, high.force, largest, *used))
         columns = self.units.headings(
@@ -386,7 +382,7 @@ def families(names: Sequence[str]) -> dict[str, list[str]]:
         found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
     shared: dict[str, list[str]] = {}
     for own in found.values():
-        many = len(own) >= FAMILY
+        many = len(own) >= 10
         shared |= {f"{own[0]} ... {own[-1]}": own} if many else {name: [name] for name in own}
     return shared
 
@@ -398,10 +394,6 @@ def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[flo
 
 def _value(one: tuple[str, Extreme]) -> float:
     return one[1].value
-
-
-def _share(one: tuple[str, float | None]) -> float:
-    return one[1] or 0.0
 
 
 def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:

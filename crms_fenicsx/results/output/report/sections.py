@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.results.cable_order import Order
-from crms_fenicsx.results.output.report import net_tables
-from crms_fenicsx.results.output.report.case import Case
-from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
+from crms_fenicsx.results.output.report.case import Case, verdict_on
+from crms_fenicsx.results.output.report.foundation_tables import (
+    FoundationTables,
+    anchors,
+    cables_to_order,
+    clamps,
+)
 from crms_fenicsx.results.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.results.output.report.page import (
     LARGEST,
@@ -25,12 +30,12 @@ from crms_fenicsx.results.output.report.page import (
     PageSection,
     Paragraph,
     Table,
+    Units,
     number,
     page,
     per_cent,
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.verdict import Limits, verdict_on
 
 FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
@@ -84,18 +89,12 @@ NOTES = (
     "the others to be known well, not that the state is no equilibrium.",
 )
 """Notes on reading the results."""
-PER_PICTURE = 1000
-"""Bytes of the page per picture, besides its data."""
-
-
-LONG = 28
-"""Length of a case name from which all cases are called by their codes."""
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
     """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
-    if max(len(case.name) for case in cases) < LONG:
+    if max(len(case.name) for case in cases) < 28:
         return list(cases)
     order = list(codes)
     return [
@@ -108,27 +107,58 @@ def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """Contents of a report: the options of `Solver.report`."""
+
+    path: Path  # of the page
+    title: str = "Membrane structure"  # title, about: heading, and entries below it
+    about: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    force: str = ""
+    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
+    pictures: Sequence[str] | None = None  # colours of the membrane
+    view: tuple[float, float] = (-60.0, 30.0)
+    sections: Sequence[PageSection] = ()  # additional ones
+    order: Order | None = None  # lengths of the cables to be made
+    # joints, or cables with "start" or "end", by foundation
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    strain_limit: float = 0.1  # limit of the larger principal strain
+    template: str | Path | None = None  # jinja2 template of the page
+    pdf: bool = False  # whether to print the page to PDF, too
+    interactive: bool = False  # whether to write interactive pages
+
+    @property
+    def units(self) -> Units:
+        """Units of length and force."""
+        return Units(self.unit, self.force)
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Options of `draw` common to all pictures."""
+        return {"unit": self.unit, "force": self.force, "view": self.view}
+
+
+@dataclass(frozen=True)
 class Report:
     """Contents of a report."""
 
-    title: str  # title, about: heading, and entries below it
-    about: Sequence[tuple[str, str]]
+    plan: Plan
     model: Model  # with its pictures
+    cases: Sequence[Case]  # one or more
     factors: Table  # load factors, with the cases' codes and names
-    results: ResultTables
-    held: FoundationTables
-    limits: Limits
-    further: Sequence[PageSection] = ()  # additional sections
     plans: Sequence[Figure] = ()  # of the foundation forces
     left_out: int = 0  # number of pictures omitted for lack of room
-    order: Order | None = None  # lengths of the cables to be made
-    template: Path | None = None  # jinja2 template; None: the package's
-    stem: str = "report"  # stem of all file names
 
     @property
-    def cases(self) -> Sequence[Case]:
-        """The load cases, one or more."""
-        return self.results.cases
+    def results(self) -> ResultTables:
+        """Tables of the cases."""
+        plan = self.plan
+        return ResultTables(self.cases, plan.units, self.model.size, plan.cable_strengths)
+
+    @property
+    def held(self) -> FoundationTables:
+        """Tables of the forces on foundations."""
+        return FoundationTables(self.cases, self.plan.units, self.plan.foundations)
 
     @property
     def views(self) -> dict[str, str]:
@@ -138,14 +168,14 @@ class Report:
 
     @property
     def _files(self) -> list[str]:
-        return [f"{self.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
+        return [f"{self.plan.path.stem}_view_{k}.html" for k in range(1, len(self.cases) + 1)]
 
     def html(self) -> str:
         """The HTML page, with as many pictures as fit."""
         room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
         cases = []
         for case in self.cases:
-            need = np.cumsum([PER_PICTURE + len(one.png) * 4 // 3 for one in case.pictures])
+            need = np.cumsum([1000 + len(one.png) * 4 // 3 for one in case.pictures])
             fitting = case.pictures[: int(np.count_nonzero(need <= room))]
             room -= int(need[len(fitting) - 1]) if fitting else 0
             cases.append(replace(case, pictures=fitting))
@@ -155,15 +185,15 @@ class Report:
 
     def _with(self, cases: Sequence[Case]) -> bytes:
         """The page with other pictures of the cases."""
-        return replace(self, results=replace(self.results, cases=cases))._page().encode()
+        return replace(self, cases=cases)._page().encode()
 
     def _page(self) -> str:
-        results, units = self.results, self.results.units
-        about = list(self.about)
-        if units.length or units.force:
-            about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
+        results, plan = self.results, self.plan
+        about = [*plan.about.items()]
+        if plan.unit or plan.force:
+            about.append(("Units", ", ".join(x for x in (plan.unit, plan.force) if x)))
         about += versions(self.model.ranks)
-        verdict = verdict_on(self.cases, self.limits, results.size)
+        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.cable_strengths)
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
@@ -173,11 +203,11 @@ class Report:
             *self._model(),
             *self._results(),
             *self._forces(),
-            *self.further,
+            *plan.sections,
             PageSection("Verification", [results.verdicts(), *results.nearest_to_limits()]),
             PageSection("Notes", [Notes(NOTES)]),
         ]
-        return page(self.title, about, sections, self.template)
+        return page(plan.title, about, sections, Path(plan.template) if plan.template else None)
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -193,19 +223,19 @@ class Report:
         found += [self.held.lines(), self.held.balance()]
         found.append(of.verification())
         if of.names("cables"):
-            found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
+            found += [of.cables(), of.cable_envelope(), anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
-        more = [net_tables.clamps(of), of.joints(), of.ponds(), of.patches()]
+        more = [clamps(of), of.joints(), of.ponds(), of.patches()]
         more += [self.held.places(), self.held.forces(), self.held.envelope()]
-        if self.order is not None:
-            more.append(net_tables.order(self.order, of.units))
-        more += [part for one in self.further for part in one.body if isinstance(part, Table)]
+        if self.plan.order is not None:
+            more.append(cables_to_order(self.plan.order, of.units))
+        more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
 
     def _cards(self) -> list[tuple[str, str, str]]:
         """Key figures: title, value, and the governing case or cable."""
-        units, summaries = self.results.units, {case.name: case.summary for case in self.cases}
+        units, summaries = self.plan.units, {case.name: case.summary for case in self.cases}
         membranes = {name: one.membrane for name, one in summaries.items()}
         cards = []
 
@@ -241,7 +271,7 @@ class Report:
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
-        return BarChart(f"Least to largest tension{where}{self.results.units['force']}", found)
+        return BarChart(f"Least to largest tension{where}{self.plan.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
         model = self.model
@@ -250,18 +280,14 @@ class Report:
             tables["bars"] = in_families(tables["bars"])
         made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
         return [
             PageSection("Model", [*model.pictures, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
             PageSection("Supports, cables and bars", below, 3),
             PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
-                                  Figures(model.loads), *self._combinations()]),
+                                  Figures(model.loads), Paragraph(text), self.factors]),
         ]  # fmt: skip
-
-    def _combinations(self) -> list[PagePart]:
-        """Pressure and load factors of all cases."""
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
-        return [Paragraph(text), self.factors]
 
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
@@ -274,7 +300,9 @@ class Report:
         patches = self.results.patches()
         if patches.rows:
             found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
-        found += [PageSection("Rain", self._rain())]
+        hollows = self.results.hollows()
+        dry = Paragraph("In no state is there a hollow from which rain has no way out.")
+        found += [PageSection("Rain", [Paragraph(HOLLOWS), hollows] if hollows.rows else [dry])]
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         body = [
@@ -291,18 +319,11 @@ class Report:
             found.append(PageSection(titles[case.name], body, 3))
         return found
 
-    def _rain(self) -> list[PagePart]:
-        """Hollows that do not drain."""
-        table = self.results.hollows()
-        if not table.rows:
-            return [Paragraph("In no state is there a hollow from which rain has no way out.")]
-        return [Paragraph(HOLLOWS), table]
-
     def _forces(self) -> list[PageSection]:
         of, several, found = self.results, len(self.cases) > 1, []
         if of.names("cables"):
             envelopes = [of.cable_envelope()] if several or of.strengths else []
-            tables = [*envelopes, of.cables(), net_tables.clamps(of)]
+            tables = [*envelopes, of.cables(), clamps(of)]
             used = [table for table in tables if table.rows]
             found.append(PageSection("Cables", [self._tensions(), *used]))
         if of.names("bars"):
@@ -316,6 +337,7 @@ class Report:
         body += [table for table in [held.envelope()] if table.rows]
         body += [Figures(self.plans), *(table for table in tables if table.rows)]
         found.append(PageSection("Foundations and anchors", body))
-        if self.order is not None:
-            found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
+        order = self.plan.order
+        if order is not None:
+            found.append(PageSection("Cables to order", [cables_to_order(order, of.units)]))
         return found

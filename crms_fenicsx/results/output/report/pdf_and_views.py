@@ -1,25 +1,29 @@
-"""Interactive 3D pages, made by pyvista."""
+"""Other forms of a report: PDF by a headless browser, interactive 3D pages by pyvista."""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
+import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.foundation.runtime.errors import raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.output.figures.draw_scene import QUANTITY_OF, HasSystem
+from crms_fenicsx.results.output.figures.draw_scene import QUANTITY_OF
 from crms_fenicsx.results.output.report.page import rendered
-from crms_fenicsx.results.quantities import QUANTITIES, fields_of
-from crms_fenicsx.results.recovered_values import judged_utilisation
-from crms_fenicsx.results.reinforcement import patches
-from crms_fenicsx.results.views.view_data import to_pyvista
+from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, fields_of
+from crms_fenicsx.results.recovered_values import judged_utilisation, patches
+from crms_fenicsx.results.view_data import to_pyvista
 
 INSTALL = (
     "report: interactive=True needs pyvista and its trame: pip install "
@@ -144,3 +148,43 @@ def _view(
             plotter.add_mesh(blocks["supports"], color=SUPPORT, point_size=6.0)
         plotter.view_isometric()
         return _export(plotter), list(dict.fromkeys(scales))
+
+
+BROWSERS = (
+    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
+    "microsoft-edge", "msedge",
+)  # fmt: skip
+"""Browsers, in the order of search."""
+
+
+def browser() -> str:
+    """Path of the browser: from the variable CRMS_BROWSER, or the first one found."""
+    own = os.environ.get("CRMS_BROWSER")
+    names = [own] if own else BROWSERS
+    found = next((path for name in names if (path := shutil.which(name))), "")
+    if not found:
+        raise InputError(
+            f"report: pdf=True needs a browser that prints, and there is no {own or BROWSERS[0]}; "
+            "install one (apt install chromium) or name one in the variable CRMS_BROWSER. Without "
+            "pdf=True open the page in any browser, and print it to a file on A4."
+        )
+    return found
+
+
+def print_page(html: str, path: Path) -> None:
+    """Print an HTML page to PDF on A4."""
+    with tempfile.TemporaryDirectory() as folder:
+        page, pdf = Path(folder) / "page.html", Path(folder) / "page.pdf"
+        page.write_text(html, encoding="utf-8")
+        command = [
+            browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
+            f"--user-data-dir={folder}/profile", f"--print-to-pdf={pdf}", page.as_uri(),
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+            trouble = done.stderr.strip().splitlines()[-1:] if done.returncode else []
+        except subprocess.TimeoutExpired:
+            trouble = ["it took more than 120 s"]
+        if not pdf.exists():
+            raise InputError(f"report: {command[0]} printed no PDF; {''.join(trouble)}")
+        path.write_bytes(pdf.read_bytes())

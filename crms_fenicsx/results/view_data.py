@@ -54,28 +54,20 @@ class Surface:
             Shapes disagree, an index is out of range or a coordinate is not finite.
         """
         points = checked_points("surface points", self.points)
-        triangles = np.asarray(self.triangles)
-        if triangles.size == 0:
-            triangles = np.empty((0, 3), dtype=np.int64)
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise InputError(
-                f"triangles have shape {triangles.shape} and type {triangles.dtype}; "
-                "give integers of shape (m, 3)"
-            )
+        triangles = checked_integers("triangles", self.triangles, 3)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
             raise InputError(
                 f"triangles refer to vertices {triangles.min()} to {triangles.max()}, but there "
                 f"are {len(points)} points; number them from 0 within this surface"
             )
-        homes = None if self.homes is None else np.asarray(self.homes)
-        if homes is not None and (homes.shape != (len(points), 2) or homes.dtype.kind not in "iu"):
+        homes = None if self.homes is None else checked_integers("homes", self.homes, 2)
+        if homes is not None and len(homes) != len(points):
             raise InputError(
-                f"homes have shape {homes.shape} and type {homes.dtype}; give a rank and a number "
-                f"for each point, integers of shape ({len(points)}, 2)"
+                f"homes: expected {len(points)}, one of each point, found {len(homes)}"
             )
         return Surface(
             points,
-            np.ascontiguousarray(triangles, dtype=np.int64),
+            triangles,
             checked_data("point data", self.point_data, len(points)),
             checked_data("cell data", self.cell_data, len(triangles)),
             homes,
@@ -111,19 +103,32 @@ class Line:
         label = f"line {self.name!r}" if self.name else "line"
         points = checked_points(f"{label}: points", self.points)
         if len(points) < 2:
-            raise InputError(f"{label} has {len(points)} points; give two or more")
+            raise InputError(f"{label} has {len(points)} points; pass two or more")
         data: dict[str, NDArray[Any]] = {}
         for name, given in self.data.items():
             values = np.asarray(given)
             if values.dtype.kind not in "biuf":
-                raise InputError(f"{label}: {name!r} is of type {values.dtype}; give numbers")
+                raise InputError(f"{label}: {name!r} is of type {values.dtype}; pass numbers")
             if values.shape not in {(), (len(points),), (len(points) - 1,)}:
                 raise InputError(
-                    f"{label}: {name!r} has shape {values.shape}; give one value, one for each "
+                    f"{label}: {name!r} has shape {values.shape}; pass one value, one for each "
                     f"of the {len(points)} points or one for each of the {len(points) - 1} segments"
                 )
             data[name] = values.astype(np.float64)
         return Line(points, data, self.name)
+
+
+def checked_integers(what: str, given: ArrayLike, columns: int) -> Integers:
+    """Return integers of shape (n, columns), or raise `InputError`."""
+    array = np.asarray(given)
+    if array.size == 0:
+        return np.empty((0, columns), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != columns or array.dtype.kind not in "iu":
+        raise InputError(
+            f"{what}: expected integers of shape (n, {columns}), found {array.dtype} of shape "
+            f"{array.shape}"
+        )
+    return np.ascontiguousarray(array, dtype=np.int64)
 
 
 def checked_points(what: str, given: ArrayLike) -> Array:
@@ -132,10 +137,10 @@ def checked_points(what: str, given: ArrayLike) -> Array:
     if points.size == 0:
         return np.empty((0, 3))
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{what} have shape {points.shape}; give (n, 3)")
+        raise InputError(f"{what}: expected shape (n, 3), found shape {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
-        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; give finite coordinates")
+        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; pass finite coordinates")
     return points
 
 
@@ -145,13 +150,19 @@ def checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict[
     for name, values in given.items():
         array = np.ascontiguousarray(values)
         if array.dtype.kind not in "biuf":
-            raise InputError(f"{what} {name!r} is of type {array.dtype}; give real numbers")
+            raise InputError(f"{what} {name!r} is of type {array.dtype}; pass real numbers")
         if array.ndim not in (1, 2) or len(array) != count:
             raise InputError(
-                f"{what} {name!r} has shape {array.shape}; give ({count},) or ({count}, c)"
+                f"{what} {name!r} has shape {array.shape}; pass ({count},) or ({count}, c)"
             )
         data[name] = array.astype(np.uint8) if array.dtype.kind == "b" else array
     return data
+
+
+def edges_of(triangles: Integers) -> tuple[Integers, Integers]:
+    """Edges of triangles, (n, 2), and the number of triangles of each."""
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0, return_counts=True)
 
 
 Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
@@ -222,6 +233,12 @@ def surface_piece(
     )
 
 
+def whole_shape(scene: Scene) -> Surface | None:
+    """The whole current surface on the first rank; None on the others. Collective."""
+    piece = surface_piece(scene.membrane, current_surface(scene.net), {})
+    return whole_surface(scene.comm, piece)
+
+
 def point_homes(membrane: Membrane, points: int) -> Integers:
     """Owner and number of the current surface's points, (points, 2). Collective."""
     vertices = membrane.V.dofmap.index_map
@@ -237,39 +254,73 @@ def point_homes(membrane: Membrane, points: int) -> Integers:
 
 def whole_surface(comm: MPI.Intracomm, piece: Surface) -> Surface | None:
     """The whole surface on the first rank; None on the others. Collective."""
-    pieces = comm.gather(piece)
-    if pieces is None:
-        return None
-    homes = [np.asarray(one.homes) for one in pieces]
-    own = [home[:, 0] == rank for rank, home in enumerate(homes)]
-    starts = np.cumsum([0, *(np.count_nonzero(rows) for rows in own[:-1])])
-    triangles = [
-        (starts[home[:, 0]] + home[:, 1])[one.triangles]
-        for home, one in zip(homes, pieces, strict=True)
-    ]
-    point_data = {"points": [one.points for one in pieces]}
-    point_data |= {name: [one.point_data[name] for one in pieces] for name in piece.point_data}
-    joined = {
-        name: np.concatenate([np.asarray(v)[rows] for v, rows in zip(values, own, strict=True)])
-        for name, values in point_data.items()
-    }
-    cell_data = {
-        name: np.concatenate([one.cell_data[name] for one in pieces]) for name in piece.cell_data
-    }
-    return Surface(joined.pop("points"), np.concatenate(triangles), joined, cell_data)
+    pieces, whole = comm.gather(piece), None
+    with raised_together(comm):
+        if pieces is not None:
+            whole = _whole(pieces)
+    return whole
 
 
-SLENDER = 0.003
-"""Default radius of tubes, relative to the diagonal of the surface's bounding box."""
-SIDES = 12
-"""Sides of a tube."""
+def _whole(pieces: Sequence[Surface]) -> Surface:
+    """One surface of the ranks' pieces, each point from the rank that it belongs to."""
+    homes = [
+        np.stack([np.full(n := len(np.asarray(one.points)), rank), np.arange(n)], axis=1)
+        if one.homes is None else np.asarray(one.homes, dtype=np.int64)
+        for rank, one in enumerate(pieces)
+    ]  # fmt: skip
+    own = [np.flatnonzero(home[:, 0] == rank) for rank, home in enumerate(homes)]
+    own = [rows[np.argsort(home[rows, 1])] for rows, home in zip(own, homes, strict=True)]
+    counts = np.array([len(rows) for rows in own])
+    starts, triangles = np.cumsum(counts) - counts, []
+    for rank, (home, one) in enumerate(zip(homes, pieces, strict=True)):
+        ranks, numbers = home.T
+        lost = (ranks < 0) | (ranks >= len(counts)) | (numbers < 0)
+        lost |= numbers >= counts[np.where(lost, 0, ranks)]
+        if lost.any() or not np.array_equal(numbers[own[rank]], np.arange(counts[rank])):
+            raise InputError(
+                f"homes: rank {rank} has points number {numbers[own[rank]].tolist()[:9]} of its "
+                f"own and, of others, {home[lost].tolist()[:3]}, where the ranks have "
+                f"{counts.tolist()}; number each rank's from 0"
+            )
+        triangles.append((starts[ranks] + numbers)[np.asarray(one.triangles)])
+    places = [np.asarray(one.points)[rows] for one, rows in zip(pieces, own, strict=True)]
+    known = [rank for rank, home in enumerate(homes) if len(home)] or [0]  # others have no data
+    return Surface(
+        np.concatenate(places),
+        np.concatenate(triangles),
+        _gathered({rank: pieces[rank].point_data for rank in known}, own),
+        _gathered({rank: pieces[rank].cell_data for rank in known}, None),
+    )
+
+
+def _gathered(
+    data: Mapping[int, Mapping[str, ArrayLike]], own: Sequence[Integers] | None
+) -> dict[str, NDArray[Any]]:
+    """Data of ranks by name, of `own` rows or of all; refuses other names or types than the first
+    rank's."""
+    arrays = {rank: {k: np.asarray(x) for k, x in some.items()} for rank, some in data.items()}
+    kinds = {rank: {k: (x.dtype.str, *x.shape[1:]) for k, x in some.items()}
+             for rank, some in arrays.items()}  # fmt: skip
+    first = next(iter(kinds))
+    for rank, kind in kinds.items():
+        if kind != kinds[first]:
+            raise InputError(
+                f"data differ: rank {first} has {kinds[first]}, rank {rank} has {kind}; pass the "
+                "same on all ranks"
+            )
+    return {
+        name: np.concatenate([
+            some[name] if own is None else some[name][own[rank]] for rank, some in arrays.items()
+        ])
+        for name in kinds[first]
+    }  # fmt: skip
 
 
 def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
     """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
     checks.same(scene.comm, "to_pyvista", radius=radius)
     if radius is not None and checks.finite("to_pyvista: radius", radius) < 0.0:
-        raise InputError(f"to_pyvista: radius = {radius:g} is negative; give 0 for lines.")
+        raise InputError(f"to_pyvista: radius = {radius:g} is negative; pass 0 to draw lines.")
     scene.membrane.check_finite("to_pyvista")
     piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
     surface = whole_surface(scene.comm, piece)
@@ -290,7 +341,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
             faces = {"faces": np.asarray(surface.triangles)}
             found["membrane"] = _mesh(pyvista, np.asarray(surface.points), faces, *data)
             if radius is None:
-                radius = SLENDER * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+                radius = 0.003 * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
             for name, some in lines.items():
                 if some:
                     found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
@@ -311,7 +362,7 @@ def _tubes(pyvista: Any, lines: Sequence[Line], radius: float) -> Any:
     points, pairs, on_points, on_segments = joined(lines)
     mesh = _mesh(pyvista, points, {"lines": pairs}, on_points, on_segments)
     if radius > 0.0:
-        mesh = mesh.tube(radius=radius, n_sides=SIDES, capping=True)
+        mesh = mesh.tube(radius=radius, n_sides=12, capping=True)
     mesh.field_data["names"] = [line.name for line in lines]
     return mesh
 
