@@ -8,16 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
     MembraneContribution,
     PressureContribution,
 )
+from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.clamping import placed
-from crms_fenicsx.cabling.cables.element_tables import CableTables, cable_tables, damping
-from crms_fenicsx.cabling.cables.held_points import held_points, holds_points
+from crms_fenicsx.cabling.cables.element_tables import (
+    CableTables,
+    cable_tables,
+    damping,
+    held_points,
+    holds_points,
+)
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.energy.minimization.damping import Damping

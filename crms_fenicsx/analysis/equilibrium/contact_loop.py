@@ -131,7 +131,7 @@ class ContactLoop:
         """Release clamps from vertices and edges where cables pull them off the membrane."""
         if self.sliding is None or not self.scene.clamps:
             return []
-        from crms_fenicsx.cabling.paths.clamp_release import lift_clamps
+        from crms_fenicsx.cabling.paths.crossing_trials import lift_clamps
 
         return lift_clamps(self.sliding.change)
 

@@ -9,8 +9,8 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
     MembraneContribution,
     PressureContribution,
 )

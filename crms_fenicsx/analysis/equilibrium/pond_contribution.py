@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import MembraneContribution
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
+    MembraneContribution,
+)
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.element_tables import facets_of
 from crms_fenicsx.energy.minimization.potential import Potential

@@ -12,12 +12,10 @@ from petsc4py import PETSc
 from crms_fenicsx.analysis.equilibrium.contribution import (
     AddedTermsContribution,
     Contribution,
-    force_per_area,
-)
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
     MembraneContribution,
     MembraneLoadsContribution,
     PressureContribution,
+    force_per_area,
     hold,
     unloaded_scales,
 )

@@ -10,9 +10,8 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.analysis.scene.air import Air
 from crms_fenicsx.analysis.scene.frame import Frame
-from crms_fenicsx.analysis.scene.loads import Loads
+from crms_fenicsx.analysis.scene.loads import Air, Loads
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy

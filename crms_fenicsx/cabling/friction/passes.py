@@ -22,15 +22,17 @@ from crms_fenicsx.cabling.friction.axial import (
     clamped_nodes,
     reference_arcs,
 )
-from crms_fenicsx.cabling.friction.cone import (
+from crms_fenicsx.cabling.friction.slip import (
     BISECTIONS,
     Slip,
     full_slips,
     law_along,
     law_sideways,
+    node_slips,
+    slip_forces,
+    slipped_line,
     slips_sideways,
 )
-from crms_fenicsx.cabling.friction.slip import node_slips, slip_forces, slipped_line
 from crms_fenicsx.energy.terms.capstan_chain import LAW, find_slips
 from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.bonding import bonded_parts, bonds_of
 from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.clamping import bonded_parts, bonds_of
 from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
 from crms_fenicsx.cabling.contact.lift_off import drape
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
