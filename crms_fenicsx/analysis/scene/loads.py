@@ -238,11 +238,7 @@ class Loads(Stateful[LoadsState]):
         checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
-            if not self._frame.owns(joint):
-                raise InputError(
-                    f"put_joint_load: {joint!r} is no joint of this scene; give what "
-                    "scene.add_joint(...) has returned."
-                )
+            checks.own("put_joint_load", "joint", joint, self._frame.joints)
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
         intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
@@ -302,7 +298,7 @@ class Loads(Stateful[LoadsState]):
         weight = checks.positive("put_pond: weight", weight)
         if (level is None) == (volume is None):
             raise InputError(
-                f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
+                f"put_pond: level = {level!r} and volume = {volume!r}; pass one of the two."
             )
         if on is not None:
             checks.collection("put_pond: on", on, Sequence, 'on=["roof"]', 1)
@@ -348,12 +344,12 @@ class Loads(Stateful[LoadsState]):
         checks.text(f"{call}: name", name)
         if name in AIR:
             raise InputError(
-                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
+                f"{call}: name = {name!r} belongs to the air; use another name, such as 'snow'."
             )
         if name in self.factors:
             raise InputError(
-                f"{call}: there is a load {name!r} already; give another name, or take that one "
-                f"away with scene.remove_load({name!r})."
+                f"{call}: there is a load {name!r} already; use another name, or remove that one "
+                f"with scene.remove_load({name!r})."
             )
 
 
@@ -435,14 +431,14 @@ class Air(Stateful[AirState]):
         exponent = checks.finite("seal: exponent", exponent)
         if exponent < 1.0:
             raise InputError(
-                f"seal: exponent = {exponent:g} is below 1; give 1.0 (isothermal) to 1.4 "
+                f"seal: exponent = {exponent:g} is below 1; use 1.0 (isothermal) to 1.4 "
                 "(adiabatic)."
             )
         absolute = atmosphere + self.pressure
         if absolute <= 0.0:
             raise InputError(
                 f"seal: the pressure {self.pressure:g} is below vacuum in an atmosphere of "
-                f"{atmosphere:g}; give the atmosphere in the units of the pressure."
+                f"{atmosphere:g}; use the same units for both."
             )
         self.membrane.check_finite("seal")
         air = SealedAir(volume, self.volume, self.pressure, absolute, exponent, atmosphere)

@@ -340,10 +340,10 @@ def checked_options(comm: MPI.Intracomm, **given: Any) -> Options:
         raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
     checks.options_prefix("Solver: prefix", options.prefix)
     if resume is not None and not isinstance(resume, bool):
-        raise InputError(f"Solver: resume = {resume!r}; give True, False or None.")
+        raise InputError(f"Solver: resume = {resume!r}; expected True, False or None.")
     if resume is not None and results is None:
         raise InputError(
-            f"Solver: resume = {resume}, but no results: give a folder, where checkpoints go, "
+            f"Solver: resume = {resume}, but no results: name a folder for the checkpoints, "
             'as in results="results/dome".'
         )
     checks.one_of("Solver: stability", options.stability, ("warn", "refuse", "ignore"))
