@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.slipping_clamps import held_by_clamps
+from crms_fenicsx.cabling.cables.clamping import held_by_clamps
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.cabling.friction.axial import (
@@ -218,11 +218,6 @@ def _bounds(
     return coefficients * contact_forces(cable, shape).bearing[held_nodes(cable)], moving
 
 
-AXIALLY_SETTLED = 1e-4
-"""Change of the tensions, relative to the sum of the bounds, below which these have settled. Being
-sharper than for lateral friction costs one short pass."""
-
-
 CLAMPED = 10.0
 """Largest logarithm of the tension ratio at clamps, more than any cable has."""
 
@@ -244,7 +239,9 @@ class _Law:
 class AxialIteration:
     """Iterates one cable's axial bounds to those of the resulting state."""
 
-    settled = AXIALLY_SETTLED
+    settled = 1e-4
+    """Change of the tensions, relative to the sum of the bounds, below which these have settled.
+    Being sharper than for lateral friction costs one short pass."""
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
