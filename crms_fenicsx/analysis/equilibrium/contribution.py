@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
 
 
-from crms_fenicsx.model.cable_state import NodeId
-
 NOTHING = 1e-12
 """Strain, of a membrane of the scene's size, with negligible forces; of cables and bars it is
 `NO_STRAIN`."""
@@ -67,14 +65,6 @@ class Contribution:
 
     def renew_friction(self) -> None:
         """Update the terms' friction forces from the scene's cables. Collective."""
-
-    def renew_smoothing_length(self, potential: Potential) -> bool:
-        """Correct the cable lengths for smoothing and return whether that changed them."""
-        return False
-
-    def kinked_nodes(self, limit: float) -> set[NodeId]:
-        """Fold points with an edge kink above a limit (rad). Collective."""
-        return set()
 
     def commit(self) -> None:
         """End a load step at the scene's current state. Collective."""

@@ -87,8 +87,7 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if isinstance(node.point, EdgePoint):
                 on_edge[k] = points.get(node.point.edge, 0)
-        on_path = cable.path_nodes()
-        supports = [p.support for k in on_path if (p := cable.state.nodes[k].point) is not None]
+        supports = [cable.state.nodes[k].support for k in cable.path_nodes()]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
             ids,
@@ -229,9 +228,8 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
     # Nodes on vertices take the size of the cells around: their edge may be much longer.
     edge = norm(corners[:, 1] - corners[:, 0])
     some = [k for k in np.flatnonzero(nodes.weights[:, 0] == 1.0) if touches[k]]
-    supports = [p.support for k in some if (p := cable.state.nodes[k].point) is not None]
-    if supports:
-        edge[some] = shape.normals_and_sizes(supports)[1]
+    if some:
+        edge[some] = shape.normals_and_sizes([cable.state.nodes[k].support for k in some])[1]
     edge = np.where(edge > 0.0, edge, cable.length)
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides
