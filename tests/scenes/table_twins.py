@@ -35,12 +35,6 @@ def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, 
     return {edge: sorted(points) for edge, points in found.items() if points}
 
 
-def point_numbers(numbering: CableNumbering) -> dict[NodeId, int]:
-    """Numbers of the cables' points by cable and node."""
-    rows = np.flatnonzero(numbering.number >= 0)
-    return dict(zip(numbering.nodes.ids(rows), map(int, numbering.number[rows]), strict=True))
-
-
 class SlowTables:
     """What a rank has of the cables in tension; each part is a list of rows."""
 

@@ -228,8 +228,9 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
     # Nodes on vertices take the size of the cells around: their edge may be much longer.
     edge = norm(corners[:, 1] - corners[:, 0])
     some = [k for k in np.flatnonzero(nodes.weights[:, 0] == 1.0) if touches[k]]
-    if some:
-        edge[some] = shape.normals_and_sizes([cable.state.nodes[k].support for k in some])[1]
+    supports = [p.support for k in some if (p := cable.state.nodes[k].point) is not None]
+    if supports:
+        edge[some] = shape.normals_and_sizes(supports)[1]
     edge = np.where(edge > 0.0, edge, cable.length)
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides

@@ -79,7 +79,7 @@ def contacts(
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.state.lifted[k]]
     if on and is_tense(cable):
-        supports = [cable.state.nodes[k].support for k in on]
+        supports = [p.support for k in on if (p := cable.state.nodes[k].point) is not None]
         pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
     touched = np.array(cable.contacts())
     lifted = [

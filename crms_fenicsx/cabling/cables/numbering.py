@@ -142,6 +142,12 @@ class CableNumbering:
         at_vertex = nodes.kind == VERTEX  # nodes at a vertex belong to its owner
         self.node_owners[at_vertex] = self.strip.simplices.owner[self.on[at_vertex]]
 
+    @property
+    def numbers(self) -> dict[NodeId, int]:
+        """Point numbers by cable and node."""
+        rows = np.flatnonzero(self.number >= 0)
+        return dict(zip(self.nodes.ids(rows), map(int, self.number[rows]), strict=True))
+
     def row(self, c: int, k: int) -> int:
         """Row of a cable's node in the table of nodes."""
         return int(self.nodes.starts[c]) + k

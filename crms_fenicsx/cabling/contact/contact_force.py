@@ -340,7 +340,8 @@ def smooth_line_load(
     inner = [run[i] for i in rows]
     if len(inner) < 2 or own[-1, 1] <= own[0, 0]:
         return
-    size = float(np.mean([size_at(shape, nodes[k].support) for k in inner]))
+    points = [point for k in inner if (point := nodes[k].point) is not None]
+    size = float(np.mean([size_at(shape, point.support) for point in points]))
     ends = float(own[0, 0]), float(own[-1, 1])
     width = min(WIDTH * size, ends[1] - ends[0])
 

@@ -22,7 +22,7 @@ from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
-from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.surface.points import edge_of
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -133,7 +133,7 @@ def held_vertices(
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
     uneven = UNEVEN * np.abs(down) if cable.state.lateral is None else SLACK * most
     allowed = TINY * cable.tension + uneven
-    sums = zip(floats(force), floats(allowed), strict=True)
+    sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
         for (vertex, some), own in zip(at.items(), sums, strict=True)

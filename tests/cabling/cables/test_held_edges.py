@@ -10,7 +10,7 @@ from cable_edits import put
 from mpi4py import MPI
 from ridged_square import OBLIQUE, ridged
 from scipy.optimize import minimize_scalar
-from table_twins import point_numbers, points_by_edge
+from table_twins import points_by_edge
 from taylor import OnMesh, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
@@ -280,7 +280,7 @@ def test_a_moved_edge_takes_its_edge_slider_along(comm) -> None:
             system.rebuild()
         system.read_scene()
         unknowns, numbering = system.unknowns, system.cables.numbering
-        block = numbering.blocks[point_numbers(numbering)[0, k]]
+        block = numbering.blocks[numbering.numbers[0, k]]
         assert unknowns.n_edge_sliders == (taut and block >= 0)
         if block < 0:
             continue

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cable_edits import put
 from mpi4py import MPI
-from table_twins import point_numbers, points_by_edge
+from table_twins import points_by_edge
 from term_scene import cable_square, displaced
 
 from crms_fenicsx.analysis.scene import Scene
@@ -39,7 +39,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     before = scene.cables[0].state.positions[3].copy()
     NodePositions(numbering, system.unknowns).gather(potential.x)
     known = vertices(scene)
-    for (c, k), number in point_numbers(numbering).items():
+    for (c, k), number in numbering.numbers.items():
         block, node = numbering.blocks[number], scene.cables[c].state.nodes[k]
         if block >= 0 and node.kind != "tied" and not scene.cables[c].state.lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]

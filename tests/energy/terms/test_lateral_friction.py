@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from friction_scene import friction_square
-from table_twins import point_numbers
 from taylor import TermOnPoints, gradient_order, is_semidefinite, noise, stiffness_error
 from term_scene import on_mesh
 
@@ -247,7 +246,7 @@ def slid(system, size):
     unknowns, numbering = system.unknowns, system.cables.numbering
     x = unknowns.vector()[1]
     rng = np.random.default_rng(3)
-    for (c, k), number in point_numbers(numbering).items():
+    for (c, k), number in numbering.numbers.items():
         shift = rng.uniform(-size, size)
         block, cable = numbering.blocks[number], system.scene.cables[c]
         if block >= 0 and cable.state.nodes[k].slides:
