@@ -144,7 +144,7 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
     scene, short, long, solver = made(18.0)
     cells = [crossing.support for crossing in scene.net.crossings]
     for y, number in ((36.0, 1), (62.0, 0)):
-        solver.advance(move={long: (0.0, y - float(long.positions[0, 1]), 0.0)}, steps=2)
+        solver.advance(move={long: (0.0, y - float(long.state.positions[0, 1]), 0.0)}, steps=2)
         fresh = made(y)
         assert len(scene.net.crossings) == len(fresh[0].net.crossings) == number
         assert not set(cells) & {crossing.support for crossing in scene.net.crossings}
