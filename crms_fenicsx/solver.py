@@ -16,7 +16,7 @@ from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver
+from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, checked_options
 from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
 from crms_fenicsx.analysis.steps.load_step import (
     Step,
@@ -28,7 +28,6 @@ from crms_fenicsx.analysis.steps.load_step import (
 )
 from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.analysis.steps.movements import Move
-from crms_fenicsx.analysis.steps.options import checked_options
 from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
 from crms_fenicsx.cabling.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.energy.minimization.outcome import Outcome

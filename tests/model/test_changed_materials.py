@@ -213,7 +213,7 @@ def test_what_differs_by_more_than_numbers_is_refused(comm: MPI.Intracomm) -> No
     refused(lambda: scene.set_material(replace(FABRIC, wrinkling=False)), "wrinkling=False")
     refused(lambda: scene.set_material(replace(FABRIC, warp=(0.0, 1.0, 0.0))), "warp")
     refused(lambda: scene.set_stiffness({}), "write {cable: EA")
-    refused(lambda: scene.set_stiffness({"ridge": 3.0}), "'ridge' is no cable or bar")  # type: ignore[dict-item]
+    refused(lambda: scene.set_stiffness({"ridge": 3.0}), "'ridge' is not a cable or bar")  # type: ignore[dict-item]
     scene.set_material(replace(FABRIC, warp=[1.0, 0.0, 0.0]))  # type: ignore[arg-type]
     scene = scene_of(comm, UflMembrane(lambda E: E[0, 0] ** 2 + E[1, 1] ** 2 + E[0, 1] ** 2))
     refused(

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from polygon_twins import split_slowly
 
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
-from crms_fenicsx.cabling.cables.points_on_edges import on_edges
 from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.foundation.surface.points import Edge, EdgePoint
 from crms_fenicsx.model.cable_state import NodeId
@@ -28,10 +27,11 @@ def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, 
     last: places on the edge (fractions), and numbers of cables and nodes."""
     found: dict[Edge, list[tuple[float, int, int]]] = {}
     for c, cable in enumerate(cables):
-        for k, edge in on_edges(cable.state.nodes) if cable.taut else ():
-            points = found.setdefault(edge, [])
-            if not cable.state.lifted[k]:
-                points.append((float(cable.state.fractions[k]), c, k))
+        for k, node in enumerate(cable.state.nodes) if cable.taut else ():
+            if isinstance(node.point, EdgePoint) and node.kind != "crossing":
+                points = found.setdefault(node.point.edge, [])
+                if not cable.state.lifted[k]:
+                    points.append((float(cable.state.fractions[k]), c, k))
     return {edge: sorted(points) for edge, points in found.items() if points}
 
 

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
     MembraneContribution,
     PressureContribution,
 )
+from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.clamping import placed
-from crms_fenicsx.cabling.cables.element_tables import CableTables, cable_tables, damping
-from crms_fenicsx.cabling.cables.held_points import held_points, holds_points
+from crms_fenicsx.cabling.cables.clamping import end_step, placed
+from crms_fenicsx.cabling.cables.element_tables import (
+    CableTables,
+    cable_tables,
+    damping,
+    held_points,
+    holds_points,
+)
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.energy.minimization.damping import Damping
@@ -98,19 +104,25 @@ class CableContribution(Contribution):
             self.tension = self._tension_term(self.tables)
             terms.append(self.tension)
         if self.tables is not None and self.gripped:
-            from crms_fenicsx.cabling.friction.axial import chain_table, grip_table, remap_axial
+            from crms_fenicsx.cabling.friction import axial
             from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 
             for cable in self.gripped:
-                remap_axial(cable)
-            grips = grip_table(self.numbering, self.scene.net.strip_shape())
-            L0 = np.array([cable.L0 + cable.state.smoothing_length for cable in self.gripped])
-            self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
+                axial.remap_axial(cable)
+            grips = axial.grip_table(self.numbering, self.scene.net.strip_shape())
+            held = axial.gripped_cables(self.numbering)
+            chains = axial.chain_table(self.numbering, self.tables, held)
+            self.capstan = CapstanTension(chains, grips, _whole_lengths(self.gripped))
             terms.append(self.capstan)
         if self.tables is not None and self.slipping:
-            from crms_fenicsx.cabling.cables.slipping_clamps import slipping_tension
+            from crms_fenicsx.cabling.friction import axial
+            from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 
-            self.clutches = slipping_tension(self.numbering, self.tables, self.slipping)
+            at = {self.numbering.cables.index(own): own for own in self.slipping}
+            held = {c: axial.clamped_nodes(own) for c, own in at.items()}
+            chains = axial.chain_table(self.numbering, self.tables, held)
+            grips = axial.clamp_grips(self.slipping)
+            self.clutches = CapstanTension(chains, grips, _whole_lengths(self.slipping))
             terms.append(self.clutches)
         if holds_points(self.taut):
             shape, materials = self.scene.net.strip_shape(), self.scene.materials.values()
@@ -157,12 +169,12 @@ class CableContribution(Contribution):
                 [_smoothing(cable) for cable in self.sliding]
             )
         if self.capstan is not None:
-            self.capstan.L0[:] = [cable.L0 + cable.state.smoothing_length for cable in self.gripped]
+            self.capstan.L0[:] = _whole_lengths(self.gripped)
         if self.clutches is not None:
-            from crms_fenicsx.cabling.cables.slipping_clamps import clamp_grips, whole_lengths
+            from crms_fenicsx.cabling.friction.axial import clamp_grips
 
             self.clutches.renew(clamp_grips(self.slipping))
-            self.clutches.L0[:] = whole_lengths(self.slipping)
+            self.clutches.L0[:] = _whole_lengths(self.slipping)
 
     def locate(self, potential: Potential) -> None:
         self.node_positions.gather(potential.x)
@@ -190,39 +202,33 @@ class CableContribution(Contribution):
 
     def _write_slips(self, term: CapstanTension, potential: Potential) -> dict[LaidCable, Array]:
         """Copy clamp slips to the cables, their energy to the scene; return the tensions."""
-        sums, energies = potential.sums_of(term), dict(self.scene.energies)
-        tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
+        tensions, lost = record_friction(self.scene, term, potential)
         found = {}
         for c, cable in enumerate(self.slipping):
             assert cable.state.parts is not None
             slips = term.slips[term.nodes_of(c)].copy()
             cable.update(parts=replace(cable.state.parts, slips=slips, loss=float(lost[c])))
             found[cable] = tensions[term.spans_of(c)]
-        energies["cables"] -= term.friction_potential
-        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
-        self.scene.record(energies=energies)
         return found
 
     def renew_smoothing_length(self, potential: Potential) -> bool:
-        lengths: list[tuple[LaidCable, float]] = []
-        changed = False
+        """Correct the cable lengths for smoothing and return whether that changed them."""
+        lengths: list[tuple[LaidCable, Array]] = []
         if self.tension is not None:
             parts_of = np.split(potential.sums_of(self.tension), self.first_parts[1:-1])
-            for cable, own in zip(self.sliding, parts_of, strict=True):
-                lengths.append((cable, float(own.sum())))
+            lengths += zip(self.sliding, parts_of, strict=True)
+        for term, cables in ((self.clutches, self.slipping), (self.capstan, self.gripped)):
+            if term is not None:
+                sums = potential.sums_of(term)
+                lengths += [(cable, sums[term.spans_of(c)]) for c, cable in enumerate(cables)]
+        changed = False
+        for cable, own in lengths:
+            if cable.state.axial is not None:
+                length = float(own.sum()) - cable.state.smoothing_length
+            else:
+                own = own - _smoothing(cable) if cable in self.slipping else own
+                length = float(own.sum())
                 changed |= _renew_smoothing(cable, own)
-        if self.clutches is not None:
-            sums = potential.sums_of(self.clutches)
-            for c, cable in enumerate(self.slipping):
-                own = sums[self.clutches.spans_of(c)] - _smoothing(cable)
-                lengths.append((cable, float(own.sum())))
-                changed |= _renew_smoothing(cable, own)
-        if self.capstan is not None:
-            sums = potential.sums_of(self.capstan)
-            for c, cable in enumerate(self.gripped):
-                spans = sums[self.capstan.spans_of(c)]
-                lengths.append((cable, float(spans.sum()) - cable.state.smoothing_length))
-        for cable, length in lengths:
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
@@ -236,12 +242,23 @@ class CableContribution(Contribution):
                 for start in self.tension.starts[first : first + 1]:  # empty without such cables
                     cable.update(step_start=start)
         if any(cable.may_slip for cable in self.taut):
-            from crms_fenicsx.cabling.cables.slipping_clamps import end_step
-
             net = self.scene.net
             net.clamps = end_step(self.taut, net.clamps)
         for cable in self.scene.cables:
             cable.update(ends_before=cable.state.positions[[0, -1]])
+
+
+def record_friction(
+    scene: Scene, term: CapstanTension, potential: Potential
+) -> tuple[Array, Array]:
+    """Count the energy that a term's friction stores as the scene's friction; return the tensions
+    of its spans and the energy that each cable has lost."""
+    sums, energies = potential.sums_of(term), dict(scene.energies)
+    tensions, (stored, lost) = term.tensions(sums), term.friction(sums)
+    energies["cables"] -= term.friction_potential
+    energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+    scene.record(energies=energies)
+    return tensions, lost
 
 
 def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
@@ -259,6 +276,18 @@ def _smoothing(cable: LaidCable) -> Array:
         np.array([cable.state.smoothing_length])
         if cable.state.parts is None
         else cable.state.parts.smoothing
+    )
+
+
+def _whole_lengths(cables: Sequence[LaidCable]) -> Array:
+    """Unstressed lengths with what smoothing adds, of cables with friction or slipping clamps."""
+    return np.array(
+        [
+            cable.L0 + cable.state.smoothing_length
+            if cable.state.axial is not None or cable.state.parts is None
+            else cable.L0 + float(cable.state.parts.smoothing.sum())
+            for cable in cables
+        ]
     )
 
 

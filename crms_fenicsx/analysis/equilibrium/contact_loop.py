@@ -21,8 +21,9 @@ from crms_fenicsx.model.cable_state import CableNode
 
 logger = logging.getLogger("crms_fenicsx")
 
-MAX_PROJECTIONS = 60
-"""Limit of projections of lifted parts' paths below their spans in one load step."""
+MAX_CHANGES = 60
+"""Limit of path changes, and of projections of lifted parts' paths below their spans, in one load
+step."""
 
 PATHS = 1e-3
 """Residual, relative to the force scale, below which paths are examined. Contacts are updated
@@ -121,19 +122,15 @@ class ContactLoop:
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""
         shape = self.scene.net.strip_shape()
-        changes = self.active.update(shape) or self._lift_clamps()
-        if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
+        changes = self.active.update(shape)
+        if not changes and self.sliding is not None and self.scene.clamps:
+            from crms_fenicsx.cabling.paths.crossing_trials import lift_clamps
+
+            changes = lift_clamps(self.sliding.change)
+        if self.sliding is not None and not changes and self._projections < MAX_CHANGES:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
         return changes
-
-    def _lift_clamps(self) -> list[str]:
-        """Release clamps from vertices and edges where cables pull them off the membrane."""
-        if self.sliding is None or not self.scene.clamps:
-            return []
-        from crms_fenicsx.cabling.paths.clamp_release import lift_clamps
-
-        return lift_clamps(self.sliding.change)
 
 
 def restore_positions(scene: Scene, state: SceneState) -> None:

@@ -1,14 +1,36 @@
-"""Protocol for the contribution of a physical feature to the potential, and user terms."""
+"""Contributions of physical features to the potential: the membrane's plain cells, its supports,
+pressure and loads, and added terms. Those of cables, folds, bars and ponds have their own files."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
+from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
+from crms_fenicsx.energy.terms.nodal_forces import NodalForces
+from crms_fenicsx.energy.terms.pressure import FollowerPressure, RimPressure, rim_of
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.model.cable_state import NodeId
+from crms_fenicsx.foundation.runtime.arrays import Indices
+from crms_fenicsx.model.membrane import StepHistory
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energy.terms.paper.step_membrane import StepMembraneEnergy, StepPressure
+    from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
+
+
+NOTHING = 1e-12
+"""Strain, of a membrane of the scene's size, with negligible forces; of cables and bars it is
+`NO_STRAIN`."""
 
 
 class Contribution:
@@ -44,16 +66,200 @@ class Contribution:
     def renew_friction(self) -> None:
         """Update the terms' friction forces from the scene's cables. Collective."""
 
-    def renew_smoothing_length(self, potential: Potential) -> bool:
-        """Correct the cable lengths for smoothing and return whether that changed them."""
-        return False
-
-    def kinked_nodes(self, limit: float) -> set[NodeId]:
-        """Fold points with an edge kink above a limit (rad). Collective."""
-        return set()
-
     def commit(self) -> None:
         """End a load step at the scene's current state. Collective."""
+
+
+class MembraneContribution(Contribution):
+    """Strain energy of the plain cells; its forms are compiled once.
+
+    Attributes: `energy`: the term; `stepwise`: the same if the strain is step-wise, or None;
+    `folded_energy` (1,): strain energy of folded cells in the previous steps, with step-wise strain
+    (force x length); `has_folds`: whether some rank has folded cells.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.stepwise: StepMembraneEnergy | None = None
+        parts = scene.u, scene.materials, scene.membrane.cell_tags
+        if scene.strain_law == "total":
+            self.energy = MembraneEnergy(*parts, scene.membrane.frames)
+        else:
+            from crms_fenicsx.energy.terms.paper.step_membrane import StepMembraneEnergy
+
+            self.energy = self.stepwise = StepMembraneEnergy(*parts)
+        self.folded_energy = np.zeros(1)
+        self.has_folds = False
+        history = scene.step_history
+        if self.stepwise is not None and history is not None:
+            assert history.cells is not None
+            self.stepwise.history.x.array[:] = history.cells.ravel()
+            self.stepwise.energy_n, self.folded_energy[0] = history.energy, history.folded_energy
+
+    @property
+    def has_history(self) -> bool:
+        return self.scene.strain_law == "step"
+
+    def unfold(self) -> None:
+        """Make all cells plain."""
+        self.energy.plain.x.array[:] = 1.0
+        self.energy.elementwise = None
+        self.has_folds = False
+
+    def fold(self, cells: Indices) -> None:
+        """Exclude this rank's folded cells, which have terms of their own. Collective."""
+        self.energy.plain.x.array[cells] = 0.0
+        self.has_folds = self.scene.comm.allreduce(len(cells), op=MPI.SUM) > 0
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        if self.stepwise is not None and not self.has_folds:
+            self.stepwise.energy_n += float(self.folded_energy[0])
+            self.folded_energy[0] = 0.0
+        return [self.energy]
+
+    def read_scene(self, potential: Potential) -> None:
+        blocks = potential.unknowns.vertex_blocks()
+        potential.x[blocks] = self.scene.u.x.array.reshape(-1, 3)
+
+    def commit(self) -> None:
+        if self.stepwise is not None:
+            history = replace(
+                self.scene.step_history or StepHistory(),
+                cells=self.stepwise.history.x.array.reshape(-1, 6).copy(),
+                energy=self.stepwise.energy_n,
+                folded_energy=float(self.folded_energy[0]),
+            )
+            self.scene.record(step_history=history)
+
+
+def hold(scene: Scene, unknowns: Unknowns) -> None:
+    """Prescribe the displacements of held vertices in a layout, and the bounds of the floor."""
+    unknowns.held[unknowns.vertex_blocks()] = scene.held
+    if scene.floor_level is not None:
+        lower = np.full_like(unknowns.X, -np.inf)
+        lower[:, 2] = scene.floor_level - unknowns.X[:, 2]
+        lower[unknowns.held] = -np.inf
+        lower[unknowns.edge_sliders] = -np.inf
+        unknowns.bounds = (lower, np.full_like(lower, np.inf))
+
+
+def unloaded_scales(scene: Scene) -> tuple[float, float]:
+    """Force scale (force) negligible for the unloaded membrane and, however stiff this is, for taut
+    cables and bars; and least stiffness (force) of these; 0 with loads, which set their own."""
+    if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
+        return 0.0, 0.0
+    materials = scene.materials.values()
+    section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
+    membrane = section * scene.membrane.size
+    axial = [cable.cable.EA for cable in scene.cables if cable.taut]
+    axial += [bar.bar.EA for bar in scene.bars]
+    weakest = min(axial, default=math.inf)
+    return min(NOTHING * membrane, NO_STRAIN * weakest), min(membrane, weakest)
+
+
+class PressureContribution(Contribution):
+    """Pressure on the plain cells, and on the closure of the volume where the rim slides in planes.
+
+    Attributes: `cells`: 1 in the cells of `term`, else 0; `value`: the pressure (force per
+    area), or 1 if the air is sealed (`sealed` then has it); `term`: pressure on these cells, None
+    until there is any; `sealed`: pressure of sealed air, which includes `term`, or None;
+    `folded_volume` (1,): volume gained under folded cells before, if lagged (length cubed).
+    """
+
+    def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
+        super().__init__(scene)
+        self.membrane = membrane
+        self.cells = fem.Function(membrane.energy.plain.function_space)
+        self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
+        self.term: FollowerPressure | StepPressure | None = None
+        self.sealed: SealedPressure | None = None
+        self._stepwise: StepPressure | None = None
+        self._history = scene.step_history or StepHistory()
+        self.folded_volume = np.array([self._history.folded_volume])
+
+    @property
+    def is_stale(self) -> bool:
+        acts = self.scene.pressure != 0.0 or self.scene.air.sealed is not None
+        return acts and self.term is None
+
+    @property
+    def has_history(self) -> bool:
+        return self.scene.pressure_law != "total"
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.cells.x.array[:] = self.scene.membrane.pressed
+        if self.scene.pressure_law != "step":  # which acts on corners of folded cells, too
+            self.cells.x.array[:] *= self.membrane.energy.plain.x.array
+        if self.term is None:
+            idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
+            if idle and self.scene.air.sealed is None:
+                return []
+            self.term = self._make_term()
+        self.term.elementwise, self.sealed = None, None
+        if self._stepwise is not None:
+            if not self.membrane.has_folds:
+                self._stepwise.volume_n += float(self.folded_volume[0])
+                self.folded_volume[0] = 0.0
+            return [self._stepwise]
+        assert isinstance(self.term, FollowerPressure)
+        if self.scene.air.sealed is None:
+            return [self.term, *self._rim_terms()]
+        from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
+
+        self.value.value = 1.0
+        sealed = self.scene.air.sealed
+        self.sealed = SealedPressure(sealed, self.term, self._rim_terms(), self.value)
+        return [self.sealed]
+
+    def _make_term(self) -> FollowerPressure | StepPressure:
+        scene = self.scene
+        if scene.pressure_law == "total":
+            return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
+        from crms_fenicsx.energy.terms.paper.step_membrane import StepPressure
+
+        self._stepwise = StepPressure(scene.u, self.cells, self.value)
+        self._stepwise.volume_n = self._history.volume
+        return self._stepwise
+
+    def _rim_terms(self) -> list[EnergyTerm]:
+        rim = rim_of(self.scene.membrane)
+        if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
+            return []
+        return [RimPressure(rim, self.value, self.scene.membrane.centre)]
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.sealed is None:
+            self.value.value = self.scene.pressure
+        elif self.scene.air.sealed is not None:
+            self.sealed.air = self.scene.air.sealed
+
+    def write_scene(self, potential: Potential) -> None:
+        if self.sealed is not None:
+            pressure = self.sealed.pressure(potential.sums_of(self.sealed))
+            self.scene.air.update(pressure=pressure)
+
+    def commit(self) -> None:
+        if self.has_history:
+            history = replace(
+                self.scene.step_history or StepHistory(),
+                volume=0.0 if self._stepwise is None else self._stepwise.volume_n,
+                folded_volume=float(self.folded_volume[0]),
+            )
+            self.scene.record(step_history=history)
+
+
+class MembraneLoadsContribution(Contribution):
+    """The loads of `Scene.put_load` and `Scene.put_wind` on the membrane."""
+
+    term: NodalForces | None = None
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.term = NodalForces(len(self.scene.held)) if self.scene.loads else None
+        return [] if self.term is None else [self.term]
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.term is not None:
+            self.term.take(self.scene.loads)
 
 
 class AddedTermsContribution(Contribution):

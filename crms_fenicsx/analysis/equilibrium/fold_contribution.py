@@ -9,8 +9,8 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
     MembraneContribution,
     PressureContribution,
 )
@@ -116,7 +116,13 @@ class FoldContribution(Contribution):
         # Folds may be on some ranks only, but global sums need the same terms on every rank.
         if self.tables is None or not self.membrane.has_folds:
             return []
-        self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
+        self.energy = self._fold_term(self.tables)
+        if self.scene.literal_penalty is None:
+            moduli = self.membrane.energy.moduli(self.tables.folded.cells)
+            angles = self.tables.penalty(self.scene.penalty, moduli)
+        else:
+            angles = self.tables.literal_penalty(self.scene.literal_penalty)
+        self.penalty = FoldPenalty(angles)
         terms: list[EnergyTerm] = [self.energy, self.penalty]
         self._make_twins(unknowns)
         if self.pressure.sealed is not None:
@@ -154,12 +160,6 @@ class FoldContribution(Contribution):
 
         return StepFoldedMembraneEnergy(tables.folded, membrane.stepwise, membrane.folded_energy)
 
-    def _penalty_term(self, tables: CableTables) -> FoldPenalty:
-        if self.scene.literal_penalty is not None:
-            return FoldPenalty(tables.literal_penalty(self.scene.literal_penalty))
-        moduli = self.membrane.energy.moduli(tables.folded.cells)
-        return FoldPenalty(tables.penalty(self.scene.penalty, moduli))
-
     def _pressure_term(self, tables: CableTables) -> EnergyTerm:
         pressure = self.pressure
         if self.scene.pressure_law == "total":
@@ -169,7 +169,8 @@ class FoldContribution(Contribution):
         return FoldedLaggedPressure(tables.facets, pressure.value, pressure.folded_volume)
 
     def kinked_nodes(self, limit: float) -> set[NodeId]:
-        """As `Contribution`, at the last evaluated state; empty with the literal penalty."""
+        """Fold points with an edge kink above a limit (rad) at the last evaluated state; none with
+        the literal penalty. Collective."""
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()
         mine: set[NodeId] = set()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,8 @@ its load slackens guys without prestress by that much."""
 class BarContribution(Contribution):
     """Bars, with their joints as further unknowns, all on the first rank.
 
-    Attributes: `blocks`: joints and vertices in the layout that it creates.
+    Attributes: `blocks`: joints and vertices in the layout that it creates; `energy`: the bars'
+    strain energy.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -50,7 +50,7 @@ class BarContribution(Contribution):
         at |= dict(zip(self._vertices, blocks.vertex_blocks, strict=True))
         bars = frame.bars if self.scene.comm.rank == 0 else ()
         ends = np.array([(at[bar.start], at[bar.end]) for bar in bars], dtype=np.int32)
-        self._bars = BarEnergy(
+        self.energy = BarEnergy(
             BarTable(
                 ends.reshape(-1, 2),
                 np.array([bar.bar.EA for bar in bars]),
@@ -60,30 +60,7 @@ class BarContribution(Contribution):
         )
         mine = blocks.joint_blocks if self.scene.comm.rank == 0 else blocks.joint_blocks[:0]
         self._loads = JointForces(mine)
-        return [self._bars, self._loads]
-
-    @property
-    def energy(self) -> BarEnergy:
-        """The term of the bars' strain energy."""
-        return self._bars
-
-    @contextmanager
-    def with_hardly_slack(self) -> Iterator[None]:
-        """Let hardly slack guys count as taut: what they restrain hardly moves."""
-        self._bars.loose = HARDLY_SLACK
-        try:
-            yield
-        finally:
-            del self._bars.loose
-
-    @contextmanager
-    def without_compression(self) -> Iterator[None]:
-        """Include the loss of lateral stiffness by compression."""
-        self._bars.least = 0.0
-        try:
-            yield
-        finally:
-            del self._bars.least
+        return [self.energy, self._loads]
 
     def blocks_of(self, ends: Sequence[BarEnd]) -> Indices:
         """Blocks of bar ends on the first rank; on others those of vertices are -1."""
@@ -99,14 +76,14 @@ class BarContribution(Contribution):
         none = np.zeros((0, 3), dtype=np.int32)
         springs = Springs(none, np.zeros(0), none[:, :2])
         springs = springs if of_cables is None else of_cables.springs
-        segments = np.concatenate([springs.segments, self._bars.table.ends])
+        segments = np.concatenate([springs.segments, self.energy.table.ends])
         return Damping(replace(springs, segments=segments))
 
     def read_scene(self, potential: Potential) -> None:
         frame, joints = self.scene.frame, self.blocks.joint_blocks
         potential.x[joints] = _positions(frame.joints) - potential.unknowns.X[joints]
         if self.scene.comm.rank == 0:
-            self._bars.table.L0[:] = [bar.L0 for bar in frame.bars]
+            self.energy.table.L0[:] = [bar.L0 for bar in frame.bars]
             self._loads.forces[:] = self._forces()
 
     def _forces(self) -> Array:
@@ -128,19 +105,19 @@ class BarContribution(Contribution):
         """Add the bars' forces on their ends, in their current directions, to block forces."""
         if self.scene.comm.rank == 0:
             pulls = np.array([bar.pull(bar.start) for bar in self.scene.bars]).reshape(-1, 3)
-            np.add.at(forces, self._bars.table.ends[:, 0], factor * pulls)
-            np.subtract.at(forces, self._bars.table.ends[:, 1], factor * pulls)
+            np.add.at(forces, self.energy.table.ends[:, 0], factor * pulls)
+            np.subtract.at(forces, self.energy.table.ends[:, 1], factor * pulls)
 
     def found(self, potential: Potential) -> tuple[Array, Array]:
         """Positions (n, 2, 3) of the bar ends and bar forces (n,), valid on the first rank."""
         places = potential.unknowns.X + potential.x
-        return places[self._bars.table.ends], self._bars.forces
+        return places[self.energy.table.ends], self.energy.forces
 
     def locate(self, potential: Potential) -> None:
         """Copy positions from the first rank to joints and bars. Collective."""
         joints, frame = self.blocks.joint_blocks, self.scene.frame
         places = potential.unknowns.X + potential.x
-        found = places[joints], places[self._bars.table.ends]
+        found = places[joints], places[self.energy.table.ends]
         positions, points = self.scene.comm.bcast(found)
         for joint, position in zip(frame.joints, positions, strict=True):
             joint.update(position=position.copy())

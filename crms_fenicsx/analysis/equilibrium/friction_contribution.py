@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution, record_friction
 from crms_fenicsx.analysis.equilibrium.contribution import Contribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.friction import lateral
@@ -81,15 +81,12 @@ class FrictionContribution(Contribution):
 
     def _write_gripped(self, capstan: CapstanTension, potential: Potential) -> None:
         """Copy the state of the cables with axial friction to the scene."""
-        energies, sums = dict(self.scene.energies), potential.sums_of(capstan)
-        tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
+        tensions, lost = record_friction(self.scene, capstan, potential)
+        sums = potential.sums_of(capstan)
         for c, cable in enumerate(self.cables.gripped):
             spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
             unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
             store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
-        energies["cables"] -= capstan.friction_potential
-        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
-        self.scene.record(energies=energies)
 
     def commit(self) -> None:
         gripped = [cable for cable in self.scene.cables if cable.state.lateral is not None]

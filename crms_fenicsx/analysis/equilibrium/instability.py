@@ -8,8 +8,9 @@ without compression, need no factorisation of the whole.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +19,7 @@ from crms_fenicsx.analysis.equilibrium.frame_contribution import HARDLY_SLACK
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.stability import ExactTangent
+from crms_fenicsx.energy.terms.bar_energy import BarEnergy
 from crms_fenicsx.energy.terms.ponding import Ponding
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import as_text
@@ -26,6 +28,15 @@ from crms_fenicsx.model.versions import StateWarning
 
 ROUNDING = 100.0
 """Error of a bar's lateral stiffness, in roundings of its axial stiffness."""
+
+TOUCH = 1e-9
+"""Rise of a given water level, relative to the membrane's size, for the check."""
+
+WATER = (
+    "the equilibrium under {!r} is not stable: where the membrane sinks a little more water "
+    "gathers than it can carry; use more prestress or slope, a lower level of the pond, or a "
+    "volume instead of a level."
+)
 
 MOST_JOINTS, MOST_BARS = 500, 20
 """Joints up to which their dense matrix is used, and bars searched for the unstable one."""
@@ -170,22 +181,24 @@ def _by_tangents(
     if frame is not None and system.bars is not None and system.scene.comm.rank == 0:
         springs[system.bars.blocks.joint_blocks] = -frame.least
     with ExitStack() as stack:
-        if system.ponds is not None:
-            stack.enter_context(system.ponds.raised())
-        if system.bars is not None:
-            stack.enter_context(system.bars.with_hardly_slack())
+        for term in () if system.ponds is None else system.ponds.ponds:
+            if term.pond.given == "level":  # a dry roof exactly at its level counts as wet
+                level = term.pond.level + TOUCH * system.scene.membrane.size
+                stack.enter_context(_with(term, pond=replace(term.pond, level=level)))
+        if system.bars is not None:  # what hardly slack guys restrain hardly moves
+            stack.enter_context(_with(system.bars.energy, loose=HARDLY_SLACK))
         tangent = ExactTangent(potential, h0, springs)
         for term in ponds:
             if tangent.negative == 0:
                 break
-            assert system.ponds is not None
-            stack.enter_context(system.ponds.without(term))
+            stack.enter_context(_with(term, pond=replace(term.pond, factor=0.0)))
             before, tangent = tangent, ExactTangent(potential, h0, springs)
             if tangent.negative < before.negative:
-                told.append(_of_pond(term.pond.name))
+                told.append(StateWarning("pond", WATER.format(term.pond.name)))
             before.destroy()
         if tangent.negative and frame is not None and system.bars is not None:
-            stack.enter_context(system.bars.without_compression())
+            # with the loss of lateral stiffness by compression
+            stack.enter_context(_with(system.bars.energy, least=0.0))
             other, ends = ExactTangent(potential, h0, np.abs(springs)), frame.suspects
             if other.negative < tangent.negative:
                 compliance = tangent.compliance(system.bars.blocks_of(ends))
@@ -195,10 +208,12 @@ def _by_tangents(
     return told
 
 
-def _of_pond(name: str) -> StateWarning:
-    return StateWarning(
-        "pond",
-        f"the equilibrium under {name!r} is not stable: where the membrane sinks a little more "
-        "water gathers than it can carry; give it more prestress or slope, or the pond a lower "
-        "level, or a volume instead of one.",
-    )
+@contextmanager
+def _with(term: BarEnergy | Ponding, **values: object) -> Iterator[None]:
+    """Give a term's attributes other values for the block."""
+    before = {name: getattr(term, name) for name in values}
+    vars(term).update(values)
+    try:
+        yield
+    finally:
+        vars(term).update(before)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
@@ -78,14 +79,14 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
         outcome = system.minimize(prestress)
         system.write_scene()
         total = outcome if total is None else total + outcome
-        near = _furthest(scene, scene.u.x.array - first)[0] < NEAR * scene.membrane.size
+        near = _moved(scene, first)[0] < NEAR * scene.membrane.size
         if not (outcome.converged and near and scene.energy < energy - LESS * scale):
             scene.u.x.array[:] = best
             system.read_scene()
             system.write_scene()
     assert total is not None
     fall = max(before - scene.energy, 0.0) / scale
-    return Scatter(total, fall, *_furthest(scene, scene.u.x.array - first))
+    return Scatter(total, fall, *_moved(scene, first))
 
 
 def _kick(scene: Scene) -> Array:
@@ -99,11 +100,16 @@ def _kick(scene: Scene) -> Array:
     return np.where(scene.held, 0.0, kick).ravel()
 
 
-def _furthest(scene: Scene, moved: Array) -> tuple[float, Array]:
-    """Largest displacement (length), and its place on the stress-free membrane. Collective."""
-    own = scene.V.dofmap.index_map.size_local
-    sizes = np.linalg.norm(moved.reshape(-1, 3)[:own], axis=1)
-    k = int(np.argmax(sizes)) if own else -1
-    place = scene.membrane.stress_free[k].tolist() if own else [0.0] * 3
-    size, where = max(scene.comm.allgather((float(sizes[k]) if own else 0.0, place)))
-    return size, np.array(where)
+def _moved(scene: Scene, first: Array) -> tuple[float, Array]:
+    """Largest displacement (length) since a state, and its place on the stress-free membrane."""
+    own, moved = scene.V.dofmap.index_map.size_local, (scene.u.x.array - first).reshape(-1, 3)
+    return furthest(scene.comm, moved[:own], scene.membrane.stress_free[:own])
+
+
+def furthest(comm: MPI.Intracomm, moved: Array, places: Array) -> tuple[float, Array]:
+    """Largest of this and other ranks' displacements (n, 3), and its place (3,). Collective."""
+    sizes = np.linalg.norm(moved, axis=1)
+    k = int(np.argmax(sizes)) if len(sizes) else -1
+    found = (float(sizes[k]), places[k].tolist()) if k >= 0 else (0.0, [0.0] * 3)
+    size, place = max(comm.allgather(found))
+    return size, np.array(place)

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
+from crms_fenicsx.analysis.equilibrium.contact_loop import MAX_CHANGES, ContactLoop
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.crossings import tangled
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
 from crms_fenicsx.cabling.contact.lift_off import Polylines, sunk
 from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials
-from crms_fenicsx.cabling.paths.path_change import PathChange
+from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
@@ -34,9 +34,6 @@ TENSE = 0.01
 CLEAR = 1e-7
 """Fall of the energy, relative to the sum of all its kinds, that another arrangement of crossings
 must bring: rough states of the same arrangement differ by less."""
-
-MAX_PATHS = 60
-"""Limit of path changes in one load step."""
 
 
 @dataclass(frozen=True)
@@ -73,16 +70,16 @@ class PathLoop:
             if not flips:
                 caught: set[int] = set()
                 if settled:
-                    caught, sunken = self._kinked_cables(CAUGHT), self._sunk()
-                    caught = self._sliding(caught | sunken) - laid_again
+                    caught, sunken = self._caught(laid_again)
                     # A cable through the membrane is shorter: its energy is no bound.
                     energy = math.inf if sunken & caught else self.system.objective
                     best = replace(best, state=self.scene.state, energy=energy)
                 if caught:
                     laid_again |= caught
-                    self.sliding.lay_again(caught)
+                    for c in caught:  # the fold points are put back on straight edges
+                        self.scene.cables[c].update(path_is_geodesic=False)
                 else:
-                    if tries < MAX_PATHS:
+                    if tries < MAX_CHANGES:
                         moved = trials.next(best.energy, self._scale())
                         other = not moved and others.next()
                     if not moved and not other and not settled:
@@ -94,11 +91,11 @@ class PathLoop:
                         flips = self._pass_vertices(None)
                         if not flips and not self._straighten_kinks():
                             break
-            if tries == MAX_PATHS:
+            if tries == MAX_CHANGES:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
             tries += 1
-            proposed, refused = tried.proposed, tried.refused_paths()
+            proposed, refused = tried.proposed, {k: set(v) for k, v in tried.refused.items()}
             self.system.rebuild()
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
@@ -112,7 +109,7 @@ class PathLoop:
             if other:
                 others.reject(excess)
             elif not moved:
-                tried.count_misled()
+                tried.misled += 1
             elif trials.halve(moved):
                 tried.refused = refused
             self.scene.state = best.state
@@ -132,7 +129,10 @@ class PathLoop:
         self.sliding.check_on_membrane()
         caught = self.system.kinked_cables(STUCK)
         if caught:
-            caught &= self._collapsed()
+            # those whose fold points have approached each other away from vertices
+            cables, net = self.scene.cables, self.scene.net
+            lines = Polylines(net.nodes, positions_of(cables))
+            caught &= lines.collapsed(net.strip_shape(), fractions_of(cables))
         caught |= self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
@@ -182,20 +182,12 @@ class PathLoop:
         """Sum of the absolute energies of all kinds (force x length)."""
         return sum(map(abs, self.scene.energies.values()))
 
-    def _kinked_cables(self, limit: float) -> set[int]:
-        """Numbers of the cables that kink edges beyond a limit (rad) or are tangled."""
-        return self.system.kinked_cables(limit) | tangled(self.scene.net.crossings)
-
-    def _collapsed(self) -> set[int]:
-        """Numbers of the cables whose fold points have approached each other away from vertices."""
-        cables, shape = self.scene.cables, self.scene.net.strip_shape()
-        lines = Polylines(self.scene.net.nodes, positions_of(cables))
-        return lines.collapsed(shape, fractions_of(cables))
-
-    def _sliding(self, numbers: set[int]) -> set[int]:
-        """Those cables, by number, that slide sideways without friction."""
-        cables = self.scene.cables
-        return {c for c in numbers if cables[c].slides_freely and not cables[c].keeps_line}
+    def _caught(self, known: set[int]) -> tuple[set[int], set[int]]:
+        """Numbers of the sliding cables, but the known ones, that kink edges, are tangled or run
+        below the membrane; and of all cables that run below it. Collective."""
+        caught, sunken = self.system.kinked_cables(CAUGHT), self._sunk()
+        caught |= tangled(self.scene.net.crossings) | sunken
+        return {c for c in caught if leaves_cells(self.scene.cables[c])} - known, sunken
 
     def _sunk(self) -> set[int]:
         """Numbers of the cables that run below the membrane beside a vertex. Collective."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
-from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import MembraneContribution
+from crms_fenicsx.analysis.equilibrium.contribution import (
+    Contribution,
+    MembraneContribution,
+)
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.element_tables import facets_of
 from crms_fenicsx.energy.minimization.potential import Potential
@@ -20,9 +20,6 @@ from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.pond import Pond
-
-TOUCH = 1e-9
-"""Rise of a given water level, relative to the membrane's size, for the stability check."""
 
 
 class PondContribution(Contribution):
@@ -79,28 +76,6 @@ class PondContribution(Contribution):
         """Add the water's forces on the membrane, times a factor, to `g`, (n_local, 3)."""
         for term in self.ponds:
             term.add_pressure(potential.x, g, factor)
-
-    @contextmanager
-    def raised(self) -> Iterator[None]:
-        """Raise given levels slightly, so that a dry roof exactly at its level counts as wet."""
-        known = [term.pond for term in self.ponds]
-        for term, pond in zip(self.ponds, known, strict=True):
-            if pond.given == "level":
-                term.pond = replace(pond, level=pond.level + TOUCH * self.scene.membrane.size)
-        try:
-            yield
-        finally:
-            for term, pond in zip(self.ponds, known, strict=True):
-                term.pond = pond
-
-    @contextmanager
-    def without(self, term: Ponding) -> Iterator[None]:
-        """Remove a pond's weight temporarily."""
-        pond, term.pond = term.pond, replace(term.pond, factor=0.0)
-        try:
-            yield
-        finally:
-            term.pond = pond
 
     def force_per_area(self, potential: Potential) -> float:
         """Weight of the water over the membrane's area (force per area). Collective."""

@@ -12,12 +12,10 @@ from petsc4py import PETSc
 from crms_fenicsx.analysis.equilibrium.contribution import (
     AddedTermsContribution,
     Contribution,
-    force_per_area,
-)
-from crms_fenicsx.analysis.equilibrium.membrane_contribution import (
     MembraneContribution,
     MembraneLoadsContribution,
     PressureContribution,
+    force_per_area,
     hold,
     unloaded_scales,
 )
@@ -68,6 +66,8 @@ class System:
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
         self.objective = 0.0
+        # number of the model that the potential is of, and whether its crossings were arranged then
+        self._built_for: tuple[int, bool]
         self.rebuild(scene.net.arranged != scene.net.cables)
         self.follow()
 
@@ -82,7 +82,7 @@ class System:
 
     def invalidate(self) -> None:
         """Make the next solve start with a rebuild."""
-        self.built_for = -1
+        self._built_for = -1, False
 
     def reset_h0(self) -> None:
         """Make the next solve start with a new H0."""
@@ -93,14 +93,18 @@ class System:
         """Recreate layout, terms and minimiser for the current scene. Collective. Without `arrange`
         the crossings stay as in the solve that led to this state, for inspection."""
         self.destroy()
+        self.invalidate()
         scene, damping = self.scene, None
-        self._arranged = arrange or not scene.cables
         if arrange:
             scene.net.arrange_crossings()
         self.membrane.unfold()
         self.membrane.energy.renew_materials()
         self.contributions: list[Contribution] = list(self._lasting)
-        self.bars = self._bar_contribution()
+        self.bars: BarContribution | None = None
+        if scene.frame:
+            from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
+
+            self.bars = BarContribution(scene)
         if scene.cables:
             from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
 
@@ -136,24 +140,13 @@ class System:
             damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
-        self.built_for, self._begun = scene.versions.model_version, False
-
-    def _bar_contribution(self) -> BarContribution | None:
-        """Contribution of bars and joints, or None."""
-        if not self.scene.frame:
-            return None
-        from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
-
-        return BarContribution(self.scene)
+        self._begun = False
+        self._built_for = scene.versions.model_version, arrange or not scene.cables
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""
-        built = self.minimizer is not None and self._arranged  # not so after a refused rebuild
-        if (
-            not built
-            or self.built_for != self.scene.versions.model_version
-            or any([part.is_stale for part in self.contributions])
-        ):
+        built = self._built_for == (self.scene.versions.model_version, True)
+        if not built or any([part.is_stale for part in self.contributions]):
             self.rebuild()
         else:  # the potential still counts slips from the start of the last step
             self.renew_friction()
@@ -172,7 +165,7 @@ class System:
 
     def _follow_scene(self) -> None:
         """Copy state and loads from the scene, in a new layout if its parts changed."""
-        if self.built_for != self.scene.versions.model_version:
+        if self._built_for[0] != self.scene.versions.model_version:
             self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
 
@@ -209,7 +202,7 @@ class System:
 
     def renew_smoothing_length(self) -> bool:
         """Correct the cable lengths for smoothing and return whether that changed them."""
-        return any([part.renew_smoothing_length(self.potential) for part in self.contributions])
+        return self.cables is not None and self.cables.renew_smoothing_length(self.potential)
 
     def minimize(
         self, h0_prestress: tuple[float, ...], interrupt: Interrupt | None = None
@@ -262,7 +255,7 @@ class System:
 
     def kinked_nodes(self, limit: float) -> set[NodeId]:
         """Fold points with an edge kink above a limit (rad). Collective."""
-        return set().union(*(part.kinked_nodes(limit) for part in self.contributions))
+        return set() if self.cables is None else self.cables.folds.kinked_nodes(limit)
 
     def kinked_cables(self, limit: float) -> set[int]:
         """Numbers of the cables with caught nodes."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -163,11 +162,10 @@ class Frame:
         """
         checks.same(self.comm, "add_bar", bar=bar, start=start, end=end, L0=L0, name=name)
         self.membrane.check_finite("add_bar")
-        if not isinstance(bar, Bar):
-            raise InputError(f"add_bar: {bar!r} is no Bar; write Bar(EA=...).")
-        name = _checked_name("add_bar", "bar", name, (bar.name for bar in self.bars))
+        checks.of_type("add_bar: bar", bar, Bar)
+        name = checks.new_name("add_bar", "bar", name, (bar.name for bar in self.bars))
         if {f"start of {name}", f"end of {name}"} & {joint.name for joint in self.joints}:
-            raise InputError(f"add_bar: there is a joint 'start of {name}'; give another name.")
+            raise InputError(f"add_bar: there is a joint 'start of {name}'; use another name.")
         if L0 is not None:
             L0 = checks.positive(f"add_bar: L0 of {name!r}", L0)
         given = {
@@ -180,7 +178,7 @@ class Frame:
         if length <= SAME_PLACE * self.membrane.size:
             raise InputError(
                 f"add_bar: both ends of {name!r} are at {as_text(points[0])}, so that it has no "
-                "length; give two places."
+                "length; use two different places."
             )
         ends = [
             self._add_joint(e, f"{which} of {name}", "xyz") if isinstance(e, np.ndarray) else e
@@ -243,7 +241,7 @@ class Frame:
         if len(numbers) != 1:
             raise InputError(
                 f"add_bar: the group {group!r} has {len(numbers)} vertices; name one by "
-                "scene.vertex_at(point), or give a group with one."
+                "scene.vertex_at(point), or name a group with one."
             )
         return self._vertex(int(numbers[0]), own)
 
@@ -268,7 +266,7 @@ class Frame:
             raise InputError(
                 f'add_joint: held = {held!r} must be made of the letters x, y and z, or "".'
             )
-        name = _checked_name("add_joint", "joint", name, (j.name for j in self.joints))
+        name = checks.new_name("add_joint", "joint", name, (j.name for j in self.joints))
         flags = np.array([letter in held for letter in COMPONENTS])
         joint = Joint(name, JointState(position.copy(), flags, position.copy(), np.zeros(3)))
         self._joints = (*self.joints, joint)
@@ -277,11 +275,7 @@ class Frame:
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
         """Checked end of a bar: a joint, a vertex, or an anchor's position (3,). Collective."""
         if isinstance(given, Joint):
-            if not self.owns(given):
-                raise InputError(
-                    f"add_bar: {which} of {name!r} = {given!r} is a joint of another scene; add "
-                    "one to this scene with scene.add_joint(...)."
-                )
+            checks.own(f"add_bar: {which} of {name!r}", "joint", given, self.joints)
             return given
         if isinstance(given, MeshVertex):
             self.home(given)
@@ -297,10 +291,6 @@ class Frame:
         own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
         self._joints = tuple(j for j in self.joints if j.name not in own or j in used)
 
-    def owns(self, joint: object) -> bool:
-        """Whether a joint belongs to this scene."""
-        return any(own is joint for own in self.joints)
-
     def path_of(
         self, path: Sequence[Sequence[float] | Joint] | Array
     ) -> tuple[Any, tuple[str | None, str | None]]:
@@ -311,10 +301,11 @@ class Frame:
         points: list[Any] = list(path)
         for k, point in enumerate(points):
             if isinstance(point, Joint):
-                if k not in (0, len(points) - 1) or not self.owns(point):
+                checks.own("lay_cable: path", "joint", point, self.joints)
+                if k not in (0, len(points) - 1):
                     raise InputError(
                         f"lay_cable: path has {point!r} as point {k + 1}; only its first and last "
-                        "point may be joints, of this scene."
+                        "point may be joints."
                     )
                 names[k > 0], points[k] = point.name, point.position
         return points, (names[0], names[1])
@@ -338,15 +329,3 @@ class Frame:
                     f"advance: nothing holds {joint!r}: {why}; add bars to an anchor, to the "
                     'membrane or to a held joint, or make it with held="xyz".'
                 )
-
-
-def _checked_name(call: str, kind: str, name: str | None, others: Iterable[str]) -> str:
-    """An unused name, by default "bar 1", "bar 2" ..."""
-    taken = set(others)
-    if name is None:
-        return next(found for n in count(1) if (found := f"{kind} {n}") not in taken)
-    if not isinstance(name, str) or not name or name != name.strip():
-        raise InputError(f"{call}: name = {name!r}; tables need text without blanks around it.")
-    if name in taken:
-        raise InputError(f"{call}: there is a {kind} {name!r} already; give another name.")
-    return name

@@ -1,4 +1,4 @@
-"""The loads of a scene: on its membrane and joints, and ponded water."""
+"""The loads of a scene: on membrane and joints, ponded water, and the air under the membrane."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from dolfinx import fem
 
 from crms_fenicsx.analysis.scene.frame import Frame, Place
+from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.deformed_surface import gained_volume
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -28,7 +30,8 @@ from crms_fenicsx.model.membrane_load import (
     wind_load,
 )
 from crms_fenicsx.model.pond import Pond, upper_side
-from crms_fenicsx.model.versions import Versions
+from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.versions import Versions, changes_model
 
 AIR = ("pressure", "temperature", "atmosphere")
 """Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
@@ -235,11 +238,7 @@ class Loads(Stateful[LoadsState]):
         checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
-            if not self._frame.owns(joint):
-                raise InputError(
-                    f"put_joint_load: {joint!r} is no joint of this scene; give what "
-                    "scene.add_joint(...) has returned."
-                )
+            checks.own("put_joint_load", "joint", joint, self._frame.joints)
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
         intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
@@ -299,7 +298,7 @@ class Loads(Stateful[LoadsState]):
         weight = checks.positive("put_pond: weight", weight)
         if (level is None) == (volume is None):
             raise InputError(
-                f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
+                f"put_pond: level = {level!r} and volume = {volume!r}; pass one of the two."
             )
         if on is not None:
             checks.collection("put_pond: on", on, Sequence, 'on=["roof"]', 1)
@@ -345,10 +344,116 @@ class Loads(Stateful[LoadsState]):
         checks.text(f"{call}: name", name)
         if name in AIR:
             raise InputError(
-                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
+                f"{call}: name = {name!r} belongs to the air; use another name, such as 'snow'."
             )
         if name in self.factors:
             raise InputError(
-                f"{call}: there is a load {name!r} already; give another name, or take that one "
-                f"away with scene.remove_load({name!r})."
+                f"{call}: there is a load {name!r} already; use another name, or remove that one "
+                f"with scene.remove_load({name!r})."
             )
+
+
+@dataclass(frozen=True)
+class AirState:
+    """State of the air."""
+
+    pressure: float = 0.0  # current pressure (force per area)
+    sealed: SealedAir | None = None  # None if the pressure is given
+
+
+class Air(Stateful[AirState]):
+    """The air under the membrane: ``scene.sealed``."""
+
+    def __init__(self, net: CableNet, versions: Versions, law: str) -> None:
+        self.membrane, self.comm, self.versions = net.membrane, net.membrane.comm, versions
+        self._net, self._law = net, law
+        self.state = AirState()
+
+    @property
+    def pressure(self) -> float:
+        """Current pressure (force per area)."""
+        return self.state.pressure
+
+    @property
+    def sealed(self) -> SealedAir | None:
+        """The sealed air, with its current temperature and atmosphere; None if not sealed."""
+        return self.state.sealed
+
+    @property
+    def volume(self) -> float:
+        """Volume gained under the pressurised cells since the stress-free shape (length cubed).
+
+        It lies between the two shapes as long as the rim of these cells is held, or slides in
+        planes that are held in their normal direction.
+        """
+        return gained_volume(self._net)
+
+    @collective
+    @changes_model
+    def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
+        """Seal the air under the membrane at its present pressure. Collective.
+
+        From now on the gas law gives the pressure from the volume, as in a cushion, or in a hall
+        in a gust that is faster than its fans. `pressure` is the current one.
+
+        Parameters
+        ----------
+        volume
+            Current volume of the air (length cubed), which a mesh open at the ground does not tell.
+        atmosphere
+            Pressure of the atmosphere (force per area); the default is in kPa.
+        exponent
+            1 for isothermal changes, 1.4 for adiabatic ones, too fast to exchange heat.
+
+        Raises
+        ------
+        InputError
+            On all ranks: air already sealed, a step-wise pressure law, a volume or atmosphere that
+            is not positive, an exponent below 1, or a current pressure below vacuum.
+
+        Examples
+        --------
+        >>> solver.advance(pressure=0.3)
+        >>> with solver.branch("gust"):
+        ...     scene.seal(volume=52000.0, exponent=1.4)
+        ...     solver.advance(load={"wind": 1.5})
+        """
+        checks.same(self.comm, "seal", volume=volume, atmosphere=atmosphere, exponent=exponent)
+        if self.sealed is not None:
+            raise InputError("seal: the air is sealed already; call scene.unseal() first.")
+        if self._law != "total":
+            raise InputError(
+                "seal: sealed air needs the exact follower pressure; use "
+                'Scene(..., pressure="total").'
+            )
+        volume = checks.positive("seal: volume", volume)
+        atmosphere = checks.positive("seal: atmosphere", atmosphere)
+        exponent = checks.finite("seal: exponent", exponent)
+        if exponent < 1.0:
+            raise InputError(
+                f"seal: exponent = {exponent:g} is below 1; use 1.0 (isothermal) to 1.4 "
+                "(adiabatic)."
+            )
+        absolute = atmosphere + self.pressure
+        if absolute <= 0.0:
+            raise InputError(
+                f"seal: the pressure {self.pressure:g} is below vacuum in an atmosphere of "
+                f"{atmosphere:g}; use the same units for both."
+            )
+        self.membrane.check_finite("seal")
+        air = SealedAir(volume, self.volume, self.pressure, absolute, exponent, atmosphere)
+        self.update(sealed=air)
+
+    @collective
+    @changes_model
+    def unseal(self) -> None:
+        """Let fans hold the current pressure of the sealed air. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: air that is not sealed.
+        """
+        if self.sealed is None:
+            raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")
+        self.update(sealed=None)

@@ -10,9 +10,8 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.analysis.scene.air import Air
 from crms_fenicsx.analysis.scene.frame import Frame
-from crms_fenicsx.analysis.scene.loads import Loads
+from crms_fenicsx.analysis.scene.loads import Air, Loads
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy
@@ -484,11 +483,7 @@ class Scene:
         >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
         >>> scene.cable("A1").tension
         """
-        if not isinstance(net, Net):
-            raise InputError(
-                f"lay_net: {net!r} is no net; give one of crms_fenicsx.nets, such as "
-                "nets.equidistant(...)."
-            )
+        checks.of_type("lay_net: net", net, Net)
         before = self.net.state
         try:
             laid = tuple(
@@ -617,10 +612,9 @@ class Scene:
         checks.same(self.comm, "remove_bar", bar=bar)
         if isinstance(bar, str):
             bar = self.frame.bar(bar)
-        if not any(bar is own for own in self.bars):
-            raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
-        used = {name for load in self.loads for name in load.joints}
-        used |= {name for cable in self.cables for name in cable.state.joints if name is not None}
+        checks.own("remove_bar", "bar", bar, self.bars)
+        used: set[str | None] = {name for load in self.loads for name in load.joints}
+        used |= {name for cable in self.cables for name in cable.state.joints}
         self.frame.remove(bar, used)
 
     @collective
@@ -681,11 +675,7 @@ class Scene:
         checks.same(self.comm, "set_stiffness", EA=EA)
         checks.collection("set_stiffness: EA", EA, Mapping, "{cable: EA}", 1)
         for one, stiffness in EA.items():
-            if not any(one is own for own in (*self.cables, *self.bars)):
-                raise InputError(
-                    f"set_stiffness: {one!r} is no cable or bar of this scene; give what "
-                    "scene.lay_cable(...) or scene.add_bar(...) has returned."
-                )
+            checks.own("set_stiffness", "cable or bar", one, (*self.cables, *self.bars))
             checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
         for one, stiffness in EA.items():
             if isinstance(one, LaidCable):

@@ -11,9 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from crms_fenicsx.analysis.scene.air import AirState
 from crms_fenicsx.analysis.scene.frame import FrameState
-from crms_fenicsx.analysis.scene.loads import LoadsState
+from crms_fenicsx.analysis.scene.loads import AirState, LoadsState
 from crms_fenicsx.cabling.cables.cable_net import CableNetState
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.runtime.arrays import UNSAVED, Array

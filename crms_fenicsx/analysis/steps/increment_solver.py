@@ -21,7 +21,6 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.loading import Target, has_free_rim
-from crms_fenicsx.analysis.steps.options import Options
 from crms_fenicsx.analysis.verification.report import Check, Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.cabling.contact.lift_off import SUNK, is_foot, size_at
@@ -33,6 +32,13 @@ from crms_fenicsx.model.versions import StateWarning
 
 if TYPE_CHECKING:
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+
+
+from pathlib import Path
+from typing import Any, Literal
+
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.errors import InputError
 
 
 def starting_prestress(
@@ -308,3 +314,39 @@ class IncrementSolver:
             system.invalidate()
             if keeps:
                 system.follow()
+
+
+@dataclass(frozen=True)
+class Options:
+    """Arguments of `crms_fenicsx.Solver` except the scene."""
+
+    results: Path | None
+    resume: bool | None
+    prefix: str
+    rtol: float
+    max_halvings: int
+    slide: bool
+    verify: bool
+    estimate: bool
+    stability: Literal["warn", "refuse", "ignore"] = "warn"
+
+
+def checked_options(comm: MPI.Intracomm, **given: Any) -> Options:
+    """Check a solver's options. Collective."""
+    checks.same(comm, "Solver", **given)
+    options = Options(**given)
+    results, resume, rtol = options.results, options.resume, options.rtol
+    if not 0 < checks.finite("Solver: rtol", rtol) < 1:
+        raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
+    checks.options_prefix("Solver: prefix", options.prefix)
+    if resume is not None and not isinstance(resume, bool):
+        raise InputError(f"Solver: resume = {resume!r}; expected True, False or None.")
+    if resume is not None and results is None:
+        raise InputError(
+            f"Solver: resume = {resume}, but no results: name a folder for the checkpoints, "
+            'as in results="results/dome".'
+        )
+    checks.one_of("Solver: stability", options.stability, ("warn", "refuse", "ignore"))
+    halvings = checks.whole("Solver: max_halvings", options.max_halvings, 0)
+    folder = None if results is None else checks.file("Solver: results", results)
+    return replace(options, results=folder, rtol=float(rtol), max_halvings=halvings)

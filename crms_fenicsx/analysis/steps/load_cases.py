@@ -70,13 +70,10 @@ def checked_states(
     listed = None if combinations is None else dict.fromkeys(combinations)
     checks.same(scene.comm, call, combinations=listed)
     for name, one in (combinations or {}).items():
-        if not isinstance(one, Combination):
-            raise InputError(
-                f"{call}: combination {name!r} is {one!r}; give what solver.combine(...) returned."
-            )
+        checks.of_type(f"{call}: combination {name!r}", one, Combination)
         if one.snapshot.scene is not scene:
             raise InputError(
-                f"{call}: combination {name!r} is of another scene; give those of the solver that "
+                f"{call}: combination {name!r} is of another scene; pass those of the solver that "
                 "made it."
             )
     found = {str(name): one for name, one in (combinations or {}).items()}

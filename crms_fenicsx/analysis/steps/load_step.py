@@ -96,7 +96,7 @@ def warn_of_staying(scene: Scene, ends: Sequence[CableEnd]) -> None:
         stay = "stays in space while its edge moves"
         if len(ends) > 1:
             stay = "stay in space while their edges move"
-        text = f"advance: {names} {stay}; give a movement of the cable, too, or (0, 0, 0)."
+        text = f"advance: {names} {stay}; pass a movement of the cable, too, or (0, 0, 0)."
         warnings.warn(text, PathWarning, stacklevel=CALLER - 2)
 
 

@@ -13,7 +13,7 @@ from dolfinx.fem import locate_dofs_topological
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.analysis.steps.movements import Move, Movements, check_own, checked_movements
+from crms_fenicsx.analysis.steps.movements import Move, Movements, checked_movements
 from crms_fenicsx.energy.terms.pressure import rim_of
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import EPSILON
@@ -79,7 +79,7 @@ def checked_pressure(
         if value is not None and air is None:
             raise InputError(
                 f"advance: {name} = {value!r}, but the air is not sealed; call "
-                "scene.seal(volume=...) first, or give the pressure."
+                "scene.seal(volume=...) first, or set the pressure."
             )
     if air is not None:
         if pressure is not None:
@@ -183,14 +183,14 @@ def _lengths(
     found = []
     for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # same on all ranks
         if not isinstance(key, LaidCable | PlacedBar):
-            raise InputError(f"advance: L0 of {key!r}; give a laid cable or a bar.")
+            raise InputError(f"advance: L0 of {key!r}; expected a laid cable or a bar.")
         if isinstance(key, LaidCable) and key.cable.law == "step":
             raise InputError(
                 f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
                 'length; use Cable(law="total").'
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
-        check_own("cable" if isinstance(key, LaidCable) else "bar", key, scene)
+        checks.own("advance", "cable or bar", key, (*scene.cables, *scene.bars))
         found.append((key, key.L0, length))
     return found
 
@@ -200,7 +200,7 @@ def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple
     present = scene.factors
     if not present:
         raise InputError(
-            f"advance: load = {load!r}, but there is none on the membrane; put one there with "
+            f"advance: load = {load!r}, but the scene has no loads; add one with "
             "scene.put_load, scene.put_wind or scene.put_pond."
         )
     if not isinstance(load, Mapping):
@@ -223,7 +223,7 @@ def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple
         if found.get(pond.name, (0.0, 0.0))[1] < 0.0:
             raise InputError(
                 f"advance: load of {pond.name!r} = {load[pond.name]:g}, of water, which cannot "
-                "pull; give 0 or more."
+                "pull; use 0 or more."
             )
     return found
 

@@ -61,7 +61,7 @@ class Rotation:
         axis = checks.vector("Rotation: axis", self.axis)
         if not np.linalg.norm(axis) > 0.0:
             raise InputError(
-                f"Rotation: axis = {self.axis!r} has no direction; give one, as in (0, 0, 1)."
+                f"Rotation: axis = {self.axis!r} has no direction; use one such as (0, 0, 1)."
             )
         checks.finite("Rotation: angle", self.angle)
 
@@ -140,11 +140,6 @@ class EdgeEnd:
     weights: Array  # (n,) of their displacements
 
 
-TYPE_OF_MOVE = (
-    "a laid cable, one of its ends, a held joint, or the name of a group of held vertices"
-)
-
-
 @dataclass(frozen=True)
 class Movements:
     """Checked movements of supports and anchors."""
@@ -219,7 +214,7 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
                 own.append(Motion.of(what, given, end.cable.state.positions[k][None], steps))
                 ends.append((end.cable, k, own[-1]))
         elif isinstance(key, Joint):
-            check_own("joint", key, scene)
+            checks.own("advance", "joint", key, scene.joints)
             own.append(Motion.of(what, given, key.position[None], steps))
             remedy = "make it with held={!r}"
             _check_held(scene, key, key.held[None], own[0], remedy)
@@ -232,7 +227,10 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
             )
             vertices.append((dofs, own[0]))
         else:
-            raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
+            raise InputError(
+                f"advance: cannot move {key!r}; expected a laid cable, one of its ends, a held "
+                "joint, or the name of a group of held vertices."
+            )
         samples[key] = _samples(scene, own, vertices[-1][0] if isinstance(key, str) else None)
         with raised_together(scene.comm):
             sizes = (np.linalg.norm(motion.sampled, axis=2) for motion in own)
@@ -294,15 +292,9 @@ def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[
     return [float(x) for x in scene.comm.allreduce(found)]
 
 
-def check_own(kind: str, one: object, scene: Scene) -> None:
-    """Refuse a cable, bar or joint (`kind`) of another scene."""
-    if not any(one is own for own in (*scene.cables, *scene.bars, *scene.joints)):
-        raise InputError(f"advance: {one!r} is not a {kind} of this scene.")
-
-
 def _anchor(scene: Scene, end: CableEnd) -> int:
     """Node of a cable's end, 0 or -1, if it is an anchor."""
-    check_own("cable", end.cable, scene)
+    checks.own("advance", "cable", end.cable, scene.cables)
     k = 0 if end.which == "start" else -1
     if end.cable.state.nodes[k].kind != "anchor":
         raise InputError(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.analysis.equilibrium.other_states import furthest
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver
 from crms_fenicsx.analysis.steps.loading import Target, between
@@ -73,7 +74,10 @@ class SnapThroughSearch:
                     return None
                 size, part = max(halves, key=lambda one: one[0])
                 sizes.append(size)
-            calm = not part.solved and self._is_convex(part)
+            calm = False
+            if not part.solved:  # the energy may be convex all the way
+                outcome = self._solve(part.start, part.low, part.high)
+                calm = outcome.converged and not outcome.nonconvex
         finally:
             self.increments.go_back_to(end)
         if calm:
@@ -124,11 +128,6 @@ class SnapThroughSearch:
         found = self.increments.solve(self.target, self.first, start, low, high, self.steps)
         return found.outcome
 
-    def _is_convex(self, part: _Part) -> bool:
-        """Whether the energy is convex all the way from the start of a part. Collective."""
-        outcome = self._solve(part.start, part.low, part.high)
-        return outcome.converged and not outcome.nonconvex
-
     def _is_fine(self, part: _Part) -> bool:
         """Whether a part narrows every load down to `FINE`."""
         for first, last in self._load_ranges().values() or [(0.0, 1.0)]:
@@ -154,11 +153,7 @@ class SnapThroughSearch:
             joints = np.array([joint.position for joint in before.frame.joints.values()])
             ends = np.array([joint.position for joint in after.frame.joints.values()])
             places, moved = np.concatenate([places, joints]), np.concatenate([moved, ends - joints])
-        sizes = np.linalg.norm(moved, axis=1)
-        k = int(np.argmax(sizes)) if len(sizes) else -1
-        found = (float(sizes[k]), places[k].tolist()) if k >= 0 else (0.0, [0.0] * 3)
-        size, place = max(self.scene.comm.allgather(found))
-        return size, np.array(place)
+        return furthest(self.scene.comm, moved, places)
 
     def _warning(self, part: _Part) -> StateWarning:
         """Warning for a snap-through in a part of the increment. Collective."""

@@ -87,8 +87,7 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if isinstance(node.point, EdgePoint):
                 on_edge[k] = points.get(node.point.edge, 0)
-        on_path = cable.path_nodes()
-        supports = [p.support for k in on_path if (p := cable.state.nodes[k].point) is not None]
+        supports = [cable.state.nodes[k].support for k in cable.path_nodes()]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
             ids,

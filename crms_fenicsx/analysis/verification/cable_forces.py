@@ -15,6 +15,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
 )
 from crms_fenicsx.cabling.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.cabling.paths.held_vertices import UNEVEN, Pulls, held_runs
+from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
@@ -77,8 +78,8 @@ def contacts(
     """Outward pull of the cable on the membrane, and its depth below the membrane."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.state.lifted[k]]
-    supports = [p.support for k in on if (p := cable.state.nodes[k].point) is not None]
     if on and is_tense(cable):
+        supports = [p.support for k in on if (p := cable.state.nodes[k].point) is not None]
         pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
     touched = np.array(cable.contacts())
     lifted = [
@@ -115,7 +116,7 @@ def forces(
     values = {"unbalanced forces of cables": free / own}
     press = max(float(turns.sum()), least)
     values |= _held(cable, shape, press, others)
-    if cable.slides_freely and not cable.keeps_line:
+    if leaves_cells(cable):
         # An edge carries the forces if it is much stiffer than the cable's tension.
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)

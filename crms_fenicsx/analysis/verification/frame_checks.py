@@ -15,8 +15,6 @@ from crms_fenicsx.model.bar import Joint
 
 FORCE = 1e-6
 """Largest relative error of a bar's force."""
-PLACE = 1e-12
-"""Largest distance of a bar's end from its joint or vertex, relative to its length."""
 
 
 def check_frame(system: System, bars: BarContribution) -> list[Check]:
@@ -36,7 +34,7 @@ def check_frame(system: System, bars: BarContribution) -> list[Check]:
     checks = []
     if names:
         checks = [
-            _worst("ends of bars off their place", places, PLACE, names),
+            _worst("ends of bars off their place", places, ROUNDED, names),
             _worst("forces of bars", forces, FORCE, names),
         ]
     return [*checks, _worst("unbalanced forces of bars", shares, UNBALANCED, points, binding=False)]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from crms_fenicsx.model.versions import StateWarning
 
 ROUNDED = 1e-12
-"""Relative rounding of a length, or of the distance from the origin."""
+"""Relative rounding of a length, or of the distance from the origin: the largest distance of points
+from places that are set, not solved for."""
 
 UNBALANCED = 1e-3
 """Unbalanced forces of one part of a scene, relative to that part's own, beyond which a state is

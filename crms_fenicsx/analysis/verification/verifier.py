@@ -23,7 +23,8 @@ from mpi4py import MPI
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.cable_forces import plain_vertices, section_forces
-from crms_fenicsx.analysis.verification.report import UNBALANCED, Check, Verification
+from crms_fenicsx.analysis.verification.report import ROUNDED, UNBALANCED, Check, Verification
+from crms_fenicsx.cabling.cables.clamping import smallest_slip
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.unstressed import is_unstressed
 from crms_fenicsx.foundation.dofs.layout import Unknowns
@@ -56,9 +57,6 @@ VISIBLE = 0.1
 """Part of it that rounding may take, unless displacements would become too large."""
 BALANCE = 1e-7
 """Largest relative imbalance of forces."""
-PLACE = 1e-12
-"""Largest distance of points from their prescribed places, relative to the scene's size or, if
-larger, to its distance from the origin: these places are set, not solved for."""
 SPREAD = 8.0
 """Standard deviations that bound a sum of unbalanced forces with random signs."""
 GEOMETRIC_TERMS = "pressure", "dead load", "pond", "bars"
@@ -140,8 +138,6 @@ class Verifier:
                 slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
                 largest = min(largest, SMALLEST_SLIP * slip)
         if scene.clamps:
-            from crms_fenicsx.cabling.cables.slipping_clamps import smallest_slip
-
             largest = min(largest, SMALLEST_SLIP * smallest_slip(scene.cables))
         shake: Array = (self._random.random((n, 3)) - 0.5) * np.sqrt(12.0)
         self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
@@ -268,7 +264,7 @@ class Verifier:
             Check("unbalanced forces of the membrane", unbalanced_own / own,
                   UNBALANCED + rounding / own, binding=False),
             Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_loads, limit),
-            Check("way of the supports", worst[0] / worst[2], PLACE),
+            Check("way of the supports", worst[0] / worst[2], ROUNDED),
         ]  # fmt: skip
         laws = [cable.cable.sideways for cable in scene.cables if cable.taut]
         if not any(friction is not None and friction.law == "step" for friction in laws):
@@ -276,7 +272,7 @@ class Verifier:
             moment = _norm(total[3:6] + total[9:12])
             checks.append(Check("moment of supports and loads", moment / (all_loads * size), limit))
         if scene.floor_level is not None:
-            checks.append(Check("depth below the floor", worst[1] / worst[2], PLACE))
+            checks.append(Check("depth below the floor", worst[1] / worst[2], ROUNDED))
         return checks
 
     def _position_errors(self, unknowns: Unknowns) -> Array:

@@ -120,11 +120,7 @@ class CableNet:
     def remove(self, cable: LaidCable | str) -> None:
         """Remove a cable and its crossings. Collective."""
         gone = self.cable(cable) if isinstance(cable, str) else cable
-        if not isinstance(gone, LaidCable) or gone not in self.cables:
-            raise InputError(
-                f"remove: {gone!r} is not a cable of this scene; give one of scene.cables, or its "
-                "name."
-            )
+        checks.own("remove", "cable", gone, self.cables)
         number = self.cables.index(gone)
 
         def renumbered(c: int) -> int:
@@ -220,15 +216,11 @@ class CableNet:
         """Check and return two or more different cables."""
         own = [self.cable(one) if isinstance(one, str) else one for one in cables]
         for one in own:
-            if one not in self.cables:
-                raise InputError(
-                    f"{call}: {one!r} is not a cable of this scene; give some of scene.cables, or "
-                    "their names."
-                )
+            checks.own(call, "cable", one, self.cables)
         if len(own) < 2 or len(set(own)) < len(own):
             names = ", ".join(one.name for one in own)
             raise InputError(
-                f"{call}: the cables are {names or '(none)'}; give two or more different ones."
+                f"{call}: the cables are {names or '(none)'}; pass two or more different ones."
             )
         return own
 
@@ -245,7 +237,7 @@ def _nearest(call: str, clamps: Sequence[Clamp], near: object) -> list[Clamp]:
     except (TypeError, ValueError, OverflowError):
         points = np.zeros((0, 3))
     if not len(points) or not np.isfinite(points).all():
-        raise InputError(f"{call}: near = {near!r}; give points in space, (k, 3).")
+        raise InputError(f"{call}: near = {near!r}; expected points in space, (k, 3).")
     if not clamps:
         return []
     away = norm(np.array([clamp.place for clamp in clamps])[:, None] - points)

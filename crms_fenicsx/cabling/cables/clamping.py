@@ -1,4 +1,9 @@
-"""Clamps: where two cables meet, and the nodes at which clamps divide their tension."""
+"""Clamps and bonds: where two cables meet, and the nodes at which they divide a tension.
+
+A cable slips through m clamps of limited grip as a chain of m + 1 parts
+(`energy.terms.capstan_chain`), with dry friction bounded by the grip at each clamp. The rest arc is
+that at clamping or after the last slip.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.bonding import bonded_nodes
-from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.clamp import Clamp, ClampedParts
+from crms_fenicsx.model.hold import Bonds
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 
@@ -22,6 +28,13 @@ before equilibrium cables lie on cells that the others will fold."""
 
 OBLIQUE = 0.1
 """Sine of the smallest angle of a crossing; below it cables run side by side."""
+
+
+TOLERANCE = 1e-3
+"""Elastic slip at a clamp, relative to the elongation of the adjacent part under its grip."""
+
+CLAMP_SLIP = 1e-6
+"""Elastic slip at a clamp of unlimited grip, with axial friction, relative to the cable length."""
 
 
 @dataclass(frozen=True)
@@ -198,4 +211,92 @@ def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> 
     spent = 0.0 if old is None else old.dissipated
     return ClampedParts(
         shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent
+    )
+
+
+def bonds_of(cable: LaidCable) -> Bonds:
+    """Bonds of a cable lying on the membrane, at uniform strain."""
+    last, x = len(cable.state.nodes) - 1, cable.state.positions
+    passed = arc_lengths(x)
+    inside = [
+        k
+        for k in cable.path_nodes()
+        if 0 < k < last and norm(x[[k, k]] - x[[0, last]]).min() > SAME_PLACE * passed[-1]
+    ]
+    places = tuple(cable.state.nodes[k].support for k in inside)
+    return Bonds(places, passed[inside] / passed[-1])
+
+
+def bonded_parts(cable: LaidCable) -> ClampedParts:
+    """Parts of a newly bonded cable."""
+    assert cable.state.bonds is not None
+    count = len(cable.state.bonds.at) + 1
+    force = np.full(count, cable.tension)
+    inner = np.zeros(count - 1)
+    return ClampedParts(
+        cable.state.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count), inner, inner
+    )
+
+
+def bonded_nodes(cable: LaidCable) -> list[int]:
+    """Nodes at which a cable is bonded to the fabric, in order."""
+    assert cable.state.bonds is not None
+    on, found = iter(cable.path_nodes()), []
+    for support in cable.state.bonds.supports:
+        node = next((k for k in on if cable.state.nodes[k].support == support), None)
+        if node is None:
+            raise PathError(
+                f"{cable.name!r} has an end that has moved past places at which it is bonded to "
+                "the fabric; move it with the edge that it is sewn to, or lay the cable anew."
+            )
+        found.append(node)
+    return found
+
+
+def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
+    """Grips (m,) and elastic slips (m,) (length) of clamps; unlimited grips are EA."""
+    assert cable.state.parts is not None
+    EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.state.parts.at, 1.0])
+    bounds = np.where(cable.state.parts.grips > 0.0, np.minimum(cable.state.parts.grips, EA), EA)
+    return bounds, TOLERANCE * bounds / EA * np.minimum(lengths[1:], lengths[:-1])
+
+
+def held_by_clamps(cable: LaidCable) -> tuple[Array, Array]:
+    """The same for a cable with axial friction: unlimited grips get a smaller elastic slip, since
+    spans between its nodes are shorter than parts."""
+    assert cable.state.parts is not None
+    bounds, eps = bounds_and_slips(cable)
+    return bounds, np.where(cable.state.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
+
+
+def smallest_slip(cables: Sequence[LaidCable]) -> float:
+    """Smallest elastic slip of clamps through which cables may slip (length)."""
+    own = [bounds_and_slips(cable)[1] for cable in cables if cable.taut and cable.may_slip]
+    return float(np.concatenate([[np.inf], *own]).min())
+
+
+def end_step(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
+    """End a load step: clamps adopt the slipped positions. Returns the clamps."""
+    moved: dict[tuple[str, float], float] = {}
+    for cable in cables:
+        parts = cable.state.parts
+        if parts is None or not parts.slips.any():
+            continue
+        if cable.state.axial is None:
+            (_, eps), length = bounds_and_slips(cable), cable.L0
+        else:
+            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.state.smoothing_length
+        elastic = np.clip(parts.slips, -eps, eps)
+        at = np.asarray(parts.at + (parts.slips - elastic) / length)
+        moved |= {
+            (cable.name, old): new for old, new in zip(floats(parts.at), floats(at), strict=True)
+        }
+        spent = parts.dissipated + parts.loss
+        cable.update(parts=replace(parts, at=at, slips=elastic, loss=0.0, dissipated=spent))
+    return tuple(
+        replace(clamp, at=(first, second)) if (first, second) != clamp.at else clamp
+        for clamp in clamps
+        for first, second in [
+            tuple(moved.get(key, key[1]) for key in zip(clamp.cables, clamp.at, strict=True))
+        ]
     )

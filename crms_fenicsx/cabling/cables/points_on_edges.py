@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from itertools import chain
 
@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from crms_fenicsx.cabling.cables.strip import Simplices
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
-from crms_fenicsx.foundation.surface.points import Edge, EdgePoint
 from crms_fenicsx.model.cable_state import CableNode, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 
@@ -144,10 +143,3 @@ class PointsOnEdges:
         # (nodes,) index along the edge, from 0; -1 for all other nodes
         self.place = np.full(len(on), -1)
         self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
-
-
-def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
-    """Numbers of a cable's nodes on edges, without crossings, and these edges."""
-    for k, node in enumerate(nodes):
-        if isinstance(node.point, EdgePoint) and node.kind != "crossing":
-            yield k, node.point.edge

@@ -329,16 +329,19 @@ def smooth_line_load(
     """Set `bearing` and `line` for one run of nodes on the membrane."""
     bearing[run] = normal[run]
     # The turn at a cable's ends is unknown, and the force next to an anchor is no line force.
-    rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
+    nodes, last = cable.state.nodes, len(cable.state.nodes) - 1
+    beside = {foot for end, foot in ((0, 1), (last, last - 1)) if nodes[end].kind == "anchor"}
+    rows = [
+        i for i, k in enumerate(run)
+        if 0 < k < last and nodes[k].kind != "tied" and k not in beside
+    ]  # fmt: skip
     arc = arc_lengths(cable.state.positions[run])
     own = stretches(arc)[rows]
     inner = [run[i] for i in rows]
     if len(inner) < 2 or own[-1, 1] <= own[0, 0]:
         return
-    supports = [
-        node.point.support for k in inner if (node := cable.state.nodes[k]).point is not None
-    ]
-    size = float(np.mean([size_at(shape, support) for support in supports]))
+    points = [point for k in inner if (point := nodes[k].point) is not None]
+    size = float(np.mean([size_at(shape, point.support) for point in points]))
     ends = float(own[0, 0]), float(own[-1, 1])
     width = min(WIDTH * size, ends[1] - ends[0])
 
@@ -350,14 +353,3 @@ def smooth_line_load(
     bearing[inner] = between(own)
     around = np.clip(arc[rows][:, None] + (-size / 2, size / 2), *ends)
     line[inner] = between(around) / (around[:, 1] - around[:, 0])
-
-
-def _may_slide(cable: LaidCable, k: int) -> bool:
-    """Whether a node is neither an end of its cable nor tied to the membrane."""
-    return cable.state.nodes[k].kind != "tied" and 0 < k < len(cable.state.nodes) - 1
-
-
-def _beside_anchor(cable: LaidCable, k: int) -> bool:
-    """Whether a node is next to an anchor, off the membrane or at a held place."""
-    first, last = (cable.state.nodes[end].kind == "anchor" for end in (0, -1))
-    return (first and k == 1) or (last and k == len(cable.state.nodes) - 2)

@@ -6,8 +6,7 @@ and its lifted nodes mark the edges and vertices there, which show how high the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,13 +65,6 @@ def under(
         np.array(line), *span, shape.normal(support), INSIDE, reach
     )
     return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
-
-
-def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
-    """Pairs of contacts between which the cable is off the membrane."""
-    for a, b in pairwise(cable.contacts()):
-        if b - a > 1:
-            yield a, b
 
 
 class FreeSpans:

@@ -14,13 +14,14 @@ which gives lengths near the solution; a sticking one would be stretched by the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cabling.cables.clamping import bounds_and_slips, held_by_clamps
 from crms_fenicsx.cabling.cables.element_tables import CableTables
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
-from crms_fenicsx.cabling.cables.slipping_clamps import held_by_clamps
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import edge_directions, held_nodes, turns
 from crms_fenicsx.cabling.contact.lift_off import is_foot
@@ -243,28 +244,33 @@ def held_along(cable: LaidCable) -> bool:
     return cable.taut and cable.state.axial is not None
 
 
-def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
-    """Spans and nodes of the taut cables with axial friction."""
-    cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
-    held = {c: gripped_nodes(numbering.cables[c]) for c in cables}
-    starts = np.cumsum([0] + [len(held[c]) + 1 for c in cables])
-    first = dict(zip(cables, starts, strict=False))
+def chain_table(
+    numbering: CableNumbering, tables: CableTables, held: Mapping[int, Sequence[int]]
+) -> Chains:
+    """Spans of cables, by number, between the nodes with axial friction or clamps that slip."""
+    starts = np.cumsum([0] + [len(nodes) + 1 for nodes in held.values()])
+    first = dict(zip(held, starts, strict=False))
     begins = numbering.nodes.ids(tables.links[:, 0])
     own = [s for s, (c, _) in enumerate(begins) if c in first]
     span = [
         first[c] + np.searchsorted(held[c], k, side="right") for c, k in (begins[s] for s in own)
     ]
-    points = _fold_points(numbering)
+    points = [one for one in _fold_points(numbering) if one[1] in held]
     rows = np.array([numbering.row(c, held[c][i]) for _, c, i in points], dtype=np.int64)
     edges = numbering.on[rows]
     pointers, blocks = numbering.lines(edges)
     return Chains(
-        np.array([numbering.cables[c].cable.EA for c in cables]), starts.astype(np.int64),
+        np.array([numbering.cables[c].cable.EA for c in held]), starts.astype(np.int64),
         tables.segments[own], tables.eps[own], np.array(span, dtype=np.int32),
         pointers.astype(np.int32), blocks, (numbering.points.place[rows] + 1).astype(np.int32),
         np.array([first[c] - n + i for n, c, i in points], dtype=np.int32),
         numbering.strip.simplices.owner[edges] == numbering.rank,
     )  # fmt: skip
+
+
+def gripped_cables(numbering: CableNumbering) -> dict[int, list[int]]:
+    """The nodes with axial friction of each taut cable, by number."""
+    return {c: gripped_nodes(k) for c, k in enumerate(numbering.cables) if held_along(k)}
 
 
 def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
@@ -286,14 +292,26 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
     )
 
 
+def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
+    """Grips of cables at the clamps through which they may slip."""
+    rows: list[Array] = [np.zeros((4, 0))]
+    for cable in cables:
+        parts = cable.state.parts
+        assert parts is not None
+        bounds, eps = bounds_and_slips(cable)
+        rest = cable.L0 * parts.at + np.cumsum(parts.smoothing)[:-1]
+        rows.append(np.array([rest, bounds, eps, parts.slips]))
+    rest, bounds, eps, slips = np.concatenate(rows, axis=1)
+    return Grips(rest, bounds, eps, eps, slips, np.zeros(0))
+
+
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
     """Sliding nodes with axial friction on this rank's edges: index of cable, cable, node."""
     near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
-    cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
     return [
         (n, c, i)
-        for n, c in enumerate(cables)
-        for i, k in enumerate(gripped_nodes(numbering.cables[c]))
+        for n, (c, nodes) in enumerate(gripped_cables(numbering).items())
+        for i, k in enumerate(nodes)
         if k not in clamped_nodes(numbering.cables[c])
         if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

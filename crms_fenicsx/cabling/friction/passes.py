@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.slipping_clamps import held_by_clamps
+from crms_fenicsx.cabling.cables.clamping import held_by_clamps
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.cabling.friction.axial import (
@@ -22,15 +22,17 @@ from crms_fenicsx.cabling.friction.axial import (
     clamped_nodes,
     reference_arcs,
 )
-from crms_fenicsx.cabling.friction.cone import (
+from crms_fenicsx.cabling.friction.slip import (
     BISECTIONS,
     Slip,
     full_slips,
     law_along,
     law_sideways,
+    node_slips,
+    slip_forces,
+    slipped_line,
     slips_sideways,
 )
-from crms_fenicsx.cabling.friction.slip import node_slips, slip_forces, slipped_line
 from crms_fenicsx.energy.terms.capstan_chain import LAW, find_slips
 from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans
@@ -216,11 +218,6 @@ def _bounds(
     return coefficients * contact_forces(cable, shape).bearing[held_nodes(cable)], moving
 
 
-AXIALLY_SETTLED = 1e-4
-"""Change of the tensions, relative to the sum of the bounds, below which these have settled. Being
-sharper than for lateral friction costs one short pass."""
-
-
 CLAMPED = 10.0
 """Largest logarithm of the tension ratio at clamps, more than any cable has."""
 
@@ -242,7 +239,9 @@ class _Law:
 class AxialIteration:
     """Iterates one cable's axial bounds to those of the resulting state."""
 
-    settled = AXIALLY_SETTLED
+    settled = 1e-4
+    """Change of the tensions, relative to the sum of the bounds, below which these have settled.
+    Being sharper than for lateral friction costs one short pass."""
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable

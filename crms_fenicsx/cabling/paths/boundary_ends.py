@@ -83,7 +83,10 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
         return False
     led = False
     if isinstance(node.point, CellPoint):
-        led = _follow(change, cable, last)
+        # pulled taut to the old place the path would go back and forth
+        before, now = cable.state.ends_before, cable.state.positions[anchor]
+        moved = 0.0 if before is None else float(np.linalg.norm(now - before[anchor]))
+        led = moved > SAME_PLACE * cable.length and _lead(change, cable, last)
         node = cable.state.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
@@ -108,22 +111,12 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
     points = list(cable.path.points)
     points = points[::-1] if last else points
     way = _way(change, points, *found)
-    before, after = cable.ends
+    first, second = cable.ends
     if last:
-        change.move_ends(cable, way[::-1], (before, "held"))
+        change.move_ends(cable, way[::-1], (first, "held"))
     else:
-        change.move_ends(cable, way, ("held", after))
+        change.move_ends(cable, way, ("held", second))
     return True
-
-
-def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
-    """Extend or shorten a path to the cell below a moved anchor, or off the membrane: pulled taut
-    to the old place it would go back and forth."""
-    anchor, before = -1 if last else 0, cable.state.ends_before
-    place = cable.state.positions[anchor]
-    if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
-        return False
-    return _lead(change, cable, last)
 
 
 def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) -> bool:

@@ -4,29 +4,42 @@ Two cables that press each other into the membrane have several nearby minima of
 vertex holds a cable: a cable passes a vertex on one side or the other; two cables cross an edge
 beside their crossing at one point or at two; and a contact beside a span is closed, as the cable
 has folded the membrane there, or open. The load path picks one; the energies tell the equilibrium.
+
+Clamps at vertices lift off here, too. A cable lifts off at its own points; at a clamp on a vertex,
+or on an edge that one of its cables follows, no cable can lift off alone. So the paths are moved
+beside the vertex or edge: there the clamp is a point inside a cell, held down by the surrounding
+contacts only. A clamp beside a vertex that holds its cables' points may belong on the vertex:
+otherwise one side of the clamp lacks a smoothed length, and short stiff parts get wrong tensions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from crms_fenicsx.cabling.contact.active_set import ContactKey
-from crms_fenicsx.cabling.contact.contact_force import forces_at
+from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.cabling.contact.free_spans import Gap
-from crms_fenicsx.cabling.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
-from crms_fenicsx.cabling.paths.clamp_release import beside_vertices, put_onto
-from crms_fenicsx.cabling.paths.held_vertices import VertexRun
-from crms_fenicsx.cabling.paths.path_change import PathChange
+from crms_fenicsx.cabling.contact.lift_off import (
+    PULL,
+    captured,
+    lift,
+    may_lift,
+    outward_pulls,
+    touch,
+)
+from crms_fenicsx.cabling.paths.held_vertices import VertexRun, clamped_together, held_vertices
+from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells, vertices_near
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
 from crms_fenicsx.cabling.paths.vertex_passing import pass_run
-from crms_fenicsx.foundation.surface.points import Edge
+from crms_fenicsx.foundation.surface.corridor import corridor, why_invalid
+from crms_fenicsx.foundation.surface.points import Edge, VertexPoint
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.model.tolerances import BEYOND, PRESSED
 
 FEW = 4
 """Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
@@ -102,21 +115,26 @@ class CrossingTrials:
     def _crossed(self) -> list[int]:
         """Numbers of freely sliding cables that cross others."""
         members = {c for one in self.net.crossings for c in (one.lower, one.upper)}
-        return [c for c in sorted(members) if self._is_free(self.net.cables[c])]
-
-    @staticmethod
-    def _is_free(cable: LaidCable) -> bool:
-        return cable.taut and cable.slides_freely and not cable.keeps_line
+        cables = self.net.cables
+        return [c for c in sorted(members) if cables[c].taut and leaves_cells(cables[c])]
 
     def _clamps(self) -> Iterator[Way]:
         """Clamps beside vertices, moved onto these."""
-        for vertex, cables in beside_vertices(self.change):
-
-            def take(vertex: int = vertex, cables: list[LaidCable] = cables) -> bool:
-                return put_onto(self.change, cables, vertex)
-
-            key = ("clamp", cables[1].name, (vertex,), False)
-            yield Way(self.net.cables.index(cables[0]), key, take)
+        shape = self.net.strip_shape()
+        for held in clamped_together(self.net.cables):
+            own = [cable for cable, _ in held]
+            if not all(map(leaves_cells, own)):
+                continue
+            places = [set(cable.state.nodes[k].support) for cable, k in held]
+            beside = set.intersection(*places, *(vertices_near(cable, PRESSED) for cable in own))
+            if beside:
+                holding = (
+                    {v.vertex for v in held_vertices(c, shape) if v.excess > 0.0} for c in own
+                )
+                for vertex in sorted(beside.intersection(*holding)):
+                    key = ("clamp", own[1].name, (vertex,), False)
+                    take = partial(put_onto, self.change, own, vertex)
+                    yield Way(self.net.cables.index(own[0]), key, take)
 
     def _sides(self) -> Iterator[Way]:
         """Vertices passed on the other side, the nearest first."""
@@ -132,13 +150,12 @@ class CrossingTrials:
                     nearest[vertex] = min(nearest.get(vertex, NEAR), float(away[k]))
             found += [(near, c, vertex) for vertex, near in nearest.items()]
         for _, c, vertex in sorted(found):
+            yield Way(c, ("side", "", (vertex,), False), partial(self._pass, c, vertex))
 
-            def take(c: int = c, vertex: int = vertex) -> bool:
-                # No change on the side where the cable already is.
-                runs = (VertexRun((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
-                return any(pass_run(self.change, c, run) for run in runs)
-
-            yield Way(c, ("side", "", (vertex,), False), take)
+    def _pass(self, c: int, vertex: int) -> bool:
+        """Move a cable past a vertex; there is no way past on the side where it already is."""
+        runs = (VertexRun((vertex,), to_left, 0.0) for to_left in (True, False))
+        return any(pass_run(self.change, c, run) for run in runs)
 
     def _exchanges(self) -> Iterator[Way]:
         """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
@@ -166,7 +183,7 @@ class CrossingTrials:
         """Edges next to crossings that both cables cross, with both nodes."""
         for crossing in self.net.crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
-            if crossing.separated or not all(map(self._is_free, pair)):
+            if crossing.separated or not all(c.taut and leaves_cells(c) for c in pair):
                 continue
             lower, upper = crossing.between[:2], crossing.between[2:]
             for edge in ((e[0], e[1]) for e in lower if len(e) == 2 and e in upper):
@@ -209,15 +226,14 @@ class CrossingTrials:
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]
-            key = cable.name, cable.state.nodes[k].support
-
-            def take(cable: LaidCable = cable, k: int = k, key: ContactKey = key) -> bool:
-                lift(cable, [k])
-                self.tried.released.add(key)
-                return True
-
             if press < LIGHT:
-                yield Way(c, ("open", *key, False), take)
+                key = cable.name, cable.state.nodes[k].support
+                yield Way(c, ("open", *key, False), partial(self._lift, cable, k, key))
+
+    def _lift(self, cable: LaidCable, k: int, key: ContactKey) -> bool:
+        lift(cable, [k])
+        self.tried.released.add(key)
+        return True
 
     def _closed(self) -> Iterator[Way]:
         """Contacts at ends of spans, closed, the lowest above the membrane first."""
@@ -234,18 +250,56 @@ class CrossingTrials:
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):
             cable = self.net.cables[c]
             key = cable.name, cable.state.nodes[k].support
+            yield Way(c, ("closed", *key, False), partial(self._touch, cable, {k: gap}, key))
 
-            def take(
-                cable: LaidCable = cable, k: int = k, gap: Gap = gap, key: ContactKey = key
-            ) -> bool:
-                touch(cable, {k: gap})
-                self.tried.released.discard(key)
-                return True
-
-            yield Way(c, ("closed", *key, False), take)
+    def _touch(self, cable: LaidCable, places: Mapping[int, Gap], key: ContactKey) -> bool:
+        touch(cable, places)
+        self.tried.released.discard(key)
+        return True
 
 
 def _node_on(cable: LaidCable, edge: Edge) -> int | None:
     """The only sliding contact of a cable on an edge; None if there is not exactly one."""
     at = [k for k, node in enumerate(cable.state.nodes) if node.slides and node.support == edge]
     return at[0] if len(at) == 1 and not cable.state.lifted[at[0]] else None
+
+
+def lift_clamps(change: PathChange) -> list[str]:
+    """Move cables whose clamps pull off the membrane aside; return the changes. Collective."""
+    cables = change.net.cables
+    if not change.net.clamps or not any(cable.lifts_off for cable in cables):
+        return []
+    changes, shape = [], change.net.strip_shape()
+    for held in clamped_together(cables):
+        nodes = [cable.state.nodes[k] for cable, k in held]
+        on = next((node.support for node in nodes if node.kind != "crossing"), None)
+        if on is None or not all(cable.lifts_off for cable, _ in held):
+            continue
+        pulls = np.sum([pull_of(cable, k) for cable, k in held], axis=0)
+        normals, _ = shape.normals_and_sizes([on])
+        if pulls @ normals[0] <= PULL * sum(cable.tension for cable, _ in held):
+            continue
+        for cable, node in zip((cable for cable, _ in held), nodes, strict=True):
+            # on an edge, the cable along it leaves the edge's ends
+            run = VertexRun(on, True, 0.0)
+            if not node.slides and pass_run(change, cables.index(cable), run):
+                changes.append(f"{cable.name} leaves {on} for its clamp to lift off")
+    return changes
+
+
+def put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
+    """Lead cables over a vertex beside them; return whether that is possible. Collective."""
+    surface, ways = change.surface([vertex]), []
+    for cable in cables:
+        on_path = cable.path_nodes()
+        points, lifted = cable.path.points, [bool(cable.state.lifted[k]) for k in on_path]
+        at = [i for i, point in enumerate(points) if vertex in point.support]
+        if not at or at[0] == 0 or at[-1] == len(points) - 1 or any(lifted[at[0] : at[-1] + 1]):
+            return False
+        new = [*points[: at[0]], VertexPoint(vertex), *points[at[-1] + 1 :]]
+        if why_invalid(corridor(new), surface.opposite_vertices):
+            return False
+        ways.append((cable, new, [*lifted[: at[0]], False, *lifted[at[-1] + 1 :]]))
+    for cable, new, off in ways:
+        change.replace(cable, new, off, surface)
+    return True

@@ -26,6 +26,7 @@ from crms_fenicsx.cabling.paths.creased_surface import CreasedSurface, FoldPoint
 from crms_fenicsx.cabling.paths.path_change import (
     PathChange,
     is_crossed,
+    leaves_cells,
     lifted_runs,
     shortened,
     slid_off,
@@ -76,7 +77,7 @@ class GeodesicSliding:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.state.path_is_geodesic and _leaves_cells(cable)
+            if cable.taut and not cable.state.path_is_geodesic and leaves_cells(cable)
             if cable.state.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
@@ -93,11 +94,6 @@ class GeodesicSliding:
             taut = cable.is_tight(nearly=True)
             cable.update(taut=taut, path_is_geodesic=taut)
         return True
-
-    def lay_again(self, numbers: Set[int]) -> None:
-        """Make `straighten` reset the fold points of cables, by number, to straight edges."""
-        for c in numbers:
-            self.net.cables[c].update(path_is_geodesic=False)
 
     def renew_projections(self, shape: StripShape) -> list[str]:
         """Move paths of lifted parts below their spans; return the changes in words. Collective."""
@@ -178,7 +174,7 @@ class GeodesicSliding:
         free = [
             cable
             for cable in self.net.cables
-            if cable.taut and _leaves_cells(cable) and self.tried.uses_geodesic(cable)
+            if cable.taut and leaves_cells(cable) and self.tried.uses_geodesic(cable)
         ]
         return self._slide(free, max_flips) if free else 0
 
@@ -189,10 +185,13 @@ class GeodesicSliding:
         folded_by: Sequence[LaidCable] | None = None,
         fresh: bool = False,
     ) -> int:
-        folds = self.change.folds()
-        if folded_by is not None:
-            folds = FoldPoints.of(folded_by)
-        pulled = self._pull_all(cables, folds, max_flips, fresh)
+        folds = self.change.folds() if folded_by is None else FoldPoints.of(folded_by)
+
+        def pull(on: StripShape) -> Callable[[LaidCable], _Pulled]:
+            creased = CreasedSurface(on, folds)
+            return lambda cable: self._pulled(cable, creased, max_flips, fresh)
+
+        pulled = self._for_each(cables, pull, self.net.strip_shape())
         surface = CreasedSurface(self.net.strip_shape(), folds)
         most = 0
         for cable, new in zip(cables, pulled, strict=True):
@@ -204,21 +203,6 @@ class GeodesicSliding:
             nodes = [node.point for cable in cables for node in cable.state.nodes]
             self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
-
-    def _pull_all(
-        self,
-        cables: Sequence[LaidCable],
-        folds: FoldPoints,
-        max_flips: int | None,
-        fresh: bool,
-    ) -> list[_Pulled]:
-        """Pull paths taut. Collective."""
-
-        def pulled(on: StripShape) -> Callable[[LaidCable], _Pulled]:
-            surface = CreasedSurface(on, folds)
-            return lambda cable: self._pulled(cable, surface, max_flips, fresh)
-
-        return self._for_each(cables, pulled, self.net.strip_shape())
 
     def _for_each(
         self,
@@ -330,11 +314,6 @@ def _old_points(
 def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
     """The points of a path without its first and last ones."""
     return path.points[first : len(path.points) - last]
-
-
-def _leaves_cells(cable: LaidCable) -> bool:
-    """Whether a cable slides into other cells by the membrane's shape alone."""
-    return cable.slides_freely and not cable.keeps_line
 
 
 Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]

@@ -12,7 +12,7 @@ the others keep the valley in place. So consecutive vertices form a run, which i
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,9 +20,10 @@ import numpy as np
 
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
+from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime.arrays import Array, ints
-from crms_fenicsx.foundation.surface.points import Support, edge_of
+from crms_fenicsx.foundation.surface.points import edge_of
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
@@ -47,7 +48,6 @@ class HeldVertex:
     nodes: tuple[int, ...]  # the cable's nodes there, in order
     # lateral force of the cable minus friction, positive to its left seen from outside (force)
     pull: float
-    press: float  # the cable's force on the membrane there (force)
     allowed: float  # rounding threshold of the pull (force)
 
     @property
@@ -63,15 +63,18 @@ class VertexRun:
     vertices: tuple[int, ...]  # ids, in path order
     to_left: bool  # whether the vertices are to the left of the cable afterwards, seen from outside
     excess: float  # lateral force on them, beyond the thresholds (force)
-    press: float  # the cable's force on the membrane there (force)
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        """1 if the vertices are left to the cable's left, else -1, and these."""
+        return (1 if self.to_left else -1, *self.vertices)
 
     @classmethod
     def of(cls, part: Sequence[HeldVertex]) -> VertexRun:
         """Run of consecutive vertices."""
         pull = sum(one.pull for one in part)
         excess = abs(pull) - sum(one.allowed for one in part)
-        vertices = tuple(one.vertex for one in part)
-        return cls(vertices, pull > 0.0, excess, sum(one.press for one in part))
+        return cls(tuple(one.vertex for one in part), pull > 0.0, excess)
 
 
 Pulls = Mapping[int, Array]
@@ -93,7 +96,7 @@ def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
     the mesh carries their total pull."""
     found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
     for held in clamped_together(cables):
-        if all(cable.slides_freely and not cable.keeps_line for cable, _ in held):
+        if all(leaves_cells(cable) for cable, _ in held):
             pulls = [pull_of(cable, k) for cable, k in held]
             for (cable, k), own in zip(held, pulls, strict=True):
                 found[cable][k] = np.asarray(sum(pulls) - own)
@@ -130,7 +133,7 @@ def held_vertices(
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
     uneven = UNEVEN * np.abs(down) if cable.state.lateral is None else SLACK * most
     allowed = TINY * cable.tension + uneven
-    sums = zip(*(f.tolist() for f in (force, down, allowed)), strict=True)
+    sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
         for (vertex, some), own in zip(at.items(), sums, strict=True)
@@ -211,19 +214,11 @@ def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[
 def _at(cable: LaidCable) -> dict[int, list[int]]:
     """All nodes on edges at each vertex."""
     found: dict[int, list[int]] = defaultdict(list)
-    for k, support in _between_ends(cable):
-        if cable.state.nodes[k].kind == "vertex" or cable.state.nodes[k].slides:
-            for vertex in support:
+    for k, node in enumerate(cable.state.nodes[1:-1], start=1):
+        if node.kind == "vertex" or node.slides:
+            for vertex in node.support:
                 found[vertex].append(k)
     return dict(found)
-
-
-def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
-    """Path nodes between the cable's ends, and their supports."""
-    nodes = cable.state.nodes
-    for k in cable.path_nodes():
-        if 0 < k < len(nodes) - 1:
-            yield k, nodes[k].support
 
 
 def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:

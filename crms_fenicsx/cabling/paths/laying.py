@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.bonding import bonded_parts, bonds_of
 from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.clamping import bonded_parts, bonds_of
 from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
 from crms_fenicsx.cabling.contact.lift_off import drape
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
@@ -20,7 +20,7 @@ from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface, arc_lengths_on
 from crms_fenicsx.foundation.meshes.triangles import mix, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.feet import pairs_within
@@ -92,9 +92,9 @@ def lay(
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
-    if not isinstance(cable, Cable):
-        raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
-    name = _checked_name(net, name)
+    checks.of_type("lay_cable: cable", cable, Cable)
+    # not the number of a removed cable
+    name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
     checks.one_of(f"lay_cable: hold of {name!r}", hold, tuple(HOLDS))
     if hold == "bonded" and cable.law == "step":
         raise InputError(
@@ -118,12 +118,13 @@ def lay(
     positions = _positions(nodes, way, shape)
     in_fold = dict(zip(known.values(), folds, strict=False))
     folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
-    off, nowhere = _over_holes(nodes, strip), np.full_like(positions, np.nan)
+    off = np.array([k.point is not None and strip.over_hole(k.support) for k in nodes], dtype=bool)
     if HOLDS[hold].sideways and _follows_free_edge(way, strip):
         hold = "pocket"
     state = CableState(
-        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off, nowhere,
-        L0=1.0, length=0.0, tension=0.0, hold=hold, layer=layer, joints=joints,
+        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off,
+        np.full_like(positions, np.nan), L0=1.0, length=0.0, tension=0.0, hold=hold, layer=layer,
+        joints=joints,
     )  # fmt: skip
     laid = LaidCable(name, state)
     _refuse_folds(net.membrane, strip, laid)
@@ -154,11 +155,6 @@ def lay(
         start_elements(laid, material_curve(laid, shape), shape)
     net.add(laid, strip)
     return laid
-
-
-def _over_holes(nodes: Sequence[CableNode], strip: Strip) -> Booleans:
-    """Whether each node lies over a hole, (n,)."""
-    return np.array([k.point is not None and strip.over_hole(k.support) for k in nodes], dtype=bool)
 
 
 def _held_kind(cable: Cable, hold: Hold) -> Cable:
@@ -203,25 +199,12 @@ def _put_in_folds(
     return moved
 
 
-def _checked_name(net: CableNet, name: str | None) -> str:
-    """Check the name of a new cable, or choose "cable 1", "cable 2" ..."""
-    taken = {other.name for other in net.cables}
-    if name is None:
-        numbers = count(net.laid + 1)  # not the number of a removed cable
-        return next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
-    if not isinstance(name, str) or not name or name != name.strip():
-        raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
-    if name in taken:
-        raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
-    return name
-
-
 def _check_length(
     name: str, L0: float | None, tension: float | None, measured_on: MeasuredOn
 ) -> None:
     """Check the arguments for the length of a new cable."""
     if L0 is not None and tension is not None:
-        raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
+        raise InputError(f"lay_cable: {name!r} got both L0 and tension; pass one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)

@@ -67,6 +67,11 @@ def is_crossed(cable: LaidCable) -> bool:
     return any(node.crossing is not None for node in cable.state.nodes)
 
 
+def leaves_cells(cable: LaidCable) -> bool:
+    """Whether a cable slides into other cells by the membrane's shape alone."""
+    return cable.slides_freely and not cable.keeps_line
+
+
 def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
     """Lifted and other parts of a path: indices of their points."""
     lifted = flags(cable.state.lifted)

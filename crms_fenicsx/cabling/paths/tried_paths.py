@@ -49,12 +49,12 @@ class TriedPaths:
     proposed: set[tuple[str, Corridor]] = field(init=False, default_factory=set)
     # passes of cables with friction over a vertex in this load step, to its left or not
     passes: Counter[tuple[str, int, bool]] = field(init=False, default_factory=Counter)
-    _misled: int = field(init=False, default=0)
+    misled: int = field(init=False, default=0)  # geodesics of higher energy in this load step
     _first_look: bool = field(init=False, default=True)
 
     def begin_step(self) -> None:
         """Clear the data of the last load step."""
-        self._first_look, self._misled = True, 0
+        self._first_look, self.misled = True, 0
         self.proposed = set()
         self.passes.clear()
 
@@ -101,18 +101,6 @@ class TriedPaths:
         """Whether a cable has not changed since the last load step."""
         return self.L0.get(cable.name) == cable.L0 and not self.has_moved(cable)
 
-    def refused_paths(self) -> dict[str, set[Corridor]]:
-        """Copy of the rejected paths, by cable."""
-        return {name: set(ways) for name, ways in self.refused.items()}
-
-    def tried_runs(self, cable: LaidCable) -> set[tuple[int, ...]]:
-        """Tried runs of vertices of a cable, to which new ones may be added."""
-        return self.left.setdefault(cable.name, set())
-
-    def count_misled(self) -> None:
-        """Count a geodesic of higher energy; soon none is proposed in this load step."""
-        self._misled += 1
-
     def uses_geodesic(self, cable: LaidCable) -> bool:
         """Whether geodesics may still propose paths of a cable in this load step."""
-        return self._misled < (MISLED_AT_CROSSINGS if is_crossed(cable) else MISLED)
+        return self.misled < (MISLED_AT_CROSSINGS if is_crossed(cable) else MISLED)

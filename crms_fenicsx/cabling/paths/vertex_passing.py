@@ -69,8 +69,10 @@ def way_past(
         found = None
         for rings in itertools.count(1):
             try:
-                upward = _counterclockwise(joined, vertex) != run.to_left
-                found = other_side(string, joined, vertex, upward)
+                ring = joined.membrane_ring(vertex).neighbours
+                cell = joined.strip.corners[joined.strip.outer_rows((vertex, *ring[:2]))[0]]
+                counterclockwise = cell[cell.index(vertex) - 2] == ring[0]  # seen from outside
+                found = other_side(string, joined, vertex, counterclockwise != run.to_left)
                 break
             except MissingCells as missing:
                 change.net.grow_strip(missing.vertices, rings)
@@ -143,14 +145,6 @@ def straighten(
     return True
 
 
-def _counterclockwise(surface: CreasedSurface, vertex: int) -> bool:
-    """Whether the ring of a vertex is counterclockwise seen from outside."""
-    ring = surface.membrane_ring(vertex).neighbours
-    row = surface.strip.outer_rows((vertex, ring[0], ring[1]))[0]
-    cell = surface.strip.corners[row]
-    return cell[cell.index(vertex) - 2] == ring[0]
-
-
 HALVINGS = 2
 """Times that a rejected set of runs is halved."""
 
@@ -186,8 +180,8 @@ class VertexTrials:
                 self._energy = energy
                 self._groups = [(0, runs)]
             self._halved, group = self._groups.pop()
-            known = {self._key(trial) for trial in group}
-            group = [trial for trial in runs if self._key(trial) in known]
+            known = {(c, run.key) for c, run in group}
+            group = [(c, run) for c, run in runs if (c, run.key) in known]
             shape = self._shape(group)
             moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
@@ -231,18 +225,12 @@ class VertexTrials:
         )
         known |= {c: (cables[c].state, own) for c, own in zip(moved, runs, strict=True)}
         found = [(c, run) for c in least for run in known[c][1] if len(run.vertices) >= least[c]]
-        return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
+        return [(c, run) for c, run in found if run.key not in self._tried(c)]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
-        return self.tried.tried_runs(self.change.net.cables[c])
+        return self.tried.left.setdefault(self.change.net.cables[c].name, set())
 
     def _note(self, trials: list[Trial]) -> None:
         """Exclude these trials while the cable does not move."""
-        for trial in trials:
-            self._tried(trial[0]).add(self._key(trial)[1])
-
-    @staticmethod
-    def _key(trial: Trial) -> tuple[int, tuple[int, ...]]:
-        """Key of a trial: the cable; the side and the vertices."""
-        c, run = trial
-        return c, (1 if run.to_left else -1, *run.vertices)
+        for c, run in trials:
+            self._tried(c).add(run.key)

@@ -8,7 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import zip_longest
+from itertools import count, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -110,6 +110,25 @@ def text(what: str, value: object) -> str:
     if not isinstance(value, str) or not value:
         raise InputError(f"{what} = {value!r} is no text; give one.")
     return value
+
+
+def new_name(call: str, kind: str, name: object, taken: Iterable[str], first: int = 1) -> str:
+    """Return the checked name of a new part, by default "cable 1", "cable 2" ... from the number
+    `first` on; raise an `InputError` that names the `call`."""
+    known = set(taken)
+    if name is None:
+        return next(free for n in count(first) if (free := f"{kind} {n}") not in known)
+    if not isinstance(name, str) or not name or name != name.strip():
+        raise InputError(f"{call}: name = {name!r} must be text without blanks around it.")
+    if name in known:
+        raise InputError(f"{call}: there is a {kind} {name!r} already; use another name.")
+    return name
+
+
+def own(call: str, kind: str, one: object, ones: Iterable[object]) -> None:
+    """Raise an `InputError` if a part of a `kind` is not one of a scene's."""
+    if not any(one is other for other in ones):
+        raise InputError(f"{call}: {one!r} is not a {kind} of this scene.")
 
 
 def options_prefix(what: str, value: object) -> str:

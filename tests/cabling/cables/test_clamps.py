@@ -255,7 +255,7 @@ def test_bad_clamps_are_refused(comm) -> None:
     scene.lay_cable(Cable(EA), [(3.0, 0.0, 0.0), (3.0, 5.0, 2.0)], tension=5.0, name="e")
     scene.lay_cable(Cable(EA), [(0.0, 7.0), (10.0, 7.3)], tension=5.0, name="g")
     bad = [
-        (lambda: scene.clamp("a", "a"), "the cables are a, a; give two or more different ones"),
+        (lambda: scene.clamp("a", "a"), "the cables are a, a; pass two or more different ones"),
         (lambda: scene.clamp("a"), "two or more different"),
         (lambda: scene.clamp("a", "x"), "no cable 'x'"),
         (lambda: scene.clamp("a", 3), "3 is not a cable of this scene"),

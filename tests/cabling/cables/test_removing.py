@@ -129,7 +129,7 @@ def test_a_new_cable_of_its_name_inherits_nothing() -> None:
     assert solver.search.tried.refused == {"b": {((1,),)}}
     assert set(solver.search.tried.at) == {"b"}
     solver.advance()
-    with pytest.raises(InputError, match=r"advance: .*'a'.* is not a cable of this scene"):
+    with pytest.raises(InputError, match=r"advance: .*'a'.* is not a cable or bar of this scene"):
         solver.advance(L0={old: 90.0})
     scene.remove("b")
     assert scene.lay_cable(SMOOTH, PATHS["b"]).name == "cable 4", "no name of another one"

@@ -18,7 +18,7 @@ from strip_roof import along, cable_on, roof
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.active_set import joining, parting
-from crms_fenicsx.cabling.contact.free_spans import Gap, spans, under
+from crms_fenicsx.cabling.contact.free_spans import Gap, under
 from crms_fenicsx.cabling.contact.lift_off import (
     DEPTH,
     Polylines,
@@ -193,13 +193,6 @@ def test_a_foot_only_marks_the_place_under_an_anchor() -> None:
 
 
 # ---- spans and what lies under them ------------------------------------------------------------
-
-
-def test_spans_are_between_contacts() -> None:
-    cable, _ = along(roof([0.0] * 4))
-    assert list(spans(cable)) == []
-    set_lifted(cable, [1, 4, 5])
-    assert list(spans(cable)) == [(0, 2), (3, 6)]
 
 
 def test_under_an_edge() -> None:

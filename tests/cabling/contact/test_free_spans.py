@@ -1,5 +1,6 @@
 """Free spans of several cables at once, against loops over their nodes."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ from strip_roof import along, roof
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.active_set import ActiveSet
-from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap, spans, under
+from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap, under
 from crms_fenicsx.cabling.contact.lift_off import is_foot, size_at
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint
@@ -34,7 +35,7 @@ def slow_bends(cables: list[LaidCable], c: int, k: int) -> list[Array]:
 def slow_gaps(cables: list[LaidCable], c: int, shape: StripShape) -> dict[int, Gap]:
     """Gaps at the lifted nodes of one cable."""
     cable, found = cables[c], {}
-    for a, b in spans(cable):
+    for a, b in pairwise(cable.contacts()):
         for k in range(a + 1, b):
             if cable.state.nodes[k].kind != "crossing" and not is_foot(cable, k):
                 ends = (cable.state.positions[a], cable.state.positions[b])
@@ -90,7 +91,7 @@ def test_nodes_are_moved_onto_spans_and_captured_where_these_are_low(height: flo
         assert low <= free.captured(c, height).keys()  # others pass beside a vertex
         free.move(c)
         count += len(low)
-        for a, b in spans(cable):
+        for a, b in pairwise(cable.contacts()):
             for k in range(a + 1, b):
                 flat = x[a] + (k - a) / (b - a) * (x[b] - x[a])
                 place = gaps[k].above if k in gaps else flat

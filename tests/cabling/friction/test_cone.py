@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.cable_forces import forces
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
-from crms_fenicsx.cabling.friction.cone import Slip, shares
+from crms_fenicsx.cabling.friction.slip import Slip, shares
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import LaidCable
 

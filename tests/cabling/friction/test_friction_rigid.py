@@ -208,7 +208,7 @@ def test_static_and_kinetic_friction(comm, kinetic, static, mu):
     plain_scene, plain = kinetic
     if static == mu:  # to rounding; ranks may get other parts of the mesh, and pass vertices so
         atol, rtol = (1e-6 * H, 1e-8) if comm.size == 1 else (0.02 * H, 2e-3)
-        np.testing.assert_allclose(cable.state.positions, plain.positions, rtol=0, atol=atol)
+        np.testing.assert_allclose(cable.state.positions, plain.state.positions, rtol=0, atol=atol)
         assert scene.energy == pytest.approx(plain_scene.energy, rel=rtol, abs=0)
     else:
         assert way.coefficient_of(cable.state.positions) == pytest.approx(mu, rel=0.08)
@@ -352,8 +352,8 @@ for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])
 names = (
-    "energies.paper", "energies.lateral_friction", "energies.axial_friction",
-    "friction.lateral", "friction.slip", "paths.friction_release",
+    "energy.terms.paper", "energy.terms.lateral_friction", "energy.terms.axial_friction",
+    "cabling.friction.lateral", "cabling.friction.slip", "cabling.paths.friction_release",
 )
 print([name for name in names if "crms_fenicsx." + name in sys.modules])
 """

@@ -293,10 +293,10 @@ def test_forces_of_held_vertices(comm, monkeypatch) -> None:
     ]
     for one in found:
         assert one.pull == pytest.approx(forces.lateral[list(one.nodes)].sum(), rel=1e-12)
-        assert one.press == pytest.approx(forces.normal[list(one.nodes)].sum(), rel=1e-12)
     (run,) = held_runs(cable, shape)
     assert run.vertices == tuple(one.vertex for one in found[1:-1])
-    assert 0.08 < run.excess / run.press < 0.13
+    press = sum(forces.normal[list(one.nodes)].sum() for one in found[1:-1])
+    assert 0.08 < run.excess / press < 0.13
     assert not run.to_left  # to y < 30, as it goes to x = 100
 
 

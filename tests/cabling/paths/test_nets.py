@@ -199,11 +199,11 @@ class Trials(VertexTrials):
 
     def __init__(self, n: int) -> None:
         super().__init__(change=None, tried=TriedPaths())  # type: ignore[arg-type]
-        self.runs = [(c, VertexRun((10 + c,), True, (), 1.0)) for c in range(n)]
+        self.runs = [(c, VertexRun((10 + c,), True, 1.0)) for c in range(n)]
         self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
     def _held(self) -> list[Trial]:
-        return [trial for trial in self.runs if self._key(trial)[1] not in self._tried(trial[0])]
+        return [(c, run) for c, run in self.runs if run.key not in self._tried(c)]
 
     def _shape(self, group: list[Trial]) -> StripShape:
         return None  # type: ignore[return-value]

@@ -276,7 +276,7 @@ def test_bad_layouts_are_refused(comm) -> None:
         (lambda: nets.sections(scene, [0.0], [50.0]), "does not cross the membrane's rim twice"),
         (lambda: nets.from_paths(scene, [[[(0, 0)]]]), "two or more points"),
         (lambda: nets.from_paths(scene, [[[(1, 1), (30, 1)]]]), "line A1: .* leaves the membrane"),
-        (lambda: scene.lay_net("net", Cable(EA=1.0)), "'net' is no net"),
+        (lambda: scene.lay_net("net", Cable(EA=1.0)), "net is of type str"),
     ]
     for call, message in bad:
         with pytest.raises(InputError, match=message):

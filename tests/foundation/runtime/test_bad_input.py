@@ -240,7 +240,9 @@ def test_length_and_tension_at_laying(scene: Scene, name: str, value: Any) -> No
 
 
 def test_what_a_cable_is_called_and_made_of(scene: Scene) -> None:
-    refused(lambda: scene.lay_cable(32000.0, ACROSS), "32000.0", "Cable(EA=", scene=scene)
+    refused(
+        lambda: scene.lay_cable(32000.0, ACROSS), "cable is of type float", "Cable", scene=scene
+    )
     refused(
         lambda: scene.lay_cable(CABLE, ACROSS, L0=99.0, tension=1.0), "both", "one", scene=scene
     )
@@ -313,7 +315,7 @@ def test_lengths_to_reach(scene: Scene) -> None:
         refused_load(scene, "L0 of 'ridge'", repr(value), "give", L0={cable: value})
     refused_load(scene, "mapping", "L0={", L0=90.0)
     refused_load(scene, "'left'", "laid cable", L0={"left": 90.0})
-    refused_load(scene, "not a cable of this scene", L0={foreign: 90.0})
+    refused_load(scene, "not a cable or bar of this scene", L0={foreign: 90.0})
     refused_load(scene, "'paper'", "step-wise", 'law="total"', L0={stepwise: 90.0})
 
 

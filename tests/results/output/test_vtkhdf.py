@@ -109,7 +109,7 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
         (folder / "a.vtk", None, "the suffix = '.vtk' is not known"),
         (3, None, "is no path"),
         (folder / "a.vtkhdf", {}, "write_vtkhdf: combinations"),
-        (folder / "a.vtkhdf", {"snow": 1.0}, "give what solver.combine"),
+        (folder / "a.vtkhdf", {"snow": 1.0}, "of type float"),
         (folder / "a.vtkhdf", roof(comm).combine(TABLE), "is of another scene"),
     ):
         with pytest.raises(InputError, match=message):
