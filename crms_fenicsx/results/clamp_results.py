@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
-from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.results.cable_and_bar_results import Force
 

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge_sliders
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
+from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.reactions import nodal_forces
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime.errors import PathError
-from crms_fenicsx.model.clamp import ClampedParts
-from crms_fenicsx.model.hold import Bonds
+from crms_fenicsx.model.cable import Bonds, ClampedParts
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 

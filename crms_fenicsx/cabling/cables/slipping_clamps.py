@@ -15,7 +15,7 @@ from crms_fenicsx.cabling.cables.element_tables import CableTables
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.energy.terms.axial_friction import CapstanTension, Chains, Grips
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints, pointers
-from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 
 TOLERANCE = 1e-3

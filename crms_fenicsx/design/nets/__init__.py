@@ -7,7 +7,7 @@ from crms_fenicsx.design.nets.equidistant import equidistant
 from crms_fenicsx.design.nets.geodesics import geodesics_across, geodesics_between
 from crms_fenicsx.design.nets.plane_routes import from_paths, great_circle, sections
 from crms_fenicsx.design.nets.tuning import tune
-from crms_fenicsx.model.net import Net, NetCrossing, NetLine
+from crms_fenicsx.model.cable import Net, NetCrossing, NetLine
 from crms_fenicsx.results.cable_order import CableOrder, Order, lengths_to_order
 
 __all__ = [

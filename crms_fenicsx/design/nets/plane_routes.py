@@ -14,7 +14,7 @@ from crms_fenicsx.foundation.meshes.refinement import check_positive
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, collective
-from crms_fenicsx.model.net import Net
+from crms_fenicsx.model.cable import Net
 
 
 @collective

@@ -22,8 +22,7 @@ from crms_fenicsx.foundation.meshes.triangles import (
 )
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import TargetSurface, places_in_plan
-from crms_fenicsx.foundation.surface.feet import feet_of
+from crms_fenicsx.foundation.surface.closest_point import TargetSurface, feet_of, places_in_plan
 from crms_fenicsx.model.membrane import Membrane
 
 ON_CELL = 1e-9

@@ -18,7 +18,6 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface
-from crms_fenicsx.foundation.surface.intrinsic import Ring, ring_of
 from crms_fenicsx.foundation.surface.points import (
     Edge,
     EdgePoint,
@@ -26,6 +25,7 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+from crms_fenicsx.foundation.surface.vertex_flip import Ring, ring_of
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""

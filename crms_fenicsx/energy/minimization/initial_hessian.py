@@ -24,8 +24,8 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}

@@ -32,10 +32,14 @@ from petsc4py import PETSc
 from crms_fenicsx.energy.minimization import outcome as endings
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.energy.minimization.newton import PATIENCE, NewtonMethod
-from crms_fenicsx.energy.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
+from crms_fenicsx.energy.minimization.outcome import (
+    REASONS,
+    SEARCH_FAILED,
+    Outcome,
+    Stalling,
+    is_unstressed,
+)
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.energy.minimization.stalling import Stalling
-from crms_fenicsx.energy.minimization.unstressed import is_unstressed
 from crms_fenicsx.energy.terms.kinematics import FLOOR, Stiffening
 from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 

@@ -14,8 +14,7 @@ import numba
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.energy.minimization.clusters import gather, give_back
-from crms_fenicsx.energy.minimization.local_potential import LocalPotential
+from crms_fenicsx.energy.minimization.local_potential import LocalPotential, gather, give_back
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import GhostFlags

@@ -17,9 +17,8 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError

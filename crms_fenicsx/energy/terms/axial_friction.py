@@ -23,17 +23,17 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.energy.terms.capstan_chain import ENERGY, find_slips
+from crms_fenicsx.energy.terms.lateral_friction import (
+    friction_energy,
+    secant_stiffness,
+    stored_and_lost,
+)
 from crms_fenicsx.energy.terms.segments import (
     add_segment_forces,
     add_slip_forces,
     edge_fractions,
     segment_lengths,
     segment_stiffness,
-)
-from crms_fenicsx.energy.terms.smooth_coulomb import (
-    friction_energy,
-    secant_stiffness,
-    stored_and_lost,
 )
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern

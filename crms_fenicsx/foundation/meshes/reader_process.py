@@ -1,4 +1,4 @@
-"""Read a mesh file with gmsh or meshio: a program for a separate process, see `isolated_reader`.
+"""Read a mesh file with gmsh or meshio: a program for a separate process, see `mesh_files`.
 
 It imports nothing of this package, as that would start MPI. It writes the result to standard
 output: "E" and an error text, or "A" and arrays in numpy's format .npz.

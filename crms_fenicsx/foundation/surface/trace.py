@@ -23,10 +23,12 @@ from crms_fenicsx.foundation.surface.closest_point import (
     Node,
     Place,
     TargetSurface,
+    feet_of,
+    nearest_within,
+    pairs_within,
     places_in_plan,
     places_in_space,
 )
-from crms_fenicsx.foundation.surface.feet import feet_of, nearest_within, pairs_within
 from crms_fenicsx.foundation.surface.path import Path, without_backtracking
 from crms_fenicsx.foundation.surface.plane_section import (
     END,

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from cluster_twins import closed, dense_cluster
 
-from crms_fenicsx.energy.minimization.cluster_matrix import ClusterMatrix
+from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout, ClusterMatrix
 from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT
 from crms_fenicsx.foundation.dofs.block_patterns import ColumnPattern, ElementPattern, rows_of
-from crms_fenicsx.foundation.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
 
 N = 60

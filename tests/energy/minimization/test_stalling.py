@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.energy.minimization.stalling import FALL, STAGES, Stalling
+from crms_fenicsx.energy.minimization.outcome import FALL, STAGES, Stalling
 
 
 def stage_of_end(residuals: np.ndarray, energies: np.ndarray, per_stage: int = 1) -> float:

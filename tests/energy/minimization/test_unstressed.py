@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.equilibrium.membrane_contribution import unloaded_scales
-from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN, is_unstressed
+from crms_fenicsx.energy.minimization.outcome import NO_STRAIN, is_unstressed
 
 E, SIZE = 700.0, 30.0
 """Stiffness (force per length) and size of a strip as long as wide."""

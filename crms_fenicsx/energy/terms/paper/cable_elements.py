@@ -22,13 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.energy.terms.cable_tension import CableTension
-from crms_fenicsx.energy.terms.segments import slip_stiffness
-from crms_fenicsx.energy.terms.smooth_coulomb import (
+from crms_fenicsx.energy.terms.lateral_friction import (
     friction_energy,
     friction_potentials,
     secant_stiffness,
     tangent_stiffness,
 )
+from crms_fenicsx.energy.terms.segments import slip_stiffness
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, rows_of
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cluster_twins import connected
 
+from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout
 from crms_fenicsx.foundation.dofs.block_patterns import rows_of
-from crms_fenicsx.foundation.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
 
 
