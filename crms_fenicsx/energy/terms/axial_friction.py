@@ -104,7 +104,7 @@ class CapstanTension(EnergyTerm):
         self.n_spans, self.n_nodes = int(c.starts[-1]), int(c.starts[-1]) - len(c.EA)
         self.n_sums = self.n_spans + self.n_nodes
         self._lengths, self._forces = np.zeros((2, len(c.segments)))
-        self._fractions, self._pulls = np.zeros((2, len(c.place)))
+        self._fractions = np.zeros(len(c.place))
         self._gradients = np.zeros((len(c.blocks), 3))
         self.slips, self.unstressed = grips.slips.copy(), np.zeros(self.n_spans)
         self._friction, self._force = np.zeros(len(c.EA)), np.zeros(self.n_nodes)
@@ -194,13 +194,12 @@ class CapstanTension(EnergyTerm):
         c = self.chains
         np.take(self.tensions(sums), c.span, out=self._forces)
         add_segment_forces(self.unknowns.X, x, c.segments, c.smoothing, self._forces, g)
-        self._pulls[:] = np.where(c.owned, -self._force[c.node], 0.0)
-        self._add_rest(self._pulls, g)
+        self._add_rest(np.where(c.owned, -self._force[c.node], 0.0), g)
 
     def _add_rest(self, weights: Array, g: Array) -> None:
         """Add the weighted gradient of the rest arc lengths of this rank's fold points."""
         c = self.chains
-        add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
+        add_slip_forces(c.pointers, c.blocks, self._gradients, weights * self.grips.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness, and the axial one of single spans between sticking nodes."""

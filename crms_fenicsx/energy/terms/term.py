@@ -227,6 +227,20 @@ class EnergyTerm(ABC):
         """Mark the current state as the end of an accepted load step."""
 
 
+class ElementTerm(EnergyTerm):
+    """A term that is the sum of the energies of the elements in a `table`."""
+
+    def __init__(self, table: Any) -> None:
+        self.table = table
+
+    def elements_on(self, chosen: Booleans) -> ElementTable | None:
+        rows = self.table.rows_on(chosen)
+        return self.table.some(rows) if len(rows) else None
+
+    def of_elements(self, table: Any, sums: Array) -> EnergyTerm:
+        return type(self)(table)
+
+
 NAMES = frozenset(
     (
         *("bars", "cables", "dead load", "friction", "held lines", "membrane", "penalty", "pond"),

@@ -27,12 +27,6 @@ class BlockSink(Protocol):
         """Add a pattern's `values`."""
 
 
-def rows_of(table: Indices) -> tuple[Indices, Indices]:
-    """Rows of a table (n, k) in CSR form: pointers, entries."""
-    n, k = table.shape
-    return np.arange(0, k * n + 1, k, dtype=np.int32), table.reshape(-1)
-
-
 class BlockPattern:
     """Blocks at fixed positions in the matrix.
 

@@ -5,7 +5,7 @@ import pytest
 from cluster_twins import connected
 
 from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout
-from crms_fenicsx.foundation.dofs.block_patterns import rows_of
+from crms_fenicsx.foundation.dofs.layout import rows_of
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
 
 

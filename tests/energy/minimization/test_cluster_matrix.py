@@ -6,7 +6,8 @@ from cluster_twins import closed, dense_cluster
 
 from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout, ClusterMatrix
 from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT
-from crms_fenicsx.foundation.dofs.block_patterns import ColumnPattern, ElementPattern, rows_of
+from crms_fenicsx.foundation.dofs.block_patterns import ColumnPattern, ElementPattern
+from crms_fenicsx.foundation.dofs.layout import rows_of
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
 
 N = 60
