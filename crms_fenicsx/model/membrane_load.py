@@ -144,7 +144,7 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
     with raised_together(membrane.comm):
         if not isinstance(forces, fem.Function) or forces.function_space != membrane.V:
             raise InputError(
-                f"put_forces: forces = {forces!r} is no function in the space of this scene's "
+                f"put_forces: forces = {forces!r} is not a function in the space of this scene's "
                 "displacements; make it by dolfinx.fem.Function(scene.V)."
             )
         own = membrane.V.dofmap.index_map.size_local

@@ -75,7 +75,7 @@ def test_a_mesh_file_that_keeps_its_reader_busy(
     monkeypatch.setattr(mesh_files, "SECONDS", 1)
     path = tmp_path / "endless.off"
     path.write_text("OFF\n")
-    with pytest.raises(MeshError, match=r"endless.off': it did not come to an end in 1 s"):
+    with pytest.raises(MeshError, match=r"endless.off': it did not finish within 1 s"):
         broken_files.read_mesh(path)
 
 
@@ -119,7 +119,7 @@ def test_what_gmsh_could_take_for_a_script(tmp_path: Path, text: bytes) -> None:
         (b"step\n\xff\n", "no table"),
         (b"step\n" + b"1" * 200_000, "no table"),
         (b"", "is empty"),
-        (None, "it is no regular file"),
+        (None, "it is not a regular file"),
     ],
 )
 def test_broken_histories(tmp_path: Path, content: bytes | None, message: str) -> None:

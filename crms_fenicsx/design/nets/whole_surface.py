@@ -86,7 +86,7 @@ class WholeSurface:
                     f"{as_text(foot.position)}; give a point on the membrane"
                 )
             return foot.position
-        target = TargetSurface.checked(self.strip.vertices, self.points, self.cells)
+        target = TargetSurface.of(self.strip.vertices, self.points, self.cells)
         return places_in_plan(target, point[None], 1e-3)[0].position
 
     def normal(self, point: Array) -> Array:

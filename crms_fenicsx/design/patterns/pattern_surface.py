@@ -77,7 +77,7 @@ class PatternSurface:
     @cached_property
     def target(self) -> TargetSurface:
         """The surface for tracing routes."""
-        return TargetSurface.checked(np.arange(len(self.points)), self.points, self.cells)
+        return TargetSurface.of(np.arange(len(self.points)), self.points, self.cells)
 
     @cached_property
     def _opposite(self) -> dict[Edge, tuple[int, ...]]:

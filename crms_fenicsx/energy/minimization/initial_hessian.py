@@ -83,14 +83,6 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
             options[name] = value
 
 
-def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
-    """Traces (n,) of owned diagonal blocks without `held` components (n, 3); rotation invariant."""
-    diagonal = matrix.getDiagonal()
-    traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
-    diagonal.destroy()
-    return traces
-
-
 def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
     """Shift a matrix's diagonal by a small part of the owned blocks' traces (n,) plus their
     geometric mean, and return the shift of each block, (n,)."""
@@ -231,7 +223,9 @@ class InitialHessian:
         self._stiffness.clear()
         self.potential.add_stiffness(self._stiffness, exact)
         self._stiffness.assemble()
-        traces = block_traces(A, held)
+        diagonal = A.getDiagonal()
+        traces = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)  # of each block
+        diagonal.destroy()
         sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0

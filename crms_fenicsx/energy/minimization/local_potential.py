@@ -285,16 +285,12 @@ class LocalPotential:
         for term, sums in zip(self.terms, self._sums, strict=True):
             term.sums(self.x, sums)
             term.add_gradient(self.x, sums, self._forces)
-        self._take_forces()
-        self.g += self._others
-        work = np.sum(self._others * (self.x[self.blocks] - self._start), axis=1)
-        np.add(self._by_cluster(np.asarray), self._sum(work), out=self.energies)
-
-    def _take_forces(self) -> None:
-        """Set `g` from the forces accumulated on all blocks."""
         self.layout.whole.transfer_tied_forces(self._forces)
         np.take(self._forces, self.blocks, axis=0, out=self.g)
         self.layout.project(self.g)
+        self.g += self._others
+        work = np.sum(self._others * (self.x[self.blocks] - self._start), axis=1)
+        np.add(self._by_cluster(np.asarray), self._sum(work), out=self.energies)
 
     def _sum(self, values: Array) -> Array:
         """Sums of block values (n,) over each cluster."""

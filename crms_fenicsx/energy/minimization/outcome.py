@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from crms_fenicsx.foundation.runtime.checks import counted
 
@@ -32,6 +32,11 @@ DROWNED = (
     ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
     "large for the loads"
 )
+
+
+WORK = ("iterations", "evaluations", "factorizations", "newton_steps", "local_steps", "solves",
+        "flips", "passes")  # fmt: skip
+"""Counts of an `Outcome`, which add up over several minimisations."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,23 +81,9 @@ class Outcome:
 
     def __add__(self, other: Outcome) -> Outcome:
         """Outcome `other` with the work of both."""
-        return Outcome(
-            other.converged,
-            other.reason,
-            other.residual,
-            other.tolerance,
-            self.iterations + other.iterations,
-            self.evaluations + other.evaluations,
-            self.factorizations + other.factorizations,
-            self.newton_steps + other.newton_steps,
-            self.local_steps + other.local_steps,
-            self.solves + other.solves,
-            self.flips + other.flips,
-            self.passes + other.passes,
-            other.unsettled,
-            other.scale,
-            self.nonconvex or other.nonconvex,
-        )
+        work = {name: getattr(self, name) + getattr(other, name) for name in WORK}
+        nonconvex = self.nonconvex or other.nonconvex
+        return replace(other, nonconvex=nonconvex, takes_turns=False, **work)
 
 
 STAGES, FALL = 50, 1e-8

@@ -166,14 +166,6 @@ def stiffness_order(
     return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
 
 
-def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> float:
-    """Relative difference of stiffness times d and the gradient's central difference."""
-    ahead, behind = f.value(x + h * d)[1], f.value(x - h * d)[1]
-    difference: Array = np.asarray((ahead - behind) / (2 * h), dtype=np.float64)
-    error: Array = np.asarray(f.times(x, d) - difference, dtype=np.float64)
-    return float(np.sqrt(f.dot(error, error) / f.dot(difference, difference)))
-
-
 def noise(X: Array, seed: int) -> Array:
     """Random vectors (n, 3) of size about 1 that depend on position only, not on numbering. Waves
     shorter than the distances in a mesh of about 20 look random on its vertices."""

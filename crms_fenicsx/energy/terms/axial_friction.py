@@ -163,12 +163,6 @@ class CapstanTension(EnergyTerm):
         elongation = sums[: self.n_spans] - self.unstressed
         return np.asarray(EA * np.maximum(elongation, 0.0) / self.unstressed)
 
-    def strain_energies(self, sums: Array) -> Array:
-        """Strain energy of each cable (force x length)."""
-        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
-        energies = self.tensions(sums) ** 2 * self.unstressed / (2 * EA)
-        return np.add.reduceat(energies, self.chains.starts[:-1])
-
     def friction(self, sums: Array) -> tuple[Array, Array]:
         """Stored and dissipated friction energy of each cable (force x length)."""
         self._solve(sums)
@@ -187,7 +181,10 @@ class CapstanTension(EnergyTerm):
 
     def energy(self, sums: Array) -> float:
         """Strain energy and friction potential (force x length)."""
-        return float(self.strain_energies(sums).sum() + self._friction.sum())
+        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
+        energies = self.tensions(sums) ** 2 * self.unstressed / (2 * EA)
+        by_cable = np.add.reduceat(energies, self.chains.starts[:-1])
+        return float(by_cable.sum() + self._friction.sum())
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of the tensions, and of friction along the edges."""

@@ -79,11 +79,6 @@ class FoldedCells(ElementTable):
         rows = np.stack([2 * d1**2, 2 * d2**2, 2 * d1 * d2], axis=-1)
         return np.asarray(np.linalg.inv(rows), dtype=float)
 
-    @property
-    def squared_sides(self) -> Array:
-        """Squares of the stress-free sides, (n, 3)."""
-        return np.sum(self.side_vectors**2, axis=-1)
-
     @cached_property
     def element_blocks(self) -> tuple[Indices, Indices]:
         """Distinct blocks of each cell in CSR form: pointers, blocks."""
@@ -232,7 +227,7 @@ class FoldedMembraneEnergy(ElementTerm):
         super().__init__(table)
         self.stiffening = stiffening
         self.areas, self.maps = table.areas, table.strain_maps
-        self.squares = table.squared_sides
+        self.squares = np.sum(table.side_vectors**2, axis=-1)
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))

@@ -41,6 +41,7 @@ from crms_fenicsx.model.materials import (
     UNSTRAINED,
     LawTerms,
     symmetric,
+    taut_stiffness,
     voigt,
 )
 
@@ -284,13 +285,9 @@ class TensionField:
     def terms(self, parameters: Any) -> LawTerms:
         """The law with the fields held."""
         values, tangents = self.values, self.tangents
-        D = ufl.as_matrix([[parameters[3 * i + j] for j in range(3)] for i in range(3)])
 
         def tangent(a: Any, b: Any) -> Any:
             return ufl.dot(voigt(a), ufl.dot(tangents, voigt(b)))
 
-        def taut_tangent(a: Any, b: Any) -> Any:
-            return ufl.dot(voigt(a), D * voigt(b))
-
         stress = symmetric([values[1], values[2], values[3]])
-        return LawTerms(values[0], stress, values[4], tangent, taut_tangent)
+        return LawTerms(values[0], stress, values[4], tangent, taut_stiffness(parameters)[1])

@@ -256,7 +256,8 @@ def checked_energy(
     """Check a term and evaluate it once; return it and its energy (force x length). Collective."""
     if not isinstance(term, EnergyTerm):
         raise InputError(
-            f"add_term: {term!r} is no EnergyTerm; derive its class from crms_fenicsx.EnergyTerm."
+            f"add_term: {term!r} is not an EnergyTerm; derive its class from "
+            "crms_fenicsx.EnergyTerm."
         )
     name, owner = getattr(term, "name", None), type(term).__name__
     if not isinstance(name, str) or not name or name != name.strip():
@@ -281,8 +282,8 @@ def _check_integral(name: str, integral: object, V: fem.FunctionSpace, cell_tags
         return
     if not isinstance(integral, Integral) or integral.V.mesh is not V.mesh:
         raise InputError(
-            f"add_term: the integral of {name!r} is no Integral over this scene's membrane; make "
-            "it with scene.V."
+            f"add_term: the integral of {name!r} is not an Integral over this scene's membrane; "
+            "make it with scene.V."
         )
     if integral.cell_tags is not None and integral.cell_tags is not cell_tags:
         raise InputError(

@@ -81,7 +81,7 @@ def read_isolated(
     if kind == b"E":
         why = answer.decode(errors="replace")
     elif done.returncode == -getattr(signal, "SIGXCPU", 0):
-        why = f"it did not come to an end in {seconds} s"
+        why = f"it did not finish within {seconds} s"
     else:
         why = f"it ended with the status {done.returncode}"
     raise MeshError(
@@ -179,7 +179,7 @@ def from_file(
                 is_mesh = stream.read(64).startswith(b"$MeshFormat")
             if not is_mesh:  # gmsh would run it as a script
                 raise MeshError(
-                    f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
+                    f"'{file}' is not a gmsh mesh, as it does not begin with $MeshFormat: save it "
                     "with gmsh"
                 )
             model = read_isolated(file, "gmsh")
@@ -248,7 +248,7 @@ def from_step(
         with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
             is_step = b"ISO-10303-21" in stream.read(256)
         if not is_step:
-            raise MeshError(f"'{file}' is no STEP file, it does not begin with ISO-10303-21")
+            raise MeshError(f"'{file}' is not a STEP file, as it does not begin with ISO-10303-21")
         model = read_isolated(file, "STEP", repr(float(size)), unit)
         return _named(file, lambda: surface_of_model(model))
 
@@ -334,7 +334,7 @@ def _whole(numbers: NDArray[Any], what: str) -> Integers:
         whole = numbers.astype(np.int64)
         if np.array_equal(whole, numbers):
             return whole
-    raise MeshError(f"{what}: there are numbers that are no indices")
+    raise MeshError(f"{what}: some numbers are not indices")
 
 
 def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:

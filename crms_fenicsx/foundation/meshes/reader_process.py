@@ -176,7 +176,7 @@ def main(reader: str, path: str, seconds: str, *options: str) -> None:
         wrong = [key for key, value in arrays.items()
                  if isinstance(value, np.ndarray) and value.dtype.kind not in "biuf"]  # fmt: skip
         if wrong:
-            raise ValueError(f"{wrong[0]}: what should be numbers is {arrays[wrong[0]].dtype}")
+            raise ValueError(f"{wrong[0]}: expected numbers, found {arrays[wrong[0]].dtype}")
         texts = {key: json.dumps(v) for key, v in arrays.items() if isinstance(v, list)}
         content = io.BytesIO()
         np.savez(content, **(arrays | texts))

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -150,29 +149,10 @@ class TargetSurface:
     size: float  # length of its longest edge
 
     @classmethod
-    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
-        """Check the arrays and return their surface; raise PathError if they are invalid."""
-        ids = np.asarray(vertices, dtype=np.int64)
-        x = np.asarray(points, dtype=np.float64)
+    def of(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
+        """The surface of these vertices."""
+        ids, x = np.asarray(vertices, dtype=np.int64), np.asarray(points, dtype=np.float64)
         rows = np.asarray(cells, dtype=np.int64)
-        if ids.ndim != 1 or x.shape != (len(ids), 3):
-            raise PathError(
-                f"vertices of shape {ids.shape} with points of shape {x.shape}: give (n,) ids "
-                "and (n, 3) positions"
-            )
-        if len(np.unique(ids)) != len(ids) or np.min(ids, initial=0) < 0:
-            raise PathError("the vertices' global ids must not repeat or be negative")
-        if rows.ndim != 2 or rows.shape[1] != 3 or len(rows) == 0:
-            raise PathError(f"cells of shape {rows.shape}: give (m, 3) rows of points, m > 0")
-        if rows.min() < 0 or rows.max() >= len(ids):
-            raise PathError(
-                f"cells name rows {rows.min()} to {rows.max()} of {len(ids)} points; they index "
-                "the arrays given, not the global ids"
-            )
-        bad = ~np.isfinite(x).all(axis=1)
-        if bad.any():
-            i = int(np.argmax(bad))
-            raise PathError(f"vertex {ids[i]} is at {as_text(x[i])}; positions must be finite")
         return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
 
     @cached_property
@@ -250,12 +230,6 @@ def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Pl
     places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
     up = np.array([0.0, 0.0, 1.0])
     return [None if place is None else Place(*place, up) for place in places]
-
-
-def _by_target(target: Integers, count: int) -> list[Integers]:
-    """Positions of each target's entries in an ascending list of targets."""
-    ends = np.searchsorted(target, np.arange(count + 1))
-    return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
 def _least_of(target: Integers, count: int, *keys: Array | Integers) -> Integers:
@@ -339,8 +313,9 @@ def places_in_space(
     points = located(surface, positions, target, rows, triangles, snap)
     altitude, longest = altitudes(triangles), longest_sides(triangles)
     places = []
-    for i, own in enumerate(_by_target(target, len(course))):
-        foot = feet[i]
+    ends = np.searchsorted(target, np.arange(len(course) + 1))
+    for i, foot in enumerate(feet):
+        own = slice(ends[i], ends[i + 1])
         if i in known:
             places.append(Place(known[i], course[i], foot.normal))
             continue

@@ -151,7 +151,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
         (vault, {"scene": scene, "direction": (0, 0)}, "direction = .* has no length"),
         (vault, {"scene": scene, "direction": (1, 0), "height": -1.0}, "outside the range of 0"),
         (vault, {"scene": scene, "direction": (1, 0), "part": "attic"}, "no part 'attic'"),
-        (vault, {"scene": scene, "direction": (1, 0), "zones": (1, 2)}, "no list to use"),
+        (vault, {"scene": scene, "direction": (1, 0), "zones": (1, 2)}, "not a valid list"),
         (vault, {"scene": scene.mesh, "direction": (1, 0)}, "scene is of type MembraneMesh"),
         (dome, {"scene": scene, "direction": (1, 0)}, "the roof has no rise"),
         (canopy, {**tent, "pitch": 31.0}, "pitch of a duopitch roof = 31 .* -20 to 30 degrees"),

@@ -78,7 +78,7 @@ def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
     for field in fields(CableState):
         with pytest.raises(FrozenInstanceError):
             setattr(cable.state, field.name, None)
-        value = getattr(cable, field.name)
+        value = getattr(before, field.name)
         if isinstance(value, np.ndarray):
             with pytest.raises(ValueError, match="read-only"):
                 value[:] = 0
