@@ -44,7 +44,11 @@ class ClusterLayout:
         self.whole, self.X, self.n_local = whole, whole.X, whole.n_local
         self.number = np.full(whole.n_local, -1)
         self.number[blocks] = np.arange(len(blocks))
-        order, self.cluster = self._connect(len(blocks), elements)
+        ends = [0, *(int(pointers[-1]) for pointers, _ in elements)]
+        first = [own[:-1] + end for (own, _), end in zip(elements, np.cumsum(ends), strict=False)]
+        starts = np.concatenate([*first, [sum(ends)]]).astype(np.int64)
+        members = np.concatenate([np.zeros(0, dtype=np.int32), *(own for _, own in elements)])
+        order, self.cluster = _sweep(starts, members, self._moved(), len(blocks))
         self.blocks = blocks[order]
         self.n_clusters = int(self.cluster.max(initial=-1)) + 1
         self.starts = np.searchsorted(self.cluster, np.arange(self.n_clusters + 1))
@@ -69,17 +73,6 @@ class ClusterLayout:
         moved[:, 0] = self.number
         moved[whole.tied_points] = self.number[whole.interpolation]
         return moved
-
-    def _connect(
-        self, n: int, elements: Sequence[tuple[Indices, Indices]]
-    ) -> tuple[Integers, Integers]:
-        """Sort n free blocks into clusters; return their order, and clusters in that order."""
-        ends = [0, *(int(pointers[-1]) for pointers, _ in elements)]
-        first = [own[:-1] + end for (own, _), end in zip(elements, np.cumsum(ends), strict=False)]
-        pointers = np.concatenate([*first, [sum(ends)]]).astype(np.int64)
-        members = np.concatenate([np.zeros(0, dtype=np.int32), *(own for _, own in elements)])
-        found: tuple[Integers, Integers] = _sweep(pointers, members, self._moved(), n)
-        return found
 
     def clusters_of(self, pointers: Indices, members: Indices) -> Integers:
         """Cluster (n,) of each element in CSR form; -1 if it does not move."""

@@ -16,7 +16,7 @@ import numpy as np
 from crms_fenicsx.energy.terms.segments import difference
 from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, SegmentPattern
-from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
+from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.model.bar import SHORTEST
 
@@ -55,21 +55,19 @@ class BarEnergy(ElementTerm):
         self._pattern = SegmentPattern(table.ends)
         self.patterns = (self._pattern,)
 
-    def attach(self, unknowns: Unknowns) -> None:
-        super().attach(unknowns)
-        self._X = unknowns.X
-
     def sums(self, x: Array, out: Array) -> None:
         """Energy of this rank's bars (force x length)."""
         t = self.table
-        out[0] = _energy(self._X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces)
+        out[0] = _energy(
+            self.unknowns.X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces
+        )
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        _add_forces(self._X, x, self.table.ends, self.forces, g)
+        _add_forces(self.unknowns.X, x, self.table.ends, self.forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
         """Squared norm of the rounding errors of this rank's bar forces, due to the coordinates."""
-        ends = self._X[self.table.ends] + x[self.table.ends]
+        ends = self.unknowns.X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
         return float(np.sum((EPSILON * stiffness * far) ** 2))
@@ -91,7 +89,7 @@ class BarEnergy(ElementTerm):
         )
         lengths = self._least_lengths()
         across = np.maximum(self.forces, least) / lengths
-        ways = self._X[t.ends] + x[t.ends]
+        ways = self.unknowns.X[t.ends] + x[t.ends]
         d = (ways[:, 1] - ways[:, 0]) / lengths[:, None]
         along = d[:, :, None] * d[:, None, :]
         self._pattern.values[:] = (axial - across)[:, None, None] * along
