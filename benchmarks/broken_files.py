@@ -31,7 +31,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.foundation.meshes import isolated_reader
+from crms_fenicsx.foundation.meshes import mesh_files as reading
 from crms_fenicsx.foundation.meshes.mesh_files import SUFFIXES
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError
 from crms_fenicsx.results.output import History
@@ -405,7 +405,7 @@ def spoil_run(good: Path, folder: Path, rng: Random) -> tuple[str, str, Path]:
 def main(count: int = 200, seed: int = 0) -> int:
     """Spoil that many files; returns how many ended badly."""
     warnings.simplefilter("ignore")
-    isolated_reader.SECONDS = WAIT // 4
+    reading.SECONDS = WAIT // 4
     outcomes: dict[str, Counter[str]] = {"file": Counter(), "mutation": Counter()}
     wrong = 0
     with tempfile.TemporaryDirectory() as name:

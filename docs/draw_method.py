@@ -27,7 +27,7 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.cabling.friction.slip import material_place
-from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
+from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.model.laid_cable import LaidCable
 
 Array = npt.NDArray[Any]

@@ -35,7 +35,7 @@ KERNELS = (
     "crms_fenicsx.energy.terms.ponding",
     "crms_fenicsx.energy.terms.segments",
     "crms_fenicsx.energy.terms.stress_laws",
-    "crms_fenicsx.energy.terms.tension_field",
+    "crms_fenicsx.energy.terms.stress_laws",
 )
 OPTIONAL = ("gmsh", "meshio", "matplotlib", "tqdm", "pyvista", *KERNELS)
 

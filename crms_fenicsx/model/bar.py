@@ -64,7 +64,9 @@ class Bar:
         if isinstance(self.curve, str):
             checks.named("buckling curve", IMPERFECTIONS, self.curve)
         elif self.curve is not None and checks.positive("Bar: curve", self.curve) > 1.0:
-            raise InputError(f"Bar: curve = {self.curve!r} is no reduction factor; give 0 to 1.")
+            raise InputError(
+                f"Bar: curve = {self.curve!r} is not a reduction factor between 0 and 1."
+            )
         needed = {"strength": self.strength, "EI": self.EI if isinstance(self.curve, str) else 0.0}
         lacking = [name for name, value in needed.items() if value is None]
         if self.curve is not None and lacking:

@@ -1,12 +1,15 @@
-"""Properties of a cable."""
+"""Cables, how they are attached and clamped, and the layout of a net of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.friction import Friction
 
 
@@ -59,3 +62,143 @@ class Cable:
     def cone(self) -> bool:
         """Whether one limit couples friction sideways and along the axis."""
         return isinstance(self.friction, Friction) and self.friction.cone
+
+
+Hold = Literal["outside", "sleeve", "pocket", "bonded"]
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Motions relative to the membrane that an attachment leaves free."""
+
+    lifts: bool  # off the membrane
+    sideways: bool  # sliding sideways over the fabric
+    along: bool  # sliding along its axis
+
+
+HOLDS: dict[Hold, Freedom] = {
+    "outside": Freedom(lifts=True, sideways=True, along=True),
+    "sleeve": Freedom(lifts=False, sideways=True, along=True),
+    "pocket": Freedom(lifts=False, sideways=False, along=True),
+    "bonded": Freedom(lifts=False, sideways=False, along=False),
+}
+"""Free motions of each kind of attachment."""
+
+
+@dataclass(frozen=True)
+class Bonds:
+    """Points between its ends at which a cable is bonded to the fabric."""
+
+    supports: tuple[Support, ...]  # supports of its m points, in order
+    at: Annotated[Array, "m"]  # unstressed lengths up to them, relative to the whole cable's
+
+
+@dataclass(frozen=True)
+class Clamp:
+    """A clamp at a crossing of two cables.
+
+    Attributes
+    ----------
+    name
+        Names of the cables, "A1 x B2", with a number if they have several clamps.
+    cables
+        Names of the two cables.
+    at
+        Unstressed lengths from the cables' starts to the clamp, relative to the whole cables';
+        constant while it holds.
+    place
+        Its position, (3,) (length).
+    slip
+        Difference of a cable's tensions on the clamp's two sides at which the cable slips (force);
+        None if it never does.
+    """
+
+    name: str
+    cables: tuple[str, str]
+    at: tuple[float, float]
+    place: Annotated[Array, 3] = field(repr=False)
+    slip: float | None = None
+
+
+@dataclass(frozen=True)
+class ClampedParts:
+    """The m + 1 parts of a cable between m clamps, each with its own tension."""
+
+    at: Annotated[Array, "m"]  # unstressed lengths up to the clamps, relative to the whole cable's
+    nodes: tuple[int, ...]  # nodes at the clamps, in order; () until crossings are arranged
+    tensions: Annotated[Array, "p"]  # of the parts (force)
+    smoothing: Annotated[Array, "p"]  # lengths added to the parts by smoothing (length)
+    grips: Annotated[Array, "m"]  # slip forces of the clamps, 0 if unlimited (force)
+    slips: Annotated[
+        Array, "m"
+    ]  # of the cable, in its direction, in this step, including the elastic slip of earlier steps
+    # (length)
+    loss: float = 0.0  # energy dissipated by slips in this step (force x length)
+    dissipated: float = 0.0  # energy dissipated before this step (force x length)
+
+
+@dataclass(frozen=True)
+class NetLine:
+    """A line of a net on which a cable can be laid.
+
+    Attributes
+    ----------
+    name
+        Name: the family's letter and a number, "A1", "A2" ...
+    path
+        Path over the membrane, from rim to rim, (k, 3) (length), as `Scene.lay_cable` takes it.
+    length
+        Length on the smooth surface approximated by the facets (length): the unstressed length of a
+        cable just taut on it, except where it spans hollows.
+    """
+
+    name: str
+    path: Array = field(repr=False)
+    length: float
+
+
+@dataclass(frozen=True)
+class NetCrossing:
+    """A crossing of two lines of a net.
+
+    Attributes
+    ----------
+    lines
+        Names of the two lines, that of the earlier family first.
+    place
+        Its position, (3,) (length).
+    at
+        Distances from the starts of these lines, measured as their lengths (length).
+    """
+
+    lines: tuple[str, str]
+    place: Array
+    at: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Net:
+    """The layout of a net, for `Scene.lay_net`.
+
+    Attributes
+    ----------
+    lines
+        The lines, family by family.
+    crossings
+        Crossings of the lines.
+    nodes : (n, m, 3)
+        Nodes of an equidistant net (length): a line of the first family joins ``nodes[i, j]`` to
+        ``nodes[i + 1, j]``, one of the second to ``nodes[i, j + 1]``. NaN for missing nodes; None
+        for other nets.
+    """
+
+    lines: tuple[NetLine, ...]
+    crossings: tuple[NetCrossing, ...] = field(repr=False)
+    nodes: Array | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        lengths = span([line.length for line in self.lines])
+        return (
+            f"Net({counted(len(self.lines), 'line')}, length {lengths}; "
+            f"{counted(len(self.crossings), 'crossing')})"
+        )

@@ -9,10 +9,8 @@ import numpy as np
 
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint
-from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.clamp import ClampedParts
+from crms_fenicsx.model.cable import Bonds, Cable, ClampedParts, Hold
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
-from crms_fenicsx.model.hold import Bonds, Hold
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,11 +57,11 @@ def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> No
         return
     reason = ""
     if type(new) is not type(old):
-        reason = f"is none of the same class, {type(old).__name__}"
+        reason = f"is not of the same class, {type(old).__name__}"
     elif isinstance(old, UflMembrane):
         reason = "has a density of your own, whose numbers are compiled into its forms"
     elif new.law != old.law:
-        reason = f"has wrinkling={not getattr(old, 'wrinkling', True)}, as it had not before"
+        reason = f"has wrinkling={not getattr(old, 'wrinkling', True)}, unlike before"
     elif new.warp is not old.warp and (
         callable(new.warp) or callable(old.warp) or not np.array_equal(new.warp, old.warp)  # type: ignore[arg-type]
     ):

@@ -98,7 +98,7 @@ class Friction:
         if tolerance > MOST_TOLERANCE:
             raise InputError(
                 f"Friction: tolerance = {tolerance} is a slip of more than {MOST_TOLERANCE} of a "
-                "cell, which is no sticking; give about 0.003."
+                "cell, too large for sticking; use about 0.003."
             )
 
     @property

@@ -13,9 +13,8 @@ from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
-from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable import HOLDS, Cable, Hold
 from crms_fenicsx.model.cable_state import CableNode, CableState, End
-from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.tolerances import SAME_PLACE
 
 FOUND = "it follows from the loads, call solver.advance(...)"

@@ -35,7 +35,7 @@ membrane, whatever the sign of rounding errors in the strain."""
 def check_warp(owner: str, warp: object) -> None:
     """Refuse a zero warp direction."""
     if not callable(warp) and not np.any(checks.vector(f"{owner}: warp", warp)):
-        raise InputError(f"{owner}: warp = {warp} is no direction; one is not zero.")
+        raise InputError(f"{owner}: warp = {warp} must be a nonzero direction.")
 
 
 class MembraneMaterial(ABC):

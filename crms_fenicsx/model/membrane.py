@@ -227,7 +227,7 @@ class Membrane:
                 dofs = np.flatnonzero(marks).astype(np.int32)
             elif not isinstance(where, str):
                 raise InputError(
-                    f"vertices: {where!r} is no group; give the name of one group or a function "
+                    f"vertices: {where!r} is not a group; pass the name of one group or a function "
                     "of coordinates."
                 )
             elif where not in mesh.edges and where not in mesh.points:
@@ -336,8 +336,8 @@ def _assign_materials(
         return None, {0: material}
     if not isinstance(material, Mapping):
         raise InputError(
-            f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
-            "or a mapping from the mesh's parts to membranes."
+            f"Scene: material = {material!r} is not a membrane material; use IsotropicMembrane, "
+            "for example, or a mapping from the mesh's parts to membranes."
         )
     tags = np.full(len(geometry_dofmap(mesh.mesh)), -1, dtype=np.int32)
     given = [(part, material[part]) for part in outer_first(mesh, "Scene", "material", material)]
@@ -345,7 +345,8 @@ def _assign_materials(
         for k, (part, value) in enumerate(given):
             if not isinstance(value, MembraneMaterial):
                 raise InputError(
-                    f"Scene: the material of part {part!r} is {value!r}, no MembraneMaterial."
+                    f"Scene: the material of part {part!r} is {value!r}, which is not a "
+                    "MembraneMaterial."
                 )
             tags[mesh.parts[part]] = k
         if np.any(tags < 0):

@@ -81,8 +81,8 @@ class UflMembrane(MembraneMaterial):
     def __post_init__(self) -> None:
         if not callable(self.psi):
             raise InputError(
-                f"UflMembrane: psi = {self.psi!r} is no function; give one of the UFL strain (2, 2)"
-                " that returns the energy per area."
+                f"UflMembrane: psi = {self.psi!r} is not a function; pass one of the UFL strain"
+                " (2, 2) that returns the energy per area."
             )
         if self.warp is not None:
             check_warp("UflMembrane", self.warp)

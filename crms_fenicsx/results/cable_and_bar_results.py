@@ -11,7 +11,7 @@ from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.checks import span
-from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 
 Force = tuple[float, float, float]

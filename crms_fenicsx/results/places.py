@@ -26,8 +26,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
-from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM
-from crms_fenicsx.foundation.surface.feet import nearest_pairs
+from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM, nearest_pairs
 from crms_fenicsx.results.quantities import shown_briefly
 
 

@@ -14,8 +14,8 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge_sliders
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import edge_ends
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text

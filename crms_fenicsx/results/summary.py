@@ -16,7 +16,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.foundation.runtime.checks import span
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import Pond
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning

@@ -300,7 +300,8 @@ def test_a_step_file(comm: MPI.Intracomm, tmp_path: Path) -> None:
     comm.barrier()
     folder = comm.bcast(tmp_path)
     for name, message in (
-        ("broken.step", "cannot read"), ("none.step", "no STEP file"), ("away.step", "there is no"),
+        ("broken.step", "cannot read"), ("none.step", "not a STEP file"),
+        ("away.step", "there is no"),
         ("roof.igs", "there is no"),
     ):  # fmt: skip
         with pytest.raises(MeshError, match=message):
@@ -318,7 +319,7 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
     for arguments, message in (
         ({"filename": folder / "a.doc"}, "suffix = '.doc' is not known"),
         ({"filename": folder / "a.dxf", "unit": "mile"}, "unit = 'mile' is not known"),
-        ({"filename": 3}, "is no path"),
+        ({"filename": 3}, "is not a path"),
         ({"scene": scene.mesh, "filename": folder / "a.obj"}, "scene is of type MembraneMesh"),
     ):
         with pytest.raises(InputError, match=message):

@@ -207,9 +207,9 @@ def test_what_differs_by_more_than_numbers_is_refused(comm: MPI.Intracomm) -> No
         assert scene.materials == before and scene.versions.model_version == changes
 
     refused(lambda: scene.set_material({"roof": FABRIC}), "part 'roof'; there are none")
-    refused(lambda: scene.set_material({}), "no mapping to use")
+    refused(lambda: scene.set_material({}), "not a valid mapping")
     refused(lambda: scene.set_material(FOIL), "same class, OrthotropicMembrane")
-    refused(lambda: scene.set_material(3.0), "3.0 of the membrane is none")  # type: ignore[arg-type]
+    refused(lambda: scene.set_material(3.0), "3.0 of the membrane is not of the same class")  # type: ignore[arg-type]
     refused(lambda: scene.set_material(replace(FABRIC, wrinkling=False)), "wrinkling=False")
     refused(lambda: scene.set_material(replace(FABRIC, warp=(0.0, 1.0, 0.0))), "warp")
     refused(lambda: scene.set_stiffness({}), "write {cable: EA")

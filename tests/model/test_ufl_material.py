@@ -152,7 +152,7 @@ def test_bad_densities_are_refused(comm: MPI.Intracomm) -> None:
             UflMembrane(psi)
         assert all(word in str(caught.value) for word in ("UflMembrane", *words)), caught.value
 
-    refused(3.0, "no function")
+    refused(3.0, "not a function")
     refused(lambda E: E, "scalar", "(2, 2)")
     refused(lambda E: np.exp(E[0, 0]), "ufl")
     refused(lambda E: -isotropic(E), "not convex", "eigenvalues")

@@ -21,7 +21,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.cable import Hold
 from crms_fenicsx.results.taut_parts import strains_of
 
 UNITS = [(1.0, 1.0), (1e3, 1e3)]  # of m and kN

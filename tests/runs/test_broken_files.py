@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import ConvergenceError, InputError
-from crms_fenicsx.foundation.meshes import isolated_reader
+from crms_fenicsx.foundation.meshes import mesh_files
 from crms_fenicsx.foundation.runtime.errors import MeshError
 from crms_fenicsx.results.output import History
 
@@ -72,10 +72,10 @@ def test_a_mesh_file_that_keeps_its_reader_busy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """meshio looks for a line with numbers of points until the end of time."""
-    monkeypatch.setattr(isolated_reader, "SECONDS", 1)
+    monkeypatch.setattr(mesh_files, "SECONDS", 1)
     path = tmp_path / "endless.off"
     path.write_text("OFF\n")
-    with pytest.raises(MeshError, match=r"endless.off': it did not come to an end in 1 s"):
+    with pytest.raises(MeshError, match=r"endless.off': it did not finish within 1 s"):
         broken_files.read_mesh(path)
 
 
@@ -97,7 +97,7 @@ def test_a_mesh_file_that_claims_to_be_huge(tmp_path: Path) -> None:
 def test_a_reader_that_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "crash.py"
     program.write_text("import os; os.abort()")
-    monkeypatch.setattr(isolated_reader.reader_process, "__file__", str(program))
+    monkeypatch.setattr(mesh_files.reader_process, "__file__", str(program))
     path = tmp_path / "square.vtu"
     path.touch()
     with pytest.raises(MeshError, match=r"square.vtu': it ended with the status -6"):
@@ -119,7 +119,7 @@ def test_what_gmsh_could_take_for_a_script(tmp_path: Path, text: bytes) -> None:
         (b"step\n\xff\n", "not a table"),
         (b"step\n" + b"1" * 200_000, "not a table"),
         (b"", "is empty"),
-        (None, "it is no regular file"),
+        (None, "it is not a regular file"),
     ],
 )
 def test_broken_histories(tmp_path: Path, content: bytes | None, message: str) -> None:

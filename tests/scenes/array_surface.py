@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.foundation.surface.points import Edge
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, Ring, ring_of
 
 
 class ArraySurface:

@@ -11,11 +11,11 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.taylor import (
     STEPS,
+    Differentiable,
     TermsOnLayout,
     fitted_order,
     gradient_order,
     noise,
-    stiffness_error,
     stiffness_order,
 )
 from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern
@@ -24,6 +24,14 @@ __all__ = [
     "STEPS", "fitted_order", "gradient_order", "noise", "stiffness_error", "stiffness_order",
 ]  # fmt: skip
 Array = npt.NDArray[Any]
+
+
+def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> float:
+    """Relative difference of stiffness times d and the gradient's central difference."""
+    ahead, behind = f.value(x + h * d)[1], f.value(x - h * d)[1]
+    difference: Array = np.asarray((ahead - behind) / (2 * h), dtype=np.float64)
+    error: Array = np.asarray(f.times(x, d) - difference, dtype=np.float64)
+    return float(np.sqrt(f.dot(error, error) / f.dot(difference, difference)))
 
 
 class Points:

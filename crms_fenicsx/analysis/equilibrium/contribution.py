@@ -13,8 +13,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.nodal_forces import NodalForces
 from crms_fenicsx.energy.terms.pressure import FollowerPressure, RimPressure, rim_of

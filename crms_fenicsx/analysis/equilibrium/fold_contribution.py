@@ -24,8 +24,7 @@ from crms_fenicsx.energy.terms.folded_pressure import Facets, FoldedFollowerPres
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.pressure import FollowerPressure
 from crms_fenicsx.energy.terms.term import ElementwiseTerms, EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import rows_of
-from crms_fenicsx.foundation.dofs.layout import Unknowns, rows_on
+from crms_fenicsx.foundation.dofs.layout import Unknowns, rows_of, rows_on
 from crms_fenicsx.foundation.meshes.triangles import cell_sides
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.model.cable_state import NodeId

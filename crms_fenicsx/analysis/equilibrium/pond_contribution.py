@@ -19,7 +19,7 @@ from crms_fenicsx.energy.terms.ponding import Ponding
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import Pond
 
 
 class PondContribution(Contribution):

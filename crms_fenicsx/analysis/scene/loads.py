@@ -23,13 +23,14 @@ from crms_fenicsx.model.membrane_load import (
     Area,
     Coefficient,
     MembraneLoad,
+    Pond,
     Traction,
     fixed_direction_load,
     line_load,
     nodal_load,
+    upper_side,
     wind_load,
 )
-from crms_fenicsx.model.pond import Pond, upper_side
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.model.versions import Versions, changes_model
 

@@ -22,15 +22,12 @@ from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.bar import Joint, PlacedBar
-from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable import Cable, Clamp, Hold, Net
 from crms_fenicsx.model.changed_materials import checked_materials
-from crms_fenicsx.model.clamp import Clamp
-from crms_fenicsx.model.hold import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
-from crms_fenicsx.model.net import Net
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import Pond
 from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths, patch_radii
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 

@@ -21,7 +21,7 @@ from crms_fenicsx.foundation.runtime.errors import (
     SnapThroughWarning,
 )
 from crms_fenicsx.model.laid_cable import CableEnd
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import Pond
 from crms_fenicsx.model.versions import StateWarning
 
 

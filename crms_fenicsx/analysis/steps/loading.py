@@ -20,8 +20,7 @@ from crms_fenicsx.foundation.runtime.arrays import EPSILON
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane_load import MembraneLoad
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import MembraneLoad, Pond
 from crms_fenicsx.model.sealed_air import FanControl, SealedAir
 
 LoadT = TypeVar("LoadT", MembraneLoad, Pond)

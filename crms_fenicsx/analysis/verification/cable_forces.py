@@ -16,7 +16,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
 from crms_fenicsx.cabling.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.cabling.paths.held_vertices import UNEVEN, Pulls, held_runs
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
-from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
+from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.surface.points import EdgePoint

@@ -9,7 +9,7 @@ from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.report import ROUNDED, UNBALANCED, Check
-from crms_fenicsx.energy.minimization.unstressed import NO_STRAIN
+from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.bar import Joint
 

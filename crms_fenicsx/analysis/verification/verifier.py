@@ -25,8 +25,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.cable_forces import plain_vertices, section_forces
 from crms_fenicsx.analysis.verification.report import ROUNDED, UNBALANCED, Check, Verification
 from crms_fenicsx.cabling.cables.clamping import smallest_slip
-from crms_fenicsx.energy.minimization.outcome import Outcome
-from crms_fenicsx.energy.minimization.unstressed import is_unstressed
+from crms_fenicsx.energy.minimization.outcome import Outcome, is_unstressed
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans

@@ -18,8 +18,8 @@ from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, as_text
+from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.cable_state import CableState, Crossing
-from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 

@@ -16,9 +16,8 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.errors import PathError
+from crms_fenicsx.model.cable import Bonds, Clamp, ClampedParts
 from crms_fenicsx.model.cable_state import Crossing
-from crms_fenicsx.model.clamp import Clamp, ClampedParts
-from crms_fenicsx.model.hold import Bonds
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 

@@ -15,7 +15,6 @@ import numpy as np
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.foundation.meshes.triangles import cross
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
     Edge,
@@ -24,6 +23,7 @@ from crms_fenicsx.foundation.surface.points import (
     SurfacePoint,
     edge_of,
 )
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 

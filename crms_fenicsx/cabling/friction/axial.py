@@ -27,7 +27,7 @@ from crms_fenicsx.cabling.contact.contact_force import edge_directions, held_nod
 from crms_fenicsx.cabling.contact.lift_off import is_foot
 from crms_fenicsx.cabling.friction.slip import material_place, succession
 from crms_fenicsx.energy.terms.axial_friction import Chains, Grips
-from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
+from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.surface.points import Support

@@ -35,9 +35,8 @@ from crms_fenicsx.cabling.friction.slip import (
     slip_forces,
     succession,
 )
-from crms_fenicsx.energy.terms.lateral_friction import Slips
+from crms_fenicsx.energy.terms.lateral_friction import Slips, stored_and_lost
 from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElements
-from crms_fenicsx.energy.terms.smooth_coulomb import stored_and_lost
 from crms_fenicsx.foundation.meshes.triangles import dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.friction import (

@@ -34,7 +34,7 @@ from crms_fenicsx.cabling.friction.slip import (
     slips_sideways,
 )
 from crms_fenicsx.energy.terms.capstan_chain import LAW, find_slips
-from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
+from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable

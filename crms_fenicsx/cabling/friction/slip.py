@@ -31,7 +31,7 @@ import numpy as np
 
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import held_nodes, runs, wrap_angles
-from crms_fenicsx.energy.terms.smooth_coulomb import coulomb_forces
+from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.surface.points import Support

@@ -24,7 +24,6 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.corridor import cell_between
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
     Edge,
@@ -33,6 +32,7 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane

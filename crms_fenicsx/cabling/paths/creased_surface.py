@@ -25,11 +25,10 @@ from crms_fenicsx.cabling.cables.strip import StripShape, own_surface
 from crms_fenicsx.foundation.meshes.triangles import norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, floats, ints, pointers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE
-from crms_fenicsx.foundation.surface.feet import feet_of
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells, Ring, ring_of
+from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, feet_of
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import Edge
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, Ring, ring_of
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 

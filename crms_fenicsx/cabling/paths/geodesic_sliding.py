@@ -38,8 +38,8 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.work_sharing import share_out
 from crms_fenicsx.foundation.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.foundation.surface.flip_geodesic import FlippedPath, shorten
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint, VertexPoint
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 

@@ -22,15 +22,14 @@ from crms_fenicsx.foundation.meshes.triangles import mix, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
+from crms_fenicsx.foundation.surface.closest_point import pairs_within
 from crms_fenicsx.foundation.surface.corridor import cell_between
-from crms_fenicsx.foundation.surface.feet import pairs_within
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import route_points
-from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable import HOLDS, Cable, Hold
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.hold import HOLDS, Hold
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE

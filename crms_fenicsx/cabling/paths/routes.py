@@ -17,10 +17,10 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
 from crms_fenicsx.foundation.surface.holes import covers
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.foundation.surface.trace import IndirectLeg, trace
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.membrane import Membrane
 
 NO_COVERS = EMPTY.cells

@@ -23,9 +23,8 @@ from crms_fenicsx.foundation.runtime.errors import MeshError
 from crms_fenicsx.foundation.runtime.work_sharing import share_out
 from crms_fenicsx.foundation.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.foundation.surface.vertex_flip import other_side
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, other_side
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND

@@ -13,8 +13,7 @@ from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.energy.terms.compiled_forms import FormInputs, compiled_form
-from crms_fenicsx.energy.terms.integral import one_point
+from crms_fenicsx.energy.terms.integral import FormInputs, compiled_form, one_point
 from crms_fenicsx.energy.terms.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.model.membrane import Membrane

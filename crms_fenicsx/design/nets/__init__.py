@@ -12,7 +12,7 @@ from crms_fenicsx.design.nets.layouts import (
     sections,
 )
 from crms_fenicsx.design.nets.tuning import tune
-from crms_fenicsx.model.net import Net, NetCrossing, NetLine
+from crms_fenicsx.model.cable import Net, NetCrossing, NetLine
 from crms_fenicsx.results.cable_order import CableOrder, Order, lengths_to_order
 
 __all__ = [

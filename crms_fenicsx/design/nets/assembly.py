@@ -17,8 +17,8 @@ from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
+from crms_fenicsx.model.cable import Net, NetCrossing, NetLine
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 
 APART = 0.01
 """Least distance of a line's points, relative to the cell size."""

@@ -28,7 +28,7 @@ from crms_fenicsx.foundation.runtime.errors import (
     as_text,
     collective,
 )
-from crms_fenicsx.model.net import Net
+from crms_fenicsx.model.cable import Net
 
 Node = tuple[int, int]
 

@@ -17,7 +17,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError, collective
 from crms_fenicsx.foundation.surface.trace import route_points
-from crms_fenicsx.model.net import Net
+from crms_fenicsx.model.cable import Net
 
 
 @collective

@@ -24,8 +24,7 @@ from crms_fenicsx.foundation.meshes.triangles import (
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import TargetSurface, places_in_plan
-from crms_fenicsx.foundation.surface.feet import feet_of
+from crms_fenicsx.foundation.surface.closest_point import TargetSurface, feet_of, places_in_plan
 from crms_fenicsx.model.membrane import Membrane
 
 ON_CELL = 1e-9
@@ -93,7 +92,7 @@ class WholeSurface:
                     f"{as_text(foot.position)}"
                 )
             return foot.position
-        target = TargetSurface.checked(self.strip.vertices, self.points, self.cells)
+        target = TargetSurface.of(self.strip.vertices, self.points, self.cells)
         return places_in_plan(target, point[None], 1e-3)[0].position
 
     def normal(self, point: Array) -> Array:

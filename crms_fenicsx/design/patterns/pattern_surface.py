@@ -18,7 +18,6 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints, pointers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface
-from crms_fenicsx.foundation.surface.intrinsic import Ring, ring_of
 from crms_fenicsx.foundation.surface.points import (
     Edge,
     EdgePoint,
@@ -27,6 +26,7 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+from crms_fenicsx.foundation.surface.vertex_flip import Ring, ring_of
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""
@@ -58,7 +58,7 @@ class PatternSurface(CheckedSurface):
     @cached_property
     def target(self) -> TargetSurface:
         """The surface for tracing routes."""
-        return TargetSurface.checked(np.arange(len(self.points)), self.points, self.cells)
+        return TargetSurface.of(np.arange(len(self.points)), self.points, self.cells)
 
     @cached_property
     def rim_vertices(self) -> frozenset[int]:

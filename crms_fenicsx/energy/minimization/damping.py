@@ -24,7 +24,6 @@ from crms_fenicsx.foundation.dofs.block_patterns import (
     BlockPattern,
     BlockSink,
     SegmentPattern,
-    rows_of,
 )
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
@@ -46,11 +45,6 @@ class Springs(ElementTable):
     fractions: Array
     segments: Indices  # (m, 2) blocks at the ends of straight cable segments
     addresses = ("sliders", "segments")
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the sliding points and their edges."""
-        return rows_of(self.sliders)
 
 
 class Damping:

@@ -24,8 +24,8 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}
@@ -81,14 +81,6 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
     for name, value in values.items():
         if not options.hasName(name):
             options[name] = value
-
-
-def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
-    """Traces (n,) of owned diagonal blocks without `held` components (n, 3); rotation invariant."""
-    diagonal = matrix.getDiagonal()
-    traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
-    diagonal.destroy()
-    return traces
 
 
 def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
@@ -231,7 +223,9 @@ class InitialHessian:
         self._stiffness.clear()
         self.potential.add_stiffness(self._stiffness, exact)
         self._stiffness.assemble()
-        traces = block_traces(A, held)
+        diagonal = A.getDiagonal()
+        traces = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)  # of each block
+        diagonal.destroy()
         sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0

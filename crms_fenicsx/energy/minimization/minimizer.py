@@ -32,10 +32,14 @@ from petsc4py import PETSc
 from crms_fenicsx.energy.minimization import outcome as endings
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.energy.minimization.newton import PATIENCE, NewtonMethod
-from crms_fenicsx.energy.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
+from crms_fenicsx.energy.minimization.outcome import (
+    REASONS,
+    SEARCH_FAILED,
+    Outcome,
+    Stalling,
+    is_unstressed,
+)
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.energy.minimization.stalling import Stalling
-from crms_fenicsx.energy.minimization.unstressed import is_unstressed
 from crms_fenicsx.energy.terms.kinematics import FLOOR, Stiffening
 from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 
@@ -265,16 +269,11 @@ class Minimizer:
         self._looks = COARSE if self._relaxation is None else LOOKS
         self._newton_method.begin()
         self._stalling = Stalling()
-        self._place_bounds()
-        self.potential.place()
-
-    def _place_bounds(self) -> None:
-        if self._bounds is not None:
+        if self._bounds is not None and (bounds := self.potential.unknowns.bounds) is not None:
             n = self.potential.unknowns.n_owned
-            for vector, bound in zip(
-                self._bounds, self.potential.unknowns.bounds, strict=True  # type: ignore[arg-type]
-            ):  # fmt: skip
+            for vector, bound in zip(self._bounds, bounds, strict=True):
                 vector.array[:] = bound[:n].ravel()
+        self.potential.place()
 
     def residual(self) -> float:
         """Norm of the last gradient without contact forces of an obstacle."""

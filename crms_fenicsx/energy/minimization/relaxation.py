@@ -14,8 +14,7 @@ import numba
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.energy.minimization.clusters import gather, give_back
-from crms_fenicsx.energy.minimization.local_potential import LocalPotential
+from crms_fenicsx.energy.minimization.local_potential import LocalPotential, gather, give_back
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import GhostFlags
@@ -81,16 +80,11 @@ class LocalRelaxation:
     @classmethod
     def of(cls, potential: Potential) -> LocalRelaxation | None:
         """Create one if a potential has cable points that can be relaxed alone."""
-        return cls(potential) if cls._possible(potential) else None
-
-    @staticmethod
-    def _possible(potential: Potential) -> bool:
-        """Whether a potential has cable points that can be relaxed alone."""
         cables = [term for term in potential.terms if term.of_cables]
         parts = all(type(term).elements_on is not EnergyTerm.elements_on for term in cables)
         history = any(term.has_history for term in potential.terms)
         bounds = potential.unknowns.bounds is not None
-        return len(cables) > 0 and parts and not history and not bounds
+        return cls(potential) if cables and parts and not history and not bounds else None
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -103,7 +97,7 @@ class LocalRelaxation:
         tolerance (force). Returns whether the state, then evaluated, has changed."""
         if first:
             return stressed and self.relax_patch(scale)
-        of_vertices = self.vertex_residual()
+        of_vertices = self._residuals(self._points)[1]
         # One point alone may set the scale; on a flat sheet that is no reason to relax.
         settled = (of_vertices if stressed else residual) < self.afar * scale
         return settled and residual > SETTLED * scale and self.relax_points(tolerance)
@@ -163,10 +157,6 @@ class LocalRelaxation:
         potential.place()
         potential.evaluate(vertices)
         return False
-
-    def vertex_residual(self) -> float:
-        """Norm of the free forces on all blocks but the relaxable points. Collective."""
-        return self._residuals(self._points)[1]
 
     def _sizes(self) -> Array:
         """Norms of the free forces on the owned blocks, (n_owned,)."""

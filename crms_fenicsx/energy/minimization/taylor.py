@@ -17,9 +17,8 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -165,14 +164,6 @@ def stiffness_order(
     """Order of the remainder: 3 or more if gradient and stiffness at x are right along d; 2 if only
     the gradient is."""
     return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
-
-
-def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> float:
-    """Relative difference of stiffness times d and the gradient's central difference."""
-    ahead, behind = f.value(x + h * d)[1], f.value(x - h * d)[1]
-    difference: Array = np.asarray((ahead - behind) / (2 * h), dtype=np.float64)
-    error: Array = np.asarray(f.times(x, d) - difference, dtype=np.float64)
-    return float(np.sqrt(f.dot(error, error) / f.dot(difference, difference)))
 
 
 def noise(X: Array, seed: int) -> Array:

@@ -23,17 +23,17 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.energy.terms.capstan_chain import ENERGY, find_slips
+from crms_fenicsx.energy.terms.lateral_friction import (
+    friction_energy,
+    secant_stiffness,
+    stored_and_lost,
+)
 from crms_fenicsx.energy.terms.segments import (
     add_segment_forces,
     add_slip_forces,
     edge_fractions,
     segment_lengths,
     segment_stiffness,
-)
-from crms_fenicsx.energy.terms.smooth_coulomb import (
-    friction_energy,
-    secant_stiffness,
-    stored_and_lost,
 )
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
@@ -104,7 +104,7 @@ class CapstanTension(EnergyTerm):
         self.n_spans, self.n_nodes = int(c.starts[-1]), int(c.starts[-1]) - len(c.EA)
         self.n_sums = self.n_spans + self.n_nodes
         self._lengths, self._forces = np.zeros((2, len(c.segments)))
-        self._fractions, self._pulls = np.zeros((2, len(c.place)))
+        self._fractions = np.zeros(len(c.place))
         self._gradients = np.zeros((len(c.blocks), 3))
         self.slips, self.unstressed = grips.slips.copy(), np.zeros(self.n_spans)
         self._friction, self._force = np.zeros(len(c.EA)), np.zeros(self.n_nodes)
@@ -163,12 +163,6 @@ class CapstanTension(EnergyTerm):
         elongation = sums[: self.n_spans] - self.unstressed
         return np.asarray(EA * np.maximum(elongation, 0.0) / self.unstressed)
 
-    def strain_energies(self, sums: Array) -> Array:
-        """Strain energy of each cable (force x length)."""
-        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
-        energies = self.tensions(sums) ** 2 * self.unstressed / (2 * EA)
-        return np.add.reduceat(energies, self.chains.starts[:-1])
-
     def friction(self, sums: Array) -> tuple[Array, Array]:
         """Stored and dissipated friction energy of each cable (force x length)."""
         self._solve(sums)
@@ -187,20 +181,22 @@ class CapstanTension(EnergyTerm):
 
     def energy(self, sums: Array) -> float:
         """Strain energy and friction potential (force x length)."""
-        return float(self.strain_energies(sums).sum() + self._friction.sum())
+        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
+        energies = self.tensions(sums) ** 2 * self.unstressed / (2 * EA)
+        by_cable = np.add.reduceat(energies, self.chains.starts[:-1])
+        return float(by_cable.sum() + self._friction.sum())
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of the tensions, and of friction along the edges."""
         c = self.chains
         np.take(self.tensions(sums), c.span, out=self._forces)
         add_segment_forces(self.unknowns.X, x, c.segments, c.smoothing, self._forces, g)
-        self._pulls[:] = np.where(c.owned, -self._force[c.node], 0.0)
-        self._add_rest(self._pulls, g)
+        self._add_rest(np.where(c.owned, -self._force[c.node], 0.0), g)
 
     def _add_rest(self, weights: Array, g: Array) -> None:
         """Add the weighted gradient of the rest arc lengths of this rank's fold points."""
         c = self.chains
-        add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
+        add_slip_forces(c.pointers, c.blocks, self._gradients, weights * self.grips.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness, and the axial one of single spans between sticking nodes."""

@@ -8,17 +8,15 @@ slack guys does not fly off.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from crms_fenicsx.energy.terms.segments import difference
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, SegmentPattern, rows_of
-from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
+from crms_fenicsx.energy.terms.term import ElementTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, SegmentPattern
+from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.model.bar import SHORTEST
 
@@ -35,18 +33,10 @@ class BarTable(ElementTable):
     L0: Array
     tension_only: Booleans  # (n,) whether they can be slack
     addresses = ("ends",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return rows_of(self.ends)
-
-    @classmethod
-    def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
-        names = [field.name for field in fields(cls)]
-        return [cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))]
+    joins = True
 
 
-class BarEnergy(EnergyTerm):
+class BarEnergy(ElementTerm):
     """Strain energy of bars.
 
     Attributes: `lengths`, `forces` (n,): lengths (length) and axial forces (force), tension
@@ -60,26 +50,24 @@ class BarEnergy(EnergyTerm):
     least, loose = -np.inf, 0.0
 
     def __init__(self, table: BarTable) -> None:
-        self.table = table
+        super().__init__(table)
         self.lengths, self.forces = np.zeros((2, len(table.EA)))
         self._pattern = SegmentPattern(table.ends)
         self.patterns = (self._pattern,)
 
-    def attach(self, unknowns: Unknowns) -> None:
-        super().attach(unknowns)
-        self._X = unknowns.X
-
     def sums(self, x: Array, out: Array) -> None:
         """Energy of this rank's bars (force x length)."""
         t = self.table
-        out[0] = _energy(self._X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces)
+        out[0] = _energy(
+            self.unknowns.X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces
+        )
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        _add_forces(self._X, x, self.table.ends, self.forces, g)
+        _add_forces(self.unknowns.X, x, self.table.ends, self.forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
         """Squared norm of the rounding errors of this rank's bar forces, due to the coordinates."""
-        ends = self._X[self.table.ends] + x[self.table.ends]
+        ends = self.unknowns.X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
         return float(np.sum((EPSILON * stiffness * far) ** 2))
@@ -101,7 +89,7 @@ class BarEnergy(EnergyTerm):
         )
         lengths = self._least_lengths()
         across = np.maximum(self.forces, least) / lengths
-        ways = self._X[t.ends] + x[t.ends]
+        ways = self.unknowns.X[t.ends] + x[t.ends]
         d = (ways[:, 1] - ways[:, 0]) / lengths[:, None]
         along = d[:, :, None] * d[:, None, :]
         self._pattern.values[:] = (axial - across)[:, None, None] * along
@@ -111,15 +99,6 @@ class BarEnergy(EnergyTerm):
     def _least_lengths(self) -> Array:
         """Lengths, bounded from below for bars without direction, whose ends coincide."""
         return np.maximum(self.lengths, SHORTEST * self.table.L0)
-
-    def elements_on(self, chosen: Booleans) -> BarTable | None:
-        some = self.table.rows_on(chosen)
-        if len(some) == 0:
-            return None
-        return BarTable(*(getattr(self.table, field.name)[some] for field in fields(BarTable)))
-
-    def of_elements(self, table: BarTable, sums: Array) -> BarEnergy:
-        return BarEnergy(table)
 
     def element_energies(self, sums: Array) -> Array:
         energies: Array = self.forces * self.forces * self.table.L0 / (2 * self.table.EA)

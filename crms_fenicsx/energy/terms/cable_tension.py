@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +19,8 @@ from crms_fenicsx.foundation.dofs.block_patterns import (
     BlockSink,
     ColumnPattern,
     SegmentPattern,
-    rows_of,
 )
-from crms_fenicsx.foundation.dofs.layout import ElementTable, rows_on
+from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices, Integers
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
@@ -37,16 +35,7 @@ class CableSegments(ElementTable):
     cable: Indices  # (n,) number of the cable
     lengths: Array  # (n,) lengths at the last evaluation
     addresses = ("ends",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return rows_of(self.ends)
-
-    @classmethod
-    def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
-        """Join all segments in one table, as a cable's length is the sum of theirs."""
-        names = [field.name for field in fields(cls)]
-        return [cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))]
+    joins = True  # as a cable's length is the sum of theirs
 
 
 class CableTension(EnergyTerm):
@@ -174,10 +163,8 @@ class CableTension(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
         """Segments with chosen ends; a table on each rank, as `split` is collective."""
-        rows = rows_on(*rows_of(self.segments), chosen)
-        return CableSegments(
-            self.segments[rows], self.eps[rows], self.cable[rows], self._lengths[rows]
-        )
+        table = CableSegments(self.segments, self.eps, self.cable, self._lengths)
+        return table.some(table.rows_on(chosen))
 
     def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
         """Tension of such segments; the rest of each cable keeps its length."""

@@ -29,6 +29,7 @@ import math
 import numba
 import numpy as np
 
+from crms_fenicsx.energy.terms.lateral_friction import friction_force
 from crms_fenicsx.foundation.runtime.arrays import EPSILON
 
 ENERGY, LAW = 0, 1
@@ -61,15 +62,6 @@ def _stiffness(kind, span, d):  # type: ignore[no-untyped-def]
     return span * span / (d * d * d)
 
 
-@numba.njit(cache=True, inline="always")
-def _pull(s, bound, eps):  # type: ignore[no-untyped-def]
-    """Friction force: f'(s/eps) times the bound."""
-    if bound == 0.0:
-        return 0.0
-    y = abs(s) / eps
-    return math.copysign(bound * y * (2.0 - y) if y < 1.0 else bound, s)
-
-
 @numba.njit(cache=True)
 def _slope(kind, span, d, change, s, p, t, bound, eps):  # type: ignore[no-untyped-def]
     """Directional derivative along a step p of the slips, with change `change` of d, at t p."""
@@ -77,7 +69,7 @@ def _slope(kind, span, d, change, s, p, t, bound, eps):  # type: ignore[no-untyp
     for k in range(span.shape[0]):
         total -= _force(kind, span[k], d[k] + t * change[k]) * change[k]
     for k in range(s.shape[0]):
-        total += _pull(s[k] + t * p[k], bound[k], eps[k]) * p[k]
+        total += friction_force(s[k] + t * p[k], bound[k], eps[k]) * p[k]
     return total
 
 
@@ -135,7 +127,7 @@ def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyp
         for k in range(n):
             left, right = _stiffness(kind, span[k], d[k]), _stiffness(kind, span[k + 1], d[k + 1])
             before, after = _force(kind, span[k], d[k]), _force(kind, span[k + 1], d[k + 1])
-            g[k] = after - before + _pull(s[k], bound[k], eps[k])
+            g[k] = after - before + friction_force(s[k], bound[k], eps[k])
             diagonal[k], upper[k] = left + right, -right
             if bound[k] > 0.0:
                 y = abs(s[k]) / eps[k]

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink, rows_of
+from crms_fenicsx.energy.terms.term import ElementTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
 
@@ -35,10 +35,6 @@ class FoldAngles(ElementTable):
     coefficients: Array  # (n,) mu (force x length)
     weighted: bool  # whether r is weighted with w; False is the paper's penalty
     addresses = ("points",)
-
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return rows_of(self.points)
 
 
 @numba.njit(cache=True)
@@ -210,7 +206,7 @@ def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
                 g[points[k, m], i] += factor * dr[k, m, i]
 
 
-class FoldPenalty(EnergyTerm):
+class FoldPenalty(ElementTerm):
     """``sum mu (w r)^2`` over the intersections of chords and sides, (2.5-1)."""
 
     name = "penalty"
@@ -219,7 +215,7 @@ class FoldPenalty(EnergyTerm):
     active: Booleans
 
     def __init__(self, table: FoldAngles) -> None:
-        self.table = table
+        super().__init__(table)
         n = len(table.points)
         self.active = np.ones(n, dtype=bool)
         self.residuals, self._dr, self._last = np.zeros(n), np.zeros((n, 4, 3)), np.empty((n, 4, 3))
@@ -265,15 +261,6 @@ class FoldPenalty(EnergyTerm):
         blocks = self.pattern.values.reshape(-1, 4, 4, 3, 3)
         _square_slopes(self.table.coefficients, self._dr, self.active, blocks)
         return blocks
-
-    def elements_on(self, chosen: Booleans) -> FoldAngles | None:
-        t = self.table
-        rows = t.rows_on(chosen)
-        some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
-        return some if len(rows) else None
-
-    def of_elements(self, table: FoldAngles, sums: Array) -> FoldPenalty:
-        return FoldPenalty(table)
 
     def element_energies(self, sums: Array) -> Array:
         return np.asarray(self.table.coefficients * self.residuals**2)

@@ -24,7 +24,7 @@ from crms_fenicsx.energy.terms.segments import (
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
@@ -78,11 +78,6 @@ class FoldedCells(ElementTable):
         d1, d2 = self.side_vectors[..., 0], self.side_vectors[..., 1]
         rows = np.stack([2 * d1**2, 2 * d2**2, 2 * d1 * d2], axis=-1)
         return np.asarray(np.linalg.inv(rows), dtype=float)
-
-    @property
-    def squared_sides(self) -> Array:
-        """Squares of the stress-free sides, (n, 3)."""
-        return np.sum(self.side_vectors**2, axis=-1)
 
     @cached_property
     def element_blocks(self) -> tuple[Indices, Indices]:
@@ -219,7 +214,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
                         block[a, b] = mirrored[b, a] = value
 
 
-class FoldedMembraneEnergy(EnergyTerm):
+class FoldedMembraneEnergy(ElementTerm):
     """Strain energy of the folded cells, in total formulation, (2.3)."""
 
     name = "membrane"
@@ -229,9 +224,10 @@ class FoldedMembraneEnergy(EnergyTerm):
     active: Booleans
 
     def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:
-        self.table, self.stiffening = table, stiffening
+        super().__init__(table)
+        self.stiffening = stiffening
         self.areas, self.maps = table.areas, table.strain_maps
-        self.squares = table.squared_sides
+        self.squares = np.sum(table.side_vectors**2, axis=-1)
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
@@ -283,11 +279,6 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.elements.add(A)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.values)
         self.edges.add(A)
-
-    def elements_on(self, chosen: Booleans) -> FoldedCells | None:
-        """Cells whose sides contain chosen blocks."""
-        rows = self.table.rows_on(chosen)
-        return self.table.some(rows) if len(rows) else None
 
     def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:
         return FoldedMembraneEnergy(table, self.stiffening)

@@ -15,8 +15,8 @@ import numpy as np
 from dolfinx import fem
 
 from crms_fenicsx.energy.terms.pressure import volume_pattern
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, rows_of
+from crms_fenicsx.energy.terms.term import ElementTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 
@@ -31,9 +31,9 @@ class Facets(ElementTable):
     plain_corners: Indices
     addresses = ("corners", "plain_corners")
 
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        return rows_of(self.corners)
+    def some(self, rows: Integers) -> Facets:
+        """Subset of the facets, without a stress-free volume to subtract."""
+        return Facets(self.corners[rows], self.weights[rows], self.plain_corners[:0])
 
 
 @numba.njit(cache=True, inline="always")
@@ -92,7 +92,7 @@ def _volume_hessian(X, x, corners, weights, origin, factor, active, values):  # 
                 values[3 * f + m, i, j], values[3 * f + m, j, i] = p[k], -p[k]
 
 
-class FoldedFollowerPressure(EnergyTerm):
+class FoldedFollowerPressure(ElementTerm):
     """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
     name = "pressure"
@@ -101,7 +101,8 @@ class FoldedFollowerPressure(EnergyTerm):
     active: Booleans
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
-        self.table, self.pressure, self.origin = table, pressure, origin
+        super().__init__(table)
+        self.pressure, self.origin = pressure, origin
         self.pattern = volume_pattern(table.corners)
         self.patterns = (self.pattern,)
         self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
@@ -135,13 +136,6 @@ class FoldedFollowerPressure(EnergyTerm):
             self.pattern.values,
         )  # fmt: skip
         self.pattern.add(A)
-
-    def elements_on(self, chosen: Booleans) -> Facets | None:
-        """Facets with chosen corners, without a stress-free volume to subtract."""
-        t = self.table
-        rows = t.rows_on(chosen)
-        some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
-        return some if len(rows) else None
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
         return FoldedFollowerPressure(table, self.pressure, self.origin)

@@ -11,16 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.energy.terms.segments import (
-    EdgePoints,
-    add_slip_curvature,
-    add_slip_forces,
-    edge_fractions,
-    slip_stiffness,
-)
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.energy.terms.segments import EdgePoints, EdgePointTerm
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -31,53 +23,23 @@ class HeldPoints(EdgePoints):
     stiffness: Array  # (n,) k a^2 (force x length)
 
 
-class HeldLine(EnergyTerm):
+class HeldLine(EdgePointTerm):
     """Springs that hold cable points on their edges."""
 
     name = "held lines"
     exact_hessian = True
-    of_cables = True
 
     def __init__(self, table: HeldPoints) -> None:
-        self.table = table
-        self._fractions, self._off = np.zeros((2, len(table.place)))
-        self._gradients = np.zeros((len(table.blocks), 3))
-        self.pattern = ElementPattern(table.pointers, table.blocks)
-        self.patterns = (self.pattern,)
+        super().__init__(table)
+        self._off = np.zeros(len(table.place))
 
-    def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy; keeps fractions for the gradient."""
-        t = self.table
-        edge_fractions(
-            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
-        )
-        np.subtract(self._fractions, t.rest, out=self._off)
-        out[0] = float(self.element_energies(out).sum())
+    def evaluate(self) -> float:
+        np.subtract(self._fractions, self.table.rest, out=self._off)
+        np.multiply(self._off, self.table.stiffness, out=self._pull)
+        return float(self.element_energies(self._off).sum())
 
-    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        t = self.table
-        add_slip_forces(t.pointers, t.blocks, self._gradients, self._off, t.stiffness, g)
-
-    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the stiffness, without the geometric part of the springs' forces."""
-        t = self.table
-        slip_stiffness(t.pointers, t.blocks, self._gradients, t.stiffness, self.pattern.values)
-        self.pattern.add(A)
-
-    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        t, values = self.table, self.pattern.values
-        slip_stiffness(t.pointers, t.blocks, self._gradients, t.stiffness, values)
-        add_slip_curvature(
-            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
-            self._off * t.stiffness, values,
-        )  # fmt: skip
-        self.pattern.add(A)
-
-    def elements_on(self, chosen: Booleans) -> HeldPoints | None:
-        return self.table.points_on(chosen)
-
-    def of_elements(self, table: HeldPoints, sums: Array) -> HeldLine:
-        return HeldLine(table)
+    def stiffnesses(self, exact: bool) -> Array:
+        return np.asarray(self.table.stiffness)
 
     def element_energies(self, sums: Array) -> Array:
         return np.asarray(0.5 * self.table.stiffness * self._off**2)

@@ -13,26 +13,78 @@ edge, ``s = slope * fraction + offset``, see `cabling.friction.slip`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
-from crms_fenicsx.energy.terms.segments import (
-    EdgePoints,
-    add_slip_curvature,
-    add_slip_forces,
-    edge_fractions,
-    slip_stiffness,
-)
-from crms_fenicsx.energy.terms.smooth_coulomb import (
-    friction_energy,
-    friction_potentials,
-    secant_stiffness,
-    tangent_stiffness,
-)
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.energy.terms.segments import EdgePoints, EdgePointTerm
+from crms_fenicsx.foundation.runtime.arrays import Array
+
+
+@numba.njit(cache=True, inline="always")
+def _potential(y, bound, eps):  # type: ignore[no-untyped-def]
+    """Potential of a node at the absolute slip y eps."""
+    if y < 1.0:
+        return bound * eps * y * y * (1.0 - y / 3.0)
+    return bound * eps * (y - 1.0 / 3.0)
+
+
+@numba.njit(cache=True, inline="always")
+def friction_force(slip, bound, eps):  # type: ignore[no-untyped-def]
+    """Derivative of this potential by the slip; without a bound eps may be zero."""
+    if bound == 0.0:
+        return 0.0
+    y = abs(slip) / eps
+    return math.copysign(bound * y * (2.0 - y) if y < 1.0 else bound, slip)
+
+
+@numba.njit(cache=True)
+def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
+    """Potential of all nodes; its derivatives by their slips into `force` (n,)."""
+    energy = 0.0
+    for k in range(slip.shape[0]):
+        energy += _potential(abs(slip[k]) / eps[k], bound[k], eps[k])
+        force[k] = friction_force(slip[k], bound[k], eps[k])
+    return energy
+
+
+@numba.njit(cache=True)
+def friction_potentials(slip, bound, eps):  # type: ignore[no-untyped-def]
+    """Potential of each node, (n,) (force x length)."""
+    potentials = np.empty(slip.shape[0])
+    for k in range(slip.shape[0]):
+        potentials[k] = _potential(abs(slip[k]) / eps[k], bound[k], eps[k])
+    return potentials
+
+
+def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
+    """Friction force of each node, (n,) (force)."""
+    y = np.minimum(np.abs(slip) / eps, 1.0)
+    return np.asarray(np.copysign(bound * y * (2.0 - y), slip))
+
+
+def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
+    """Elastically stored and dissipated friction energy (force x length); all arguments (n,)."""
+    force = np.abs(coulomb_forces(slip, bound, eps))
+    back = np.minimum(np.abs(slip), elastic)
+    y = np.minimum(back / eps, 1.0)
+    return float(np.sum(force * back * (1.0 - y / 3.0) / (2.0 - y))), float(
+        np.sum(force * (np.abs(slip) - back))
+    )
+
+
+def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
+    """Secant stiffness ``force / slip`` of nodes, (n,) (force/length). Its parabola touches the
+    potential and lies above it elsewhere; the tangent would vanish beyond eps."""
+    y = np.abs(slip) / eps
+    return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
+
+
+def tangent_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
+    """Second derivatives of the potentials by the slips, (n,) (force/length)."""
+    return np.asarray(2 * bound / eps * np.maximum(1 - np.abs(slip) / eps, 0.0))
 
 
 @dataclass(frozen=True)
@@ -45,64 +97,31 @@ class Slips(EdgePoints):
     eps: Array  # (n,) slip at which it is reached (length)
 
 
-class LateralFriction(EnergyTerm):
+class LateralFriction(EdgePointTerm):
     """Sideways friction of the cables' sliding nodes, (3.3-1) with stick."""
 
     name = "friction"
-    of_cables = True
 
     def __init__(self, table: Slips) -> None:
-        self.table = table
-        n = len(table.place)
-        self._fractions, self.slips, self._force = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._gradients = np.zeros((len(table.blocks), 3))
-        self.pattern = ElementPattern(table.pointers, table.blocks)
-        self.patterns = (self.pattern,)
+        super().__init__(table)
+        self.slips, self._force = np.zeros((2, len(table.place)))
 
     def renew(self, table: Slips) -> None:
         """Use other forces and material curves for the same nodes."""
         self.table = table
 
-    def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the potential; keeps slips and forces for the gradient."""
+    def evaluate(self) -> float:
         t = self.table
-        edge_fractions(
-            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
-        )
         np.multiply(t.slope, self._fractions, out=self.slips)
         self.slips += t.offset
-        out[0] = friction_energy(self.slips, t.bound, t.eps, self._force)
+        energy = friction_energy(self.slips, t.bound, t.eps, self._force)
+        np.multiply(self._force, t.slope, out=self._pull)
+        return float(energy)
 
-    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        t = self.table
-        add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
-
-    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the secant stiffness ``force / slip``; see `secant_stiffness`."""
-        t = self.table
-        self._stiffen(secant_stiffness(self.slips, t.bound, t.eps))
-        self.pattern.add(A)
-
-    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the second derivatives, without stiffness of nodes that slide beyond eps."""
-        t = self.table
-        self._stiffen(tangent_stiffness(self.slips, t.bound, t.eps))
-        add_slip_curvature(
-            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
-            self._force * t.slope, self.pattern.values,
-        )  # fmt: skip
-        self.pattern.add(A)
-
-    def _stiffen(self, stiffness: Array) -> None:
-        """Put a stiffness against the slips, (n,) (force/length), into the pattern's values."""
-        t, values = self.table, self.pattern.values
-        slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness * t.slope**2, values)
-
-    def elements_on(self, chosen: Booleans) -> Slips | None:
-        return self.table.points_on(chosen)
-
-    def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
-        return LateralFriction(table)
+    def stiffnesses(self, exact: bool) -> Array:
+        """See `secant_stiffness`; if `exact`, nodes that slide beyond eps have none."""
+        t, law = self.table, tangent_stiffness if exact else secant_stiffness
+        return law(self.slips, t.bound, t.eps) * t.slope**2
 
     def element_energies(self, sums: Array) -> Array:
         return friction_potentials(self.slips, self.table.bound, self.table.eps)

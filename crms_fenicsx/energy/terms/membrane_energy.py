@@ -11,8 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.energy.terms.compiled_forms import FormInputs, compiled_form
-from crms_fenicsx.energy.terms.integral import Integral, counting_cells
+from crms_fenicsx.energy.terms.integral import FormInputs, Integral, compiled_form, counting_cells
 from crms_fenicsx.energy.terms.kinematics import (
     Kinematics,
     Stiffening,
@@ -40,7 +39,7 @@ from crms_fenicsx.model.membrane import own_areas
 from crms_fenicsx.model.ufl_material import UflMembrane
 
 if TYPE_CHECKING:
-    from crms_fenicsx.energy.terms.tension_field import TensionField
+    from crms_fenicsx.energy.terms.stress_laws import TensionField
 
 
 class MembraneEnergy(EnergyTerm):
@@ -196,7 +195,7 @@ class MembraneEnergy(EnergyTerm):
         )
         if not wanted:
             return None
-        from crms_fenicsx.energy.terms.tension_field import TensionField
+        from crms_fenicsx.energy.terms.stress_laws import TensionField
 
         tags = self.material_tags(cells)
         own = np.isin(tags, wanted)

@@ -65,7 +65,7 @@ class JointForces(EnergyTerm):
         return -float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        _subtract(g, self._blocks, self.forces)
+        np.subtract.at(g, self._blocks, self.forces)
 
 
 @numba.njit(cache=True)
@@ -75,10 +75,3 @@ def _work(x, blocks, forces):  # type: ignore[no-untyped-def]
         for i in range(3):
             total += x[blocks[k], i] * forces[k, i]
     return total
-
-
-@numba.njit(cache=True)
-def _subtract(g, blocks, forces):  # type: ignore[no-untyped-def]
-    for k in range(len(blocks)):
-        for i in range(3):
-            g[blocks[k], i] -= forces[k, i]

@@ -29,7 +29,7 @@ from crms_fenicsx.energy.terms.folded_pressure import Facets
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.membrane_load import Pond
 
 MAX_ITERATIONS = 200
 """Limit of Newton steps and bisections; about ten suffice from any start to the last digit."""

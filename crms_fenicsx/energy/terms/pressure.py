@@ -26,8 +26,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from crms_fenicsx.energy.terms.compiled_forms import FormInputs
-from crms_fenicsx.energy.terms.integral import Integral
+from crms_fenicsx.energy.terms.integral import FormInputs, Integral
 from crms_fenicsx.energy.terms.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink

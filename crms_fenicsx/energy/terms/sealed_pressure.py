@@ -9,6 +9,7 @@ H0 treats like those of cables.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -106,11 +107,9 @@ class SealedPressure(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> Facets | None:
         """Facets of plain and folded cells with chosen corners."""
-        found = [table for part in self.parts if (table := part.elements_on(chosen)) is not None]
-        if not found:
-            return None
-        names = ("corners", "weights", "plain_corners")
-        return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
+        given: list[Any] = [part.elements_on(chosen) for part in self.parts]
+        found = [table for table in given if table is not None]
+        return Facets.concatenated(found) if found else None
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
         """The current pressure, held fixed, on such facets, as a few change the volume little."""

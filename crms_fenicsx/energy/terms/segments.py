@@ -13,14 +13,17 @@ are prescribed and may coincide.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, fields
 from typing import Self
 
 import numba
 import numpy as np
 
+from crms_fenicsx.energy.terms.term import ElementTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable
-from crms_fenicsx.foundation.runtime.arrays import Booleans, Indices
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 
 
 @numba.njit(cache=True, inline="always")
@@ -114,11 +117,8 @@ class EdgePoints(ElementTable):
         """Blocks on the edges of the points."""
         return self.pointers, self.blocks
 
-    def points_on(self, chosen: Booleans) -> Self | None:
-        """Points with chosen blocks on their edges."""
-        rows = self.rows_on(chosen)
-        if len(rows) == 0:
-            return None
+    def some(self, rows: Integers) -> Self:
+        """Subset of the points, with the blocks on their edges."""
         counts = np.diff(self.pointers)[rows]
         pointers = np.append(0, np.cumsum(counts))
         own = np.repeat(self.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
@@ -151,12 +151,12 @@ def edge_fractions(X, x, pointers, blocks, place, fractions, gradients):  # type
 
 
 @numba.njit(cache=True)
-def add_slip_forces(pointers, blocks, gradients, force, slope, g):  # type: ignore[no-untyped-def]
-    """Add ``sum force * slope * d(fractions)/dx`` to g, (n_blocks, 3)."""
+def add_slip_forces(pointers, blocks, gradients, force, g):  # type: ignore[no-untyped-def]
+    """Add ``sum force * d(fractions)/dx`` to g, (n_blocks, 3)."""
     for k in range(force.shape[0]):
         for q in range(pointers[k], pointers[k + 1]):
             for i in range(3):
-                g[blocks[q], i] += force[k] * slope[k] * gradients[q, i]
+                g[blocks[q], i] += force[k] * gradients[q, i]
 
 
 @numba.njit(cache=True)
@@ -215,3 +215,55 @@ def add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, forc
                         values[start + q * n + q + 1, i, j] -= own
                         values[start + (q + 1) * n + q, i, j] -= own
         start += n * n
+
+
+class EdgePointTerm(ElementTerm):
+    """Energy of points that depends on their fractions of their edges only."""
+
+    of_cables = True
+
+    def __init__(self, table: EdgePoints) -> None:
+        super().__init__(table)
+        self._fractions, self._pull = np.zeros((2, len(table.place)))
+        self._gradients = np.zeros((len(table.blocks), 3))
+        self.pattern = ElementPattern(table.pointers, table.blocks)
+        self.patterns = (self.pattern,)
+
+    @abstractmethod
+    def evaluate(self) -> float:
+        """Energy at the fractions; its derivatives by them into `_pull` (force x length)."""
+
+    @abstractmethod
+    def stiffnesses(self, exact: bool) -> Array:
+        """Second derivatives by the fractions if `exact`, else a bound of them, (n,) (force x
+        length)."""
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy; keeps what the gradient needs."""
+        t = self.table
+        edge_fractions(
+            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
+        )
+        out[0] = self.evaluate()
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        add_slip_forces(self.table.pointers, self.table.blocks, self._gradients, self._pull, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the stiffness, without the geometric part of the forces."""
+        self._stiffen(exact=False)
+        self.pattern.add(A)
+
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        t = self.table
+        self._stiffen(exact=True)
+        add_slip_curvature(
+            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
+            self._pull, self.pattern.values,
+        )  # fmt: skip
+        self.pattern.add(A)
+
+    def _stiffen(self, exact: bool) -> None:
+        """Put the stiffness along the edges into the pattern's values."""
+        t, stiffness = self.table, self.stiffnesses(exact)
+        slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness, self.pattern.values)

@@ -227,6 +227,20 @@ class EnergyTerm(ABC):
         """Mark the current state as the end of an accepted load step."""
 
 
+class ElementTerm(EnergyTerm):
+    """A term that is the sum of the energies of the elements in a `table`."""
+
+    def __init__(self, table: Any) -> None:
+        self.table = table
+
+    def elements_on(self, chosen: Booleans) -> ElementTable | None:
+        rows = self.table.rows_on(chosen)
+        return self.table.some(rows) if len(rows) else None
+
+    def of_elements(self, table: Any, sums: Array) -> EnergyTerm:
+        return type(self)(table)
+
+
 NAMES = frozenset(
     (
         *("bars", "cables", "dead load", "friction", "held lines", "membrane", "penalty", "pond"),
@@ -242,7 +256,8 @@ def checked_energy(
     """Check a term and evaluate it once; return it and its energy (force x length). Collective."""
     if not isinstance(term, EnergyTerm):
         raise InputError(
-            f"add_term: {term!r} is no EnergyTerm; derive its class from crms_fenicsx.EnergyTerm."
+            f"add_term: {term!r} is not an EnergyTerm; derive its class from "
+            "crms_fenicsx.EnergyTerm."
         )
     name, owner = getattr(term, "name", None), type(term).__name__
     if not isinstance(name, str) or not name or name != name.strip():
@@ -267,8 +282,8 @@ def _check_integral(name: str, integral: object, V: fem.FunctionSpace, cell_tags
         return
     if not isinstance(integral, Integral) or integral.V.mesh is not V.mesh:
         raise InputError(
-            f"add_term: the integral of {name!r} is no Integral over this scene's membrane; make "
-            "it with scene.V."
+            f"add_term: the integral of {name!r} is not an Integral over this scene's membrane; "
+            "make it with scene.V."
         )
     if integral.cell_tags is not None and integral.cell_tags is not cell_tags:
         raise InputError(

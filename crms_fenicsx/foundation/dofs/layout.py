@@ -14,9 +14,8 @@ vertices. All ranks know all joints, so that cables can end at them.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import ClassVar, Self
 
 import numba
@@ -29,18 +28,21 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 
-class ElementTable(ABC):
+class ElementTable:
     """Base of the frozen dataclasses that hold a term's elements.
 
-    Attributes: `addresses`: names of the fields that hold block numbers.
+    Attributes: `addresses`: names of the fields that hold block numbers; `joins`: whether a term
+    needs the tables of several processes as one.
     """
 
     addresses: ClassVar[tuple[str, ...]]
+    joins: ClassVar[bool] = False
 
     @property
-    @abstractmethod
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of each element in CSR form: pointers (n + 1,), blocks (m,)."""
+        """Blocks of each element in CSR form: pointers (n + 1,), blocks (m,). By default the rows
+        of the first of `addresses`."""
+        return rows_of(getattr(self, self.addresses[0]))
 
     def rows_on(self, chosen: Booleans) -> Integers:
         """Elements (m,) with at least one chosen block."""
@@ -51,10 +53,28 @@ class ElementTable(ABC):
         """The same elements with renumbered blocks: block b becomes ``number[b]``."""
         return replace(self, **{name: number[getattr(self, name)] for name in self.addresses})  # type: ignore[type-var]
 
+    def some(self, rows: Integers) -> Self:
+        """Subset of the elements."""
+        given = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        some = {name: value[rows] for name, value in given if isinstance(value, np.ndarray)}
+        return replace(self, **some)  # type: ignore[type-var]
+
     @classmethod
     def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
         """Merge the tables of several processes into as few as a term needs."""
-        return tables
+        return [cls.concatenated(tables)] if cls.joins else tables
+
+    @classmethod
+    def concatenated(cls, tables: Sequence[Self]) -> Self:
+        """All elements of several tables."""
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        return cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))
+
+
+def rows_of(table: Indices) -> tuple[Indices, Indices]:
+    """Rows of a table (n, k) in CSR form: pointers, entries."""
+    n, k = table.shape
+    return np.arange(0, k * n + 1, k, dtype=np.int32), table.reshape(-1)
 
 
 @numba.njit(cache=True)

@@ -156,8 +156,8 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
     """Wrap a user's projection so that its values are checked."""
     if not callable(project):
         raise InputError(
-            f"project = {project!r} is no function; give one of points (3, n) that returns those "
-            "in the surface, (3, n)."
+            f"project = {project!r} is not a function; pass one of points (3, n) that returns "
+            "those in the surface, (3, n)."
         )
 
     def onto(points: Array, on_rim: Booleans) -> Array:

@@ -141,7 +141,7 @@ def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
     """Indices of a group's nodes among the sorted used nodes."""
-    remedy = "which is the corner of no triangle: take it out of the group or embed it in a surface"
+    remedy = "which belongs to no triangle: remove it from the group or embed it in a surface"
     return _found(used, nodes, f"the group '{group}' has node", remedy)
 
 

@@ -1,16 +1,26 @@
-"""Membranes from files, and from a user's gmsh model."""
+"""Membranes from files, and from a user's gmsh model.
+
+Files are read in a separate process: gmsh and meshio expect sound files, and a damaged or malicious
+one may crash them, hang them or make them exhaust the memory. This ends only that process.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx.foundation.meshes import reader_process
 from crms_fenicsx.foundation.meshes.gmsh_model import (
     imported,
     own_model,
@@ -18,7 +28,6 @@ from crms_fenicsx.foundation.meshes.gmsh_model import (
     renumbered,
     surface_of_model,
 )
-from crms_fenicsx.foundation.meshes.isolated_reader import read_isolated
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, Ranks, build_and_distribute
 from crms_fenicsx.foundation.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
@@ -26,6 +35,59 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Integers
 from crms_fenicsx.foundation.runtime.errors import MeshError
 from crms_fenicsx.foundation.runtime.files import readable
+
+SECONDS, SPEED = 30, 1e6
+"""Limit of processor time: base (s), and file size (bytes) per additional second."""
+
+LARGEST = 2**33
+"""Largest file size (bytes): limits that grow with the size do not stop inflated files."""
+
+SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
+"""Prefixes of the environment variables that make a process an MPI rank."""
+
+
+def read_isolated(
+    file: Path, reader: Literal["gmsh", "meshio", "STEP"], *options: str
+) -> dict[str, Any]:
+    """Run `reader_process` on a file; return its arrays and its lists of numbers and texts."""
+    size = file.stat().st_size
+    if size > LARGEST:
+        raise MeshError(
+            f"'{file}' has {size} bytes, more than {LARGEST}: give a coarser mesh, and refine it"
+        )
+    seconds = SECONDS + int(size / SPEED)
+    own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    done = subprocess.run(
+        [
+            sys.executable,
+            reader_process.__file__,
+            reader,
+            os.fspath(file.resolve()),
+            str(seconds),
+            *options,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=own | one,
+        check=False,
+    )
+    kind, answer = done.stdout[:1], done.stdout[1:]
+    if kind == b"A" and done.returncode == 0:
+        with np.load(io.BytesIO(answer), allow_pickle=False) as content:
+            found = {key: content[key] for key in content.files}
+        return {key: json.loads(str(a)) if a.dtype.kind == "U" else a for key, a in found.items()}
+    if kind == b"E":
+        why = answer.decode(errors="replace")
+    elif done.returncode == -getattr(signal, "SIGXCPU", 0):
+        why = f"it did not finish within {seconds} s"
+    else:
+        why = f"it ended with the status {done.returncode}"
+    raise MeshError(
+        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or take another one"
+    )
+
 
 SUFFIXES = (
     ".vtu", ".vtk", ".stl", ".obj", ".ply", ".off", ".xdmf", ".med", ".inp", ".mesh", ".meshb",
@@ -117,7 +179,7 @@ def from_file(
                 is_mesh = stream.read(64).startswith(b"$MeshFormat")
             if not is_mesh:  # gmsh would run it as a script
                 raise MeshError(
-                    f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
+                    f"'{file}' is not a gmsh mesh, as it does not begin with $MeshFormat: save it "
                     "with gmsh"
                 )
             model = read_isolated(file, "gmsh")
@@ -186,7 +248,7 @@ def from_step(
         with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
             is_step = b"ISO-10303-21" in stream.read(256)
         if not is_step:
-            raise MeshError(f"'{file}' is no STEP file, it does not begin with ISO-10303-21")
+            raise MeshError(f"'{file}' is not a STEP file, as it does not begin with ISO-10303-21")
         model = read_isolated(file, "STEP", repr(float(size)), unit)
         return _named(file, lambda: surface_of_model(model))
 
@@ -272,7 +334,7 @@ def _whole(numbers: NDArray[Any], what: str) -> Integers:
         whole = numbers.astype(np.int64)
         if np.array_equal(whole, numbers):
             return whole
-    raise MeshError(f"{what}: there are numbers that are no indices")
+    raise MeshError(f"{what}: some numbers are not indices")
 
 
 def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:

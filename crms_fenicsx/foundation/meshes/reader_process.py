@@ -1,4 +1,4 @@
-"""Read a mesh file with gmsh or meshio: a program for a separate process, see `isolated_reader`.
+"""Read a mesh file with gmsh or meshio: a program for a separate process, see `mesh_files`.
 
 It imports nothing of this package, as that would start MPI. It writes the result to standard
 output: "E" and an error text, or "A" and arrays in numpy's format .npz.
@@ -176,7 +176,7 @@ def main(reader: str, path: str, seconds: str, *options: str) -> None:
         wrong = [key for key, value in arrays.items()
                  if isinstance(value, np.ndarray) and value.dtype.kind not in "biuf"]  # fmt: skip
         if wrong:
-            raise ValueError(f"{wrong[0]}: what should be numbers is {arrays[wrong[0]].dtype}")
+            raise ValueError(f"{wrong[0]}: expected numbers, found {arrays[wrong[0]].dtype}")
         texts = {key: json.dumps(v) for key, v in arrays.items() if isinstance(v, list)}
         content = io.BytesIO()
         np.savez(content, **(arrays | texts))

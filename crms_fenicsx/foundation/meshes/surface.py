@@ -88,7 +88,7 @@ def _coordinates(given: ArrayLike) -> Array:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise MeshError(f"the points are no array of numbers ({error})") from None
+        raise MeshError(f"the points are not an array of numbers ({error})") from None
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise MeshError(f"the points have shape {points.shape}: give (n, 3) or (n, 2) coordinates")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -106,7 +106,7 @@ def _integers(given: ArrayLike, what: str) -> Integers:
     try:
         array: NDArray[Any] = np.asarray(given)
     except ValueError as error:  # rows of different lengths
-        raise MeshError(f"{what} are no array ({error})") from None
+        raise MeshError(f"{what} are not an array ({error})") from None
     if array.size and array.dtype.kind not in "iu":
         raise MeshError(f"{what} have the type {array.dtype}: give integer indices, from 0")
     return array.astype(np.int64)
@@ -159,7 +159,7 @@ def check_shapes(points: Array, cells: Integers) -> None:
     loose = np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points)) == 0)
     if len(loose):
         raise MeshError(
-            f"{_place(points, loose[0])} is the corner of no cell ({len(loose)} such vertices): "
+            f"{_place(points, loose[0])} belongs to no cell ({len(loose)} such vertices): "
             "remove it and renumber the others"
         )
 
@@ -216,7 +216,7 @@ def _edge_groups(
         if len(missing):
             pair = np.array([missing[0] >> 32, missing[0] & 0xFFFFFFFF])
             raise MeshError(
-                f"edge group '{name}' has a pair that is no edge of the mesh: "
+                f"edge group '{name}' has a pair that is not an edge of the mesh: "
                 f"{_places(points, pair)}: name only sides of triangles"
             )
         if name == BOUNDARY and not np.array_equal(keys, np.sort(checked[BOUNDARY])):

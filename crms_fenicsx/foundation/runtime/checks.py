@@ -41,7 +41,7 @@ def finite(what: str, value: object) -> float:
             raise TypeError
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InputError(f"{what} = {value!r} is no number; give a finite one.") from None
+        raise InputError(f"{what} = {value!r} is not a number; give a finite one.") from None
     except OverflowError:  # an integer of more than about 300 digits
         number = math.inf
     if not math.isfinite(number):
@@ -108,7 +108,7 @@ def pair(what: str, value: Any) -> tuple[float, float]:
 def text(what: str, value: object) -> str:
     """Return a non-empty string; `what` and errors as for `finite`."""
     if not isinstance(value, str) or not value:
-        raise InputError(f"{what} = {value!r} is no text; give one.")
+        raise InputError(f"{what} = {value!r} is not a non-empty string.")
     return value
 
 
@@ -135,7 +135,7 @@ def options_prefix(what: str, value: object) -> str:
     """Return a PETSc options prefix; `what` and errors as for `finite`."""
     if not isinstance(value, str) or value.startswith("-"):
         raise InputError(
-            f"{what} = {value!r} is no options prefix; give a text without the leading '-'."
+            f"{what} = {value!r} is not an options prefix; pass a string without the leading '-'."
         )
     return value
 
@@ -157,7 +157,7 @@ def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -
     """Refuse a value that is no `Mapping` or `Sequence`, or has fewer than `least` members."""
     if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
         name = "list" if kind is Sequence else "mapping"
-        raise InputError(f"{what} = {value!r} is no {name} to use; write {example}.")
+        raise InputError(f"{what} = {value!r} is not a valid {name}; write {example}.")
 
 
 def returned(function: str, values: object, places: Array, shape: tuple[int, ...]) -> Array:
@@ -181,7 +181,7 @@ def returned(function: str, values: object, places: Array, shape: tuple[int, ...
 def file(what: str, value: object) -> Path:
     """Return the path of a file or folder; `what` and errors as for `finite`."""
     if not isinstance(value, str | os.PathLike):
-        raise InputError(f"{what} = {value!r} is no path; give a text or a pathlib.Path.")
+        raise InputError(f"{what} = {value!r} is not a path; pass a string or a pathlib.Path.")
     return Path(value)
 
 

@@ -65,12 +65,6 @@ def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> Indices:
     return dofmap
 
 
-def geometric_dimension(domain: ufl.AbstractDomain) -> int:
-    """Return the geometric dimension of a UFL domain: a method until 0.10, then a property."""
-    dimension: Any = domain.geometric_dimension
-    return int(dimension() if callable(dimension) else dimension)
-
-
 def interpolation_points(element: Any) -> NDArray[np.floating]:
     """Return an element's reference points (points, topological dimension), for
     `dolfinx.fem.Expression`. A method in 0.9, a property since 0.10."""

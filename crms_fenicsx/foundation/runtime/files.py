@@ -63,7 +63,7 @@ def size_of_file(path: Path) -> int:
     """Size of a regular file (bytes)."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "it is no regular file")
+        raise OSError(errno.EINVAL, "it is not a regular file")
     return status.st_size
 
 

@@ -1,4 +1,4 @@
-"""Location of route points on a triangulated surface."""
+"""Closest points of a triangulated surface, and the location of route points on it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.triangles import (
@@ -26,7 +27,6 @@ from crms_fenicsx.foundation.meshes.triangles import (
 )
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.feet import Foot, feet_of, pairs_within
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
     EdgePoint,
@@ -34,6 +34,98 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+
+
+@dataclass(frozen=True)
+class Foot:
+    """Closest point of a surface to a point in space, and the size of its cell."""
+
+    position: Array
+    distance: float
+    normal: Array
+    size: float
+
+
+def feet_of(
+    points: Array, cells: Integers, targets: Array, comm: MPI.Intracomm | None = None
+) -> list[Foot]:
+    """Closest points of a surface to targets (k, 3), the same on all ranks of `comm`."""
+    triangles = points[cells]
+    centre, radius = balls(triangles)
+    held, position, share, corners = _nearest(triangles, centre, radius, targets)
+    if comm is not None:
+        every = np.array(comm.allgather(held))
+        mine = every.argmin(axis=0) == comm.rank
+        held = every.min(axis=0)
+        given = np.concatenate([position, share, corners.reshape(-1, 9)], axis=1)
+        found = np.zeros_like(given)
+        comm.Allreduce(np.where(mine[:, None], given, 0.0), found)
+        position, share, corners = found[:, :3], found[:, 3:6], found[:, 6:].reshape(-1, 3, 3)
+    size = longest_sides(corners)
+    # normals are interpolated from the vertices, as facet normals differ by the angle between
+    # facets; vertices are identified by position, as ranks share no other key here
+    normals = np.zeros((len(targets), 3, 3))
+    target, cell = pairs_within(centre, position, (size + radius.max(initial=0.0)) * (1.0 + 1e-9))
+    area, around = double_areas(triangles[cell]), triangles[cell]
+    for i in range(3):
+        apart = norm(around - corners[target, i][:, None])
+        fan = (apart <= 1e-9 * size[target, None]).any(axis=1)
+        np.add.at(normals[:, i], target[fan], area[fan])
+    if comm is not None:
+        normals = comm.allreduce(normals, op=MPI.SUM)
+    lengths = norm(normals)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)[..., None]
+    normal = mix(share, normals)
+    normal /= np.maximum(norm(normal), 1e-300)[:, None]
+    return [
+        Foot(position[k], float(held[k]), normal[k], float(size[k])) for k in range(len(targets))
+    ]
+
+
+def _nearest(
+    triangles: Array, centre: Array, radius: Array, targets: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Distances (k,), closest points (k, 3), weights (k, 3) and cell corners (k, 3, 3)."""
+    k = len(targets)
+    held = np.full(k, np.inf)
+    position, share, corners = np.zeros((k, 3)), np.zeros((k, 3)), np.zeros((k, 3, 3))
+    if len(triangles):
+        target, cell = nearest_pairs(centre, radius, targets)
+        weights, places, gaps = closest(triangles[cell], targets[target])
+        order = np.lexsort((gaps, target))  # of equally close cells the first
+        best = order[np.unique(target[order], return_index=True)[1]]
+        held, position, share = gaps[best], places[best], weights[best]
+        corners = triangles[cell[best]]
+    return held, position, share, corners
+
+
+def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
+    """Pairs of targets (k, 3) and cells that may be the closest, in the form of `pairs_within`."""
+    # the nearest centre is a point of the surface as well
+    reach, widest = nearest_within(centre, targets) + 1e-9 * radius.max(), radius.max()
+    target, cell = pairs_within(centre, targets, reach + widest)
+    near = norm(centre[cell] - targets[target]) - radius[cell] <= reach[target]
+    return target[near], cell[near]
+
+
+def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers, Integers]:
+    """Indices (p,) of all pairs of targets (k, 3) and centres (m, 3) within `reach` (k,), up to
+    rounding, sorted by targets and then centres."""
+    found = _tree(centre).query_ball_point(targets, reach, return_sorted=True)
+    rows = np.repeat(np.arange(len(targets)), [len(own) for own in found])
+    return rows, np.concatenate([np.zeros(0, dtype=np.int64), *found]).astype(np.int64)
+
+
+def nearest_within(centre: Array, targets: Array) -> Array:
+    """Upper bound of the distance from each target to the nearest centre, (k,)."""
+    return np.asarray(_tree(centre).query(targets)[0] * (1.0 + 1e-9))
+
+
+def _tree(centre: Array) -> Any:
+    from scipy.spatial import cKDTree  # takes longer to import than scripts without cables need
+
+    return cKDTree(centre)
+
 
 # Distance from the surface, relative to the local mesh size, up to which a point in space lies on
 # it: a faceted dome of three cells per radius is nowhere farther from the smooth one.
@@ -57,29 +149,10 @@ class TargetSurface:
     size: float  # length of its longest edge
 
     @classmethod
-    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
-        """Check the arrays and return their surface; raise PathError if they are invalid."""
-        ids = np.asarray(vertices, dtype=np.int64)
-        x = np.asarray(points, dtype=np.float64)
+    def of(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
+        """The surface of these vertices."""
+        ids, x = np.asarray(vertices, dtype=np.int64), np.asarray(points, dtype=np.float64)
         rows = np.asarray(cells, dtype=np.int64)
-        if ids.ndim != 1 or x.shape != (len(ids), 3):
-            raise PathError(
-                f"vertices of shape {ids.shape} with points of shape {x.shape}: give (n,) ids "
-                "and (n, 3) positions"
-            )
-        if len(np.unique(ids)) != len(ids) or np.min(ids, initial=0) < 0:
-            raise PathError("the vertices' global ids must not repeat or be negative")
-        if rows.ndim != 2 or rows.shape[1] != 3 or len(rows) == 0:
-            raise PathError(f"cells of shape {rows.shape}: give (m, 3) rows of points, m > 0")
-        if rows.min() < 0 or rows.max() >= len(ids):
-            raise PathError(
-                f"cells name rows {rows.min()} to {rows.max()} of {len(ids)} points; they index "
-                "the arrays given, not the global ids"
-            )
-        bad = ~np.isfinite(x).all(axis=1)
-        if bad.any():
-            i = int(np.argmax(bad))
-            raise PathError(f"vertex {ids[i]} is at {as_text(x[i])}; positions must be finite")
         return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
 
     @cached_property
@@ -157,12 +230,6 @@ def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Pl
     places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
     up = np.array([0.0, 0.0, 1.0])
     return [None if place is None else Place(*place, up) for place in places]
-
-
-def _by_target(target: Integers, count: int) -> list[Integers]:
-    """Positions of each target's entries in an ascending list of targets."""
-    ends = np.searchsorted(target, np.arange(count + 1))
-    return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
 def _least_of(target: Integers, count: int, *keys: Array | Integers) -> Integers:
@@ -246,8 +313,9 @@ def places_in_space(
     points = located(surface, positions, target, rows, triangles, snap)
     altitude, longest = altitudes(triangles), longest_sides(triangles)
     places = []
-    for i, own in enumerate(_by_target(target, len(course))):
-        foot = feet[i]
+    ends = np.searchsorted(target, np.arange(len(course) + 1))
+    for i, foot in enumerate(feet):
+        own = slice(ends[i], ends[i + 1])
         if i in known:
             places.append(Place(known[i], course[i], foot.normal))
             continue

@@ -1,17 +1,29 @@
-"""Corridors: the vertices a path visits and the edges it crosses, without positions.
+"""Corridors: the vertices a path visits and the edges it crosses, and the taut string in them.
 
 A corridor is the tuple of the supports of a path's points: a vertex (a,), an edge (a, b), or, at
 its ends, a cell (a, b, c). It is purely combinatorial: two paths through the same corridor have the
-same taut string.
+same taut string. The cells along it are unfolded one after the other from their edge lengths; a
+funnel (Lee and Preparata 1984) then finds the shortest path through their common edges in linear
+time. All formulas are symmetric in left and right: a mirrored strip gives a mirrored string.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
-from crms_fenicsx.foundation.surface.points import Edge, Support, SurfacePoint
+from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
+    Edge,
+    EdgePoint,
+    Support,
+    SurfacePoint,
+    edge_of,
+)
 
 Corridor = tuple[Support, ...]
 
@@ -113,3 +125,277 @@ def why_invalid(
             if edges.issuperset(sides):
                 return f"it has points on all edges of cell {tuple(sorted(cell))}"
     return None
+
+
+Lengths = Mapping[Edge, float]
+
+TOUCHES = 1e-9
+"""Angle (rad) within which a string that passes a vertex of the strip counts as touching it.
+
+It is far above rounding (about 1e-13 after hundreds of cells), so that bends of a string that runs
+exactly through a vertex do not depend on the order of ids; treating it as a bend lengthens the
+string by a fraction below 1e-18.
+"""
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A vertex of the strip at which the string bends."""
+
+    vertex: int  # its id
+    first: int  # first and last edge of the strip at the vertex
+    last: int
+    angle: float  # on the strip's side (rad), at least pi; NaN if the string ends there
+
+
+@dataclass(frozen=True)
+class TautString:
+    """The shortest path through a strip."""
+
+    length: float
+    bends: tuple[Bend, ...] = ()  # in order
+    # angles (rad) between the string's first and last segment and the edges at its ends, by the
+    # edges' other vertices; meaningful if that end is a vertex
+    leaving: dict[int, float] = field(default_factory=dict)
+    arriving: dict[int, float] = field(default_factory=dict)
+    cross: Callable[[], tuple[float, ...]] = tuple  # finds `fractions`, which few strings need
+
+    @cached_property
+    def fractions(self) -> tuple[float, ...]:
+        """Crossing of each edge (a, b): 0 at a, 1 at b."""
+        return self.cross()
+
+
+def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
+    """Angle (rad) of cell (at, b, c) at its first vertex."""
+    p, q, r = lengths[edge_of(at, b)], lengths[edge_of(at, c)], lengths[edge_of(b, c)]
+    return math.atan2(_four_areas(p, q, r), p * p + (q - r) * (q + r))
+
+
+def _four_areas(p: float, q: float, r: float) -> float:
+    """Four times the area of a triangle by Kahan's formula; 0 if the sides form no triangle."""
+    z, y, x = sorted((p, q, r))
+    return math.sqrt(max(0.0, (x + (y + z)) * (z - (x - y)) * (z + (x - y)) * (x + (y - z))))
+
+
+def _apex(a: complex, b: complex, ab: float, ac: float, bc: float) -> complex:
+    """Third corner of a triangle with corners a, b: to the left from a to b."""
+    along = (ac - bc) * (ac + bc) / (2 * ab * ab)
+    height = _four_areas(ab, ac, bc) / (2 * ab * ab)
+    return (a + b) / 2 + (b - a) * complex(along, height)
+
+
+def _cross(a: complex, b: complex) -> float:
+    return (a.conjugate() * b).imag
+
+
+def _turns(a: complex, b: complex, sign: float) -> bool:
+    """Whether b turns from a to one side (1 left, -1 right) or is parallel; not antiparallel."""
+    turn = a.conjugate() * b
+    return sign * turn.imag > -TOUCHES * turn.real
+
+
+def _angle(a: complex, b: complex) -> float:
+    """Angle (rad) between two directions, from 0 to pi."""
+    turn = a.conjugate() * b
+    return math.atan2(abs(turn.imag), turn.real)
+
+
+def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
+    """Position of a point whose cell has been unfolded."""
+    if isinstance(point, EdgePoint):
+        a, b = point.edge
+        return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
+    if isinstance(point, CellPoint):
+        return sum(w * places[v] for v, w in zip(point.cell, point.weights, strict=True))
+    return places[point.vertex]
+
+
+def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautString:
+    """The string between two points of one cell or edge."""
+    corners = sorted({*start.support, *end.support})
+    a, b = corners[:2]
+    ab = lengths[a, b]
+    places = {a: complex(0, ab / 2), b: complex(0, -ab / 2)}
+    for c in corners[2:]:
+        places[c] = _apex(places[a], places[b], ab, lengths[a, c], lengths[b, c])
+    p, q = _at(start, places), _at(end, places)
+    return TautString(
+        abs(q - p),
+        leaving={v: _angle(q - p, z - p) for v, z in places.items() if v not in start.support},
+        arriving={v: _angle(p - q, z - q) for v, z in places.items() if v not in end.support},
+    )
+
+
+class _Strip:
+    """A strip in the plane. Node 0 is the start, node -1 the end, the others are its vertices."""
+
+    def __init__(
+        self, start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
+    ) -> None:
+        a, b = edges[0]
+        ab = lengths[a, b]
+        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]  # positions of the nodes
+        # vertex ids of the nodes, and the first and last edge at each
+        self.vertex, self.first, self.last = [-1, a, b], [-1, 0, 0], [-1, 0, 0]
+        self.left, self.right = [1], [2]  # nodes at the ends of the edges
+        # id and position of the vertex before the first edge; `end_beyond`: after the last one
+        self.start_beyond = self._beyond(start, 2, 1, lengths)
+        self.at[0] = _at(start, dict([self.start_beyond, (a, self.at[1]), (b, self.at[2])]))
+        left, right = 1, 2
+        at, vertex = self.at, self.vertex
+        for k, edge in enumerate(edges[1:], start=1):
+            new = len(at)  # replaces the node at the left or right end of the edge before
+            if vertex[left] in edge:
+                stays, goes = left, right
+            else:
+                stays, goes = right, left
+            vertex.append(edge[0] if edge[1] == vertex[stays] else edge[1])
+            own, other = lengths[edge], lengths[edge_of(vertex[goes], vertex[new])]
+            if stays == left:
+                at.append(_apex(at[left], at[right], ab, own, other))
+                right = new
+            else:
+                at.append(_apex(at[left], at[right], ab, other, own))
+                left = new
+            ab = own
+            self.first.append(k)
+            self.last.append(k)
+            self.last[stays] = k
+            self.left.append(left)
+            self.right.append(right)
+        self.end_beyond = self._beyond(end, left, right, lengths)
+        sides = [(self.vertex[left], self.at[left]), (self.vertex[right], self.at[right])]
+        self.at.append(_at(end, dict([self.end_beyond, *sides])))
+
+    def _third(self, a: int, b: int, new: int, lengths: Lengths) -> complex:
+        va, vb = self.vertex[a], self.vertex[b]
+        ab, ac, bc = lengths[edge_of(va, vb)], lengths[edge_of(va, new)], lengths[edge_of(vb, new)]
+        return _apex(self.at[a], self.at[b], ab, ac, bc)
+
+    def _beyond(self, point: SurfacePoint, a: int, b: int, lengths: Lengths) -> tuple[int, complex]:
+        (new,) = {*point.support} - {self.vertex[a], self.vertex[b]}
+        return new, self._third(a, b, new, lengths)
+
+    def nodes_of_string(self) -> list[int]:
+        """Nodes of the shortest string, both ends included."""
+        at = self.at
+        parent = [0] * len(at)
+        chains: tuple[deque[int], deque[int]] = (deque([1]), deque([2]))
+        apex = 0
+        final = len(at) - 1
+        for k in range(1, len(self.left) + 1):
+            if k == len(self.left):
+                side, sign, new = 0, 1.0, final
+            elif self.left[k] != self.left[k - 1]:
+                side, sign, new = 0, 1.0, self.left[k]
+            else:
+                side, sign, new = 1, -1.0, self.right[k]
+            own, other = chains[side], chains[1 - side]
+            while own:
+                a, b = at[own[-1]] - at[own[-2] if len(own) > 1 else apex], at[new] - at[own[-1]]
+                if _turns(a, b, sign):
+                    break
+                own.pop()
+            if not own:
+                while other:
+                    a, b = at[other[0]] - at[apex], at[new] - at[other[0]]
+                    if not _turns(a, b, -sign):
+                        break
+                    apex = other.popleft()
+            parent[new] = own[-1] if own else apex
+            own.append(new)
+        nodes = [final]
+        while nodes[-1] != 0:
+            nodes.append(parent[nodes[-1]])
+        return nodes[::-1]
+
+
+def pull_taut(
+    start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
+) -> TautString:
+    """Shortest string between two points through edges. D. T. Lee and F. P. Preparata, Euclidean
+    shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
+    if not edges:
+        return _direct(start, end, lengths)
+    strip = _Strip(start, edges, end, lengths)
+    nodes = strip.nodes_of_string()
+    touched = _touched(strip, nodes)
+    to_start = _towards(start, strip.start_beyond)
+    to_end = _towards(end, strip.end_beyond)
+    bends = []
+    for before, node, after, (i, j) in zip(nodes, nodes[1:], nodes[2:], touched[1:], strict=False):
+        a, b = (
+            (towards.get(strip.vertex[node], strip.at[n]) if n == fixed else strip.at[n])
+            for n, fixed, towards in ((before, 0, to_start), (after, nodes[-1], to_end))
+        )
+        spokes = [strip.at[strip.left[k] + strip.right[k] - node] for k in range(i, j + 1)]
+        angle = _turn(strip.at[node], [a, *spokes, b])
+        bends.append(Bend(strip.vertex[node], strip.first[node], strip.last[node], angle))
+    parts = [strip.at[b] - strip.at[a] for a, b in pairwise(nodes)]
+    return TautString(
+        sum(map(abs, parts)),
+        tuple(bends),
+        {strip.vertex[n]: _angle(parts[0], strip.at[n] - strip.at[0]) for n in (1, 2)},
+        {
+            strip.vertex[n]: _angle(-parts[-1], strip.at[n] - strip.at[-1])
+            for n in (strip.left[-1], strip.right[-1])
+        },
+        lambda: _fractions(strip, edges, nodes, touched),
+    )
+
+
+def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
+    """First and last edge crossed at each node of the string: at a bend all edges there, unless the
+    string comes or leaves along one of them."""
+    touched = [(strip.first[n], strip.last[n]) for n in nodes[:-1]]
+    touched.append((len(strip.left), len(strip.left)))
+    for i in range(1, len(nodes) - 2):
+        (first, end), (start, last) = touched[i : i + 2]
+        if end >= start:
+            common = max(first, start)
+            touched[i : i + 2] = (first, common), (common, last)
+    return touched
+
+
+def _fractions(
+    strip: _Strip, edges: Sequence[Edge], nodes: list[int], touched: list[tuple[int, int]]
+) -> tuple[float, ...]:
+    """Crossings of the edges as fractions; the midpoint of edges along which the string runs."""
+    at, left, right = strip.at, strip.left, strip.right
+    fractions = [math.nan] * len(edges)  # from left to right
+    for (p, q), (before, after) in zip(pairwise(nodes), pairwise(touched), strict=True):
+        for k in range(before[1] + 1, after[0]):
+            fractions[k] = _crossing(at[p], at[q], at[left[k]], at[right[k]])
+        for k in range(after[0], min(after[1] + 1, len(edges))):
+            fractions[k] = 0.5 if k == before[1] else float(right[k] == q)
+    return tuple(
+        t if strip.vertex[n] == edge[0] else 1.0 - t
+        for t, n, edge in zip(fractions, left, edges, strict=True)
+    )
+
+
+def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
+    """Crossing of a string from p to q with an edge, from a (0) to b (1)."""
+    string, edge = q - p, b - a
+    across = _cross(string, edge)
+    if abs(across) > TOUCHES * abs(string) * abs(edge):
+        t = _cross(string, p - a) / across
+    else:  # along the edge, which contains one end: the point where it reaches the edge
+        t = ((p - a) * edge.conjugate()).real / abs(edge) ** 2
+    return min(max(t, 0.0), 1.0)
+
+
+def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
+    """Position in the direction of an end, by vertex of its edge, as the end may be too close."""
+    if not isinstance(end, EdgePoint):
+        return {}
+    return {v: beyond[1] for v in end.edge if v != beyond[0]}
+
+
+def _turn(at: complex, places: list[complex]) -> float:
+    """Angle (rad) at a point, summed from the first of other points over all to the last."""
+    ways = [place - at for place in places]
+    if min(abs(ways[0]), abs(ways[-1])) <= TOUCHES * max(map(abs, ways)):
+        return math.nan
+    return math.fsum(_angle(a, b) for a, b in pairwise(ways))

@@ -25,14 +25,15 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import MeshError, PathError
 from crms_fenicsx.foundation.surface.corridor import (
     Corridor,
+    TautString,
     cell_between,
+    corner_angle,
     corridor,
+    pull_taut,
     snap_ends,
     why_invalid,
     without_detours,
 )
-from crms_fenicsx.foundation.surface.funnel import TautString, corner_angle, pull_taut
-from crms_fenicsx.foundation.surface.intrinsic import IntrinsicSurface, MissingCells, Ring
 from crms_fenicsx.foundation.surface.points import (
     LEAST,
     MOST,
@@ -48,6 +49,9 @@ from crms_fenicsx.foundation.surface.vertex_flip import (
     EdgeLengths,
     Flip,
     Hold,
+    IntrinsicSurface,
+    MissingCells,
+    Ring,
     compatible,
     ordered,
 )

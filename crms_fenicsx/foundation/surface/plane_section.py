@@ -17,8 +17,12 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.triangles import WALL, altitudes, cross, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import Node, Place, TargetSurface, edge_count
-from crms_fenicsx.foundation.surface.feet import PAIRS, marked
+from crms_fenicsx.foundation.surface.closest_point import (
+    Node,
+    Place,
+    TargetSurface,
+    edge_count,
+)
 from crms_fenicsx.foundation.surface.points import (
     LEAST,
     MOST,
@@ -31,6 +35,8 @@ from crms_fenicsx.foundation.surface.points import (
 
 FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
 """Corners at the ends of a cell's sides."""
+PAIRS = 1_000_000
+"""Number of plane-vertex distances held in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,7 @@ def strips(
         mask = _any(near, cells) | (_any(positive, cells) & _any(~positive, cells))
         if np.isfinite(margin):
             mask &= _any((-margin < advance) & (advance < length + margin), cells)
-        leg, row = marked(mask)
+        leg, row = np.nonzero(mask)
         legs.append(leg + first)
         rows.append(row)
     return np.concatenate(legs), np.concatenate(rows)

@@ -23,10 +23,12 @@ from crms_fenicsx.foundation.surface.closest_point import (
     Node,
     Place,
     TargetSurface,
+    feet_of,
+    nearest_within,
+    pairs_within,
     places_in_plan,
     places_in_space,
 )
-from crms_fenicsx.foundation.surface.feet import feet_of, nearest_within, pairs_within
 from crms_fenicsx.foundation.surface.path import Path, without_backtracking
 from crms_fenicsx.foundation.surface.plane_section import (
     END,
@@ -53,8 +55,8 @@ def route_points(route: object) -> Array:
         course = np.array(route, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise PathError(
-            f"path: {route!r} is no list of points of one kind; give all in plan, (x, y), or all "
-            "in space, (x, y, z), as a joint is."
+            f"path: {route!r} must be a list of points of one dimension: all in plan, (x, y), or "
+            "all in space, (x, y, z), as a joint is."
         ) from None
     if course.ndim != 2 or course.shape[1] not in (2, 3) or len(course) < 2:
         raise PathError(
@@ -166,7 +168,7 @@ def trace(
 ) -> Path:
     """Path of a cable over a surface along a route (k, 2) or (k, 3). Route corners inside cells are
     cut off, by at most a cell's size. Legs may cross `covers` (q, 3), more cells over holes."""
-    surface = TargetSurface.checked(vertices, points, cells)
+    surface = TargetSurface.of(vertices, points, cells)
     course = checked_route(route, snap)
     if course.shape[1] == 2:
         places = places_in_plan(surface, course, snap)

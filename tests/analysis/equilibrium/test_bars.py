@@ -86,7 +86,7 @@ def test_buckling_curves_are_ordered():
         ({"curve": "e", "EI": 1.0, "strength": 1.0}, "no buckling curve 'e'; there are 'a0'"),
         ({"curve": "a", "EI": 1.0}, "curve = 'a' needs strength"),
         ({"curve": "a"}, "needs strength and EI"),
-        ({"curve": 1.2, "strength": 1.0}, "curve = 1.2 is no reduction factor"),
+        ({"curve": 1.2, "strength": 1.0}, "curve = 1.2 is not a reduction factor"),
         ({"curve": 0.0, "strength": 1.0}, "curve = 0.0"),
         ({"curve": 0.5}, "needs strength"),
     ],

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.cable import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 
 TENT = Path(__file__).parents[3] / "meshes" / "hypar_tent.geo"

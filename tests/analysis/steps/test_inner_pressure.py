@@ -226,5 +226,5 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
     ):
         with pytest.raises(InputError, match=message):
             FanControl("wind", factors, pressures)
-    with pytest.raises(InputError, match="load = 3 is no text"):
+    with pytest.raises(InputError, match="load = 3 is not a non-empty string"):
         FanControl(3, [0.0], [0.1])  # type: ignore[arg-type]

@@ -141,8 +141,8 @@ def test_bad_combinations_are_refused_before_anything_is_computed(comm: MPI.Intr
         ({"case": {"snow": np.nan}}, "'case'.*'snow' = nan"),
         ({"case": {"pressure": "x"}}, "'case'.*pressure"),
         ({"case": 1.5}, "'case' = 1.5"),
-        ({3: {"snow": 1.0}}, "a name = 3 is no text"),
-        ({"": {"snow": 1.0}}, "a name = '' is no text"),
+        ({3: {"snow": 1.0}}, "a name = 3 is not a non-empty string"),
+        ({"": {"snow": 1.0}}, "a name = '' is not a non-empty string"),
     ):
         with pytest.raises(InputError, match=words):
             solver.combine(good | bad)
@@ -156,7 +156,7 @@ def test_bad_combinations_are_refused_before_anything_is_computed(comm: MPI.Intr
 
 def test_bad_branches(comm: MPI.Intracomm) -> None:
     solver, other = Solver(sheet(comm)), Solver(sheet(comm))
-    with pytest.raises(InputError, match="is no text"), solver.branch(""):
+    with pytest.raises(InputError, match="is not a non-empty string"), solver.branch(""):
         pass
     with solver.branch("a"), pytest.raises(InputError, match="within"), solver.branch("b"):
         pass

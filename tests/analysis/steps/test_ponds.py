@@ -207,7 +207,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
         ("volume = -2.0 is not positive", {"weight": 10, "volume": -2.0}),
         ("level = inf is not finite", {"weight": 10, "level": float("inf")}),
         ("'attic'.*there are 'left', 'right'", {"weight": 10, "level": 0.0, "on": ["attic"]}),
-        ("on = 'left' is no list to use", {"weight": 10, "level": 0.0, "on": "left"}),
+        ("on = 'left' is not a valid list", {"weight": 10, "level": 0.0, "on": "left"}),
         ("belongs to the air", {"weight": 10, "level": 0.0, "name": "pressure"}),
     ):
         with pytest.raises(InputError, match=message):

@@ -27,7 +27,7 @@ from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
 from crms_fenicsx.energy.minimization.taylor import TermsWithDyads
 from crms_fenicsx.energy.terms.cable_tension import CableTension
 from crms_fenicsx.energy.terms.held_line import HeldLine
-from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.cable import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)

@@ -24,7 +24,7 @@ from crms_fenicsx import (
 from crms_fenicsx.analysis.steps.movements import Move
 from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.cable import Hold
 
 EA, PULL = 800.0, 2.0
 STRAIN = np.array([[0.012, 0.007, 0.0], [-0.004, 0.021, 0.0], [0.003, -0.002, 0.0]])

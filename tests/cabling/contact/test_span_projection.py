@@ -17,9 +17,9 @@ from crms_fenicsx.cabling.contact.span_projection import (
     with_span_projections,
 )
 from crms_fenicsx.cabling.paths.creased_surface import NO_FOLDS, CreasedSurface, FoldPoints
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.foundation.surface.trace import trace
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -130,12 +130,12 @@ def test_bad_input() -> None:
             "load 'tornado' has the kind 'tornado', which EN 1990 does not",
         ),
         ({"variable": {"w": "storm"}}, "load 'w' has the kind 'storm'"),
-        ({"variable": "snow"}, "no list to use"),
+        ({"variable": "snow"}, "not a valid list"),
         ({"variable": ["snow", "g"]}, "the load 'g' is listed twice"),
         ({"permanent": [], "variable": []}, "there are no loads"),
-        ({"permanent": ["g", ""]}, "a load = '' is no text"),
+        ({"permanent": ["g", ""]}, "a load = '' is not a non-empty string"),
         ({"state": "SLS"}, "state of EN 1990 = 'SLS' is not known; use 'ULS', .*'frequent'"),
-        ({"also": 3}, "also = 3 is no mapping"),
+        ({"also": 3}, "also = 3 is not a valid mapping"),
     ):
         given = {"rules": en1990, "permanent": ["g"], "variable": ["snow"], **arguments}
         with pytest.raises(InputError, match=message):

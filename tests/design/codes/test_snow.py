@@ -116,7 +116,7 @@ def test_bad_input() -> None:
         (DriftedSnow, {**drift, "upper_pitch": 20.0}, "upper_slope = 0.0 is not positive"),
         (snow_load, {"s_k": 0.0}, "s_k = 0.0 is not positive"),
         (snow_load, {"s_k": 1.0, "shape": 0.8}, "shape = 0.8 is not a snow shape"),
-        (snow_load, {"s_k": 1.0, "exposure": "x"}, "exposure = 'x' is no number"),
+        (snow_load, {"s_k": 1.0, "exposure": "x"}, "exposure = 'x' is not a number"),
     ):
         with pytest.raises(InputError, match=message):
             call(**arguments)  # type: ignore[operator]

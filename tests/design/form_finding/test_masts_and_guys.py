@@ -150,7 +150,7 @@ def test_bars_that_cannot_hold(comm: MPI.Intracomm) -> None:
         (lambda: scene(FormBar("middle", MAST, foot)), "'middle', which is not a support"),
         (lambda: scene(FormBar("front", MAST, foot)), "'front', which is not a support"),
         (lambda: scene("front left"), "a bar is of type str"),
-        (lambda: form.scene(FABRIC, STEEL, bars="front left"), "no list to use; write"),
+        (lambda: form.scene(FABRIC, STEEL, bars="front left"), "not a valid list; write"),
         (lambda: form.scene(FABRIC, STEEL, bars=[mast, guy, bars[2], bars[0]]), "do not follow"),
         (lambda: FormBar(corner, STEEL, foot), "bar is of type Cable"),  # type: ignore[arg-type]
         (lambda: FormBar(corner, GUY, (1.0, 2.0)), "foot of a bar of 'front left' = "),

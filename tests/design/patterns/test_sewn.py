@@ -23,7 +23,7 @@ from crms_fenicsx import (
     meshes,
     patterns,
 )
-from crms_fenicsx.model.hold import Hold
+from crms_fenicsx.model.cable import Hold
 
 pytestmark = pytest.mark.filterwarnings("ignore:flatten")  # of few columns of cells
 

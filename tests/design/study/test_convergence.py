@@ -215,7 +215,7 @@ def test_plot(comm, tmp_path_factory):
 REFUSED = {
     "levels": ({"levels": 1}, "levels = 1 must be a whole number, 2 or more"),
     "whole": ({"levels": 2.5}, "must be a whole number"),
-    "points": ({"points": [(0, 0, 0)]}, "points = .* is no mapping to use"),
+    "points": ({"points": [(0, 0, 0)]}, "points = .* is not a valid mapping"),
     "point": ({"points": {"top": (0.0, 1.0)}}, "the point 'top' = .*three finite numbers"),
     "place": (
         {"points": {"top": (50.0, 50.0, 30.0)}},
@@ -225,7 +225,10 @@ REFUSED = {
     "group": ({"reactions": ["rim"]}, "no group of edges or points 'rim'"),
     "part": ({"stresses": ["roof"]}, "there is no part 'roof'"),
     "function": ({"quantities": {"a": 3.0}}, "the quantity 'a' is 3.0, expected a function"),
-    "value": ({"quantities": {"a": lambda solver: None}}, "convergence: 'a' = None is no number"),
+    "value": (
+        {"quantities": {"a": lambda solver: None}},
+        "convergence: 'a' = None is not a number",
+    ),
 }
 
 

@@ -9,8 +9,7 @@ from mpi4py import MPI
 from taylor import OnMesh, dense, noise
 from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 
-from crms_fenicsx.energy.minimization.clusters import gather
-from crms_fenicsx.energy.minimization.local_potential import LocalPotential
+from crms_fenicsx.energy.minimization.local_potential import LocalPotential, gather
 from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
 pytestmark = pytest.mark.ranks

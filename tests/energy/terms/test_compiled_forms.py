@@ -15,7 +15,7 @@ from term_scene import FABRIC
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, meshes
 from crms_fenicsx.design.form_finding import film, find_form
-from crms_fenicsx.energy.terms import compiled_forms, integral, membrane_energy
+from crms_fenicsx.energy.terms import integral, membrane_energy
 from crms_fenicsx.energy.terms.integral import FusedAssembly
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.pressure import FollowerPressure
@@ -71,7 +71,7 @@ def by_signature(inputs: Any, spaces: Any, write: Callable[[], Any], tags: Any =
 def test_a_form_on_another_mesh_is_that_of_its_signature(
     comm: MPI.Intracomm, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled_forms, "COMPILED", {})
+    monkeypatch.setattr(integral, "COMPILED", {})
     for material in MATERIALS.values():
         assembled(comm, 4, material)
     with monkeypatch.context() as unable:
@@ -111,7 +111,7 @@ def test_cells_without_a_factor_are_left_out(comm: MPI.Intracomm, name: str) -> 
 def test_ranks_that_have_compiled_a_form_wait_for_those_that_have_not(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled_forms, "COMPILED", {})
+    monkeypatch.setattr(integral, "COMPILED", {})
     if comm.rank == 0:
         assembled(MPI.COMM_SELF, 4, FILM)
     value = assembled(comm, 4, FILM)[0]
@@ -121,13 +121,13 @@ def test_ranks_that_have_compiled_a_form_wait_for_those_that_have_not(
 
 
 def test_a_compiled_form_keeps_no_mesh_alive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled_forms, "COMPILED", {})
+    monkeypatch.setattr(integral, "COMPILED", {})
     scene = Scene(grid(MPI.COMM_SELF, 4, FILM), FILM)
     MembraneEnergy(scene.u, scene.materials)
     gone = weakref.ref(scene.u)
     del scene
     gc.collect()
-    assert compiled_forms.COMPILED and gone() is None
+    assert integral.COMPILED and gone() is None
 
 
 @pytest.mark.parametrize("stress", [2.0, (3.0, 1.0)])

@@ -10,10 +10,14 @@ from term_scene import on_mesh
 
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.cabling.friction.slip import node_slips
-from crms_fenicsx.energy.terms.lateral_friction import LateralFriction, Slips
+from crms_fenicsx.energy.terms.lateral_friction import (
+    LateralFriction,
+    Slips,
+    friction_energy,
+    friction_potentials,
+)
 from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElementEnergy, FrictionElements
 from crms_fenicsx.energy.terms.segments import edge_fractions
-from crms_fenicsx.energy.terms.smooth_coulomb import friction_energy, friction_potentials
 from crms_fenicsx.model.friction import Friction
 
 

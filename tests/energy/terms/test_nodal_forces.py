@@ -254,7 +254,7 @@ def test_names_of_loads(comm):
     assert [load.name for load in scene.loads] == ["weight", "snow"]
     assert scene.load("snow").factor == 0.0
     for name in ("", 3, None):
-        with pytest.raises(InputError, match="is no text"):
+        with pytest.raises(InputError, match="is not a non-empty string"):
             scene.put_load((0.0, 0.0, -0.001), name=name)
     with pytest.raises(InputError, match="per = 'roof' is not known"):
         scene.put_load((0.0, 0.0, -0.001), name="dust", per="roof")
@@ -295,7 +295,7 @@ def test_forces_that_cannot_be_put(comm):
     scene = lifted_scene(comm)
     other = fem.Function(fem.functionspace(scene.mesh.mesh, ("Lagrange", 1)))
     for forces in (other, None, np.zeros((4, 3))):
-        with pytest.raises(InputError, match="is no function in the space of this scene's"):
+        with pytest.raises(InputError, match="is not a function in the space of this scene's"):
             scene.put_forces(forces)
     forces = fem.Function(scene.V)
     forces.x.array[:] = np.inf

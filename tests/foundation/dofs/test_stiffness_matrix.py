@@ -7,8 +7,12 @@ import pytest
 from mpi4py import MPI
 from term_scene import cable_square
 
-from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, SegmentPattern
-from crms_fenicsx.foundation.dofs.stiffness_matrix import StiffnessMatrix, distinct_pairs
+from crms_fenicsx.foundation.dofs.block_patterns import (
+    BlockPattern,
+    SegmentPattern,
+    StiffnessMatrix,
+    distinct_pairs,
+)
 
 
 def one_by_one(unknowns, rows, cols, values):

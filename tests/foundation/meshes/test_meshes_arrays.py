@@ -18,7 +18,6 @@ from crms_fenicsx.foundation.meshes import AwayFrom, from_arrays
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_nodes
 from crms_fenicsx.foundation.runtime.compat import (
-    geometric_dimension,
     geometry_dofmap,
     interpolation_points,
 )
@@ -90,7 +89,7 @@ def test_cells_keep_their_vertex_order(comm):
     assert np.array_equal(input_cells(membrane), cells)
     mesh = membrane.mesh
     assert (mesh.topology.dim, mesh.geometry.dim) == (2, 3)
-    assert geometric_dimension(mesh.ufl_domain()) == 3
+    assert mesh.ufl_domain().ufl_coordinate_element().reference_value_shape == (3,)
     x = mesh.geometry.x[:, :3]
     assert np.array_equal(x, points[mesh.geometry.input_global_indices])
 
@@ -290,19 +289,19 @@ DOUBLE_CONE_CELLS = [(0, 1, 2), (0, 2, 3), (0, 3, 1), (0, 4, 5), (0, 5, 6), (0, 
         (SQUARE, [(0, 1, 2, 3)], r"shape \(1, 4\): give triangles"),
         (SQUARE, [], "no cells"),
         (SQUARE, np.empty((0, 3), dtype=int), "no cells"),
-        (SQUARE, [(0, 1, 2), (0, 1)], "no array"),
+        (SQUARE, [(0, 1, 2), (0, 1)], "not an array"),
         (SQUARE, [(0.0, 1.0, 2.0)], "type float64"),
         (SQUARE, [(0, 1, 2), (0, 2, 4)], r"cell 1 has the vertices \[0, 2, 4\].*0 to 3"),
         (SQUARE, [(0, 1, 2), (0, 2, -1)], r"cell 1 has the vertices \[0, 2, -1\]"),
         (np.column_stack([SQUARE, SQUARE]), HALVES, r"shape \(4, 4\)"),
         (None, HALVES, "shape"),
-        ([("a", "b")], HALVES, "no array of numbers"),
+        ([("a", "b")], HALVES, "not an array of numbers"),
         (np.where(SQUARE == 1.0, np.nan, SQUARE), HALVES, r"vertex 1 .*nan.*finite"),
         (np.where(SQUARE == 1.0, np.inf, SQUARE), HALVES, r"vertex 1 .*inf.*finite"),
         (SQUARE[:3], [(0, 1, 2), (1, 2, 0)], "cells 0 and 1 have the same vertices"),
         (SQUARE[:3], [(0, 1, 1), (0, 1, 2)], "cell 0 has no area"),
         ([(0, 0), (1, 1), (3, 3 + 1e-11)], [(0, 1, 2)], r"no area.*vertex 1 at \(1, 1, 0\)"),
-        (FAN[:5], HALVES, r"vertex 4 at \(2, 2, 0\) is the corner of no cell"),
+        (FAN[:5], HALVES, r"vertex 4 at \(2, 2, 0\) belongs to no cell"),
         (FAN[:6], [*HALVES, (2, 4, 5)], r"vertex 2 at \(1, 1, 0\) 2 separate parts"),
         (DOUBLE_CONE, DOUBLE_CONE_CELLS, r"vertex 0 at \(0, 0, 0\) 2 separate parts"),
     ],
@@ -316,7 +315,7 @@ def test_bad_surfaces(comm, points, cells, message):
 @pytest.mark.parametrize(
     ("groups", "message"),
     [
-        ({"edges": {"seam": [(1, 3)]}}, r"'seam' .*no edge.*vertex 1 at \(1, 0, 0\), vertex 3"),
+        ({"edges": {"seam": [(1, 3)]}}, r"'seam' .*not an edge.*vertex 1 at \(1, 0, 0\), vertex 3"),
         ({"edges": {"seam": [(0, 4)]}}, "'seam' names 4"),
         ({"edges": {"seam": []}}, "'seam' is empty"),
         ({"edges": {"seam": [0, 1, 2]}}, r"'seam' has shape \(3,\)"),

@@ -270,7 +270,7 @@ def write_mesh(*cells, points=POINTS, **more):
         ("none.msh", lambda file: None, "no mesh file .*none.msh"),
         ("none.vtu", lambda file: None, "no mesh file .*none.vtu"),
         ("folder.msh", lambda file: file.mkdir(), "no mesh file"),
-        ("text.msh", lambda file: file.write_text("Point(1) = {0, 0, 0};"), "no gmsh mesh"),
+        ("text.msh", lambda file: file.write_text("Point(1) = {0, 0, 0};"), "not a gmsh mesh"),
         ("short.msh", lambda file: file.write_text("$MeshFormat\n4.1 0 8\n"), "short.msh"),
         ("bad.geo", lambda file: file.write_text("Point(1) = {0, 0;"), "gmsh cannot read.*bad.geo"),
         ("empty.geo", lambda file: file.write_text(""), "gmsh cannot read.*empty.geo"),

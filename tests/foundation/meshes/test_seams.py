@@ -304,7 +304,7 @@ def test_pressure_on_both_sides_of_a_seam_needs_it_held(comm):
     Solver(everywhere).advance(pressure=0.01)
     with pytest.raises(InputError, match="there are 'roof', 'wall'"):
         Scene(mesh, ROOF, pressure_on=["Roof"])
-    with pytest.raises(InputError, match="no list to use; write pressure_on="):
+    with pytest.raises(InputError, match="not a valid list; write pressure_on="):
         Scene(mesh, ROOF, pressure_on="roof")
 
 

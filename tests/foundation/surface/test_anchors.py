@@ -20,7 +20,7 @@ from trace_surfaces import (
 )
 
 from crms_fenicsx.foundation.runtime.errors import PathError
-from crms_fenicsx.foundation.surface.feet import feet_of
+from crms_fenicsx.foundation.surface.closest_point import feet_of
 from crms_fenicsx.foundation.surface.points import CellPoint
 from crms_fenicsx.foundation.surface.trace import near_section, trace
 

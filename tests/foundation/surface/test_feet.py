@@ -7,8 +7,8 @@ import pytest
 from trace_surfaces import cap, grid, hall, scattered
 
 from crms_fenicsx.foundation.meshes.triangles import closest, double_areas, longest_sides
-from crms_fenicsx.foundation.surface import feet, plane_section
-from crms_fenicsx.foundation.surface.feet import feet_of, nearest_within, pairs_within
+from crms_fenicsx.foundation.surface import plane_section
+from crms_fenicsx.foundation.surface.closest_point import feet_of, nearest_within, pairs_within
 from crms_fenicsx.foundation.surface.plane_section import Plane, strips
 
 pytestmark = pytest.mark.ranks
@@ -50,10 +50,8 @@ def targets_near(rng, points, cells):
     )
 
 
-@pytest.mark.parametrize("block", [1, 10**7])
 @pytest.mark.parametrize("surface", SURFACES)
-def test_feet_are_the_nearest_places(monkeypatch, surface, block):
-    monkeypatch.setattr(feet, "PAIRS", block)
+def test_feet_are_the_nearest_places(surface):
     rng = np.random.default_rng(4)
     points, cells = SURFACES[surface](rng)
     targets = targets_near(rng, points, cells)
@@ -78,9 +76,7 @@ def test_feet_on_a_mesh_divided_among_ranks(comm):
     assert comm.allreduce(len(own)) == len(cells)
 
 
-@pytest.mark.parametrize("block", [1, 10**7])
-def test_pairs_within_reach(monkeypatch, block):
-    monkeypatch.setattr(feet, "PAIRS", block)
+def test_pairs_within_reach():
     rng = np.random.default_rng(6)
     centre, targets = rng.normal(size=(200, 3)) + 1e3, rng.normal(size=(9, 3)) + 1e3
     reach = rng.uniform(0.1, 2.0, 9)

@@ -28,9 +28,9 @@ from crms_fenicsx.foundation.surface.corridor import (
     without_detours,
 )
 from crms_fenicsx.foundation.surface.flip_geodesic import STRAIGHT, shorten
-from crms_fenicsx.foundation.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, VertexPoint, edge_of
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, Ring, ring_of
 
 ROUNDING = 1e-11  # relative; of paths through some 100 cells, and of coordinates near 100
 V = VertexPoint

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from crms_fenicsx.foundation.surface.funnel import corner_angle, pull_taut
+from crms_fenicsx.foundation.surface.corridor import corner_angle, pull_taut
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, VertexPoint
 
 ROUNDING = 1e-12  # relative; strips of 30 cells lose some 1e-15 for each

@@ -69,7 +69,7 @@ def test_pictures_of_a_notebook_leave_no_file(
     tightened().draw()
     COMM.barrier()
     assert list(folder.iterdir()) == []
-    with pytest.raises(InputError, match="filename = 3 is no path"):
+    with pytest.raises(InputError, match="filename = 3 is not a path"):
         tightened().draw(3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="colour = 'heat' is not known"):
         tightened().draw(colour="heat")

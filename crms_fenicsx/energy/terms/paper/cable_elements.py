@@ -15,22 +15,22 @@ force, and a node that would slide against the force of either sense, elasticall
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.energy.terms.cable_tension import CableTension
-from crms_fenicsx.energy.terms.segments import slip_stiffness
-from crms_fenicsx.energy.terms.smooth_coulomb import (
+from crms_fenicsx.energy.terms.lateral_friction import (
     friction_energy,
     friction_potentials,
     secant_stiffness,
     tangent_stiffness,
 )
-from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, rows_of
+from crms_fenicsx.energy.terms.segments import slip_stiffness
+from crms_fenicsx.energy.terms.term import ElementTerm
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.model.cable_state import StepStart
@@ -47,20 +47,15 @@ class FrictionElements(ElementTable):
     eps: Array  # (n,) slip at which it is reached (length)
     addresses = ("blocks",)
 
-    @property
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the elements."""
-        return rows_of(self.blocks)
 
-
-class FrictionElementEnergy(EnergyTerm):
+class FrictionElementEnergy(ElementTerm):
     """Work against the friction elements in a load step, (3.3-2)."""
 
     name = "friction"
     of_cables = True
 
     def __init__(self, table: FrictionElements) -> None:
-        self.table = table
+        super().__init__(table)
         self.slips, self._force = np.zeros((2, len(table.blocks)))
         self.pattern = ElementPattern(*table.element_blocks)
         self.patterns = (self.pattern,)
@@ -92,15 +87,6 @@ class FrictionElementEnergy(EnergyTerm):
         slopes = self.table.slopes.reshape(-1, 3)
         slip_stiffness(pointers, blocks, slopes, stiffness, self.pattern.values)
         self.pattern.add(A)
-
-    def elements_on(self, chosen: Booleans) -> FrictionElements | None:
-        """Elements with chosen blocks."""
-        rows = self.table.rows_on(chosen)
-        own = (getattr(self.table, field.name)[rows] for field in fields(self.table))
-        return FrictionElements(*own) if len(rows) else None
-
-    def of_elements(self, table: FrictionElements, sums: Array) -> FrictionElementEnergy:
-        return FrictionElementEnergy(table)
 
     def element_energies(self, sums: Array) -> Array:
         return friction_potentials(self.slips, self.table.bound, self.table.eps)
