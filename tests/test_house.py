@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
+
+from mpi4py import MPI
 
 import crms_fenicsx
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 
 PACKAGE = Path(crms_fenicsx.__file__).parent
 WINGS = {
@@ -46,6 +51,34 @@ MOST_LINES, MOST_CODE, MOST_ARGUMENTS = 400, 60, 8
 OPTIONS = set("Solver.__init__ Scene.lay_cable laying.lay find_form.find_form".split())
 """Functions with more arguments: options of public calls, by name. The list may only shrink."""
 
+
+BUDGETS = {
+    "foundation": 7693,
+    "model": 2848,
+    "energy": 7507,
+    "cabling": 7409,
+    "analysis": 6658,
+    "results": 10643,
+    "solver": 935,
+    "design": 8456,
+}
+"""Lines of each wing. They may only fall, or rise with a line in docs/features.md."""
+
+RATCHETS = {
+    "isinstance of own types": 134,
+    "attributes that are born late": 123,
+    "files of less than 100 lines": 19,
+    "public functions and classes": 1066,
+    "classes": 404,
+    "module constants": 368,
+}
+"""What may only fall."""
+
+MOST_CHANGES = 1200
+"""Calls from one package into another in a load step of a membrane of 72 cells with a cable."""
+
+REGISTER = Path(__file__).parents[1] / "docs" / "theory" / "constants.md"
+CLASSES = set("answer accuracy cost limit rounding code norm look".split())
 
 SCOPES = (ast.Module, ast.ClassDef)
 
@@ -262,3 +295,128 @@ def test_only_owners_write_what_is_private() -> None:
         own = {node.attr for node in written if ast.unparse(node.value) == "self"}
         wrong += [f"{module}: {ast.unparse(node)}" for node in written if node.attr not in own]
     assert not wrong, "\n".join(wrong)
+
+
+def numbers() -> dict[str, str]:
+    """Module constants with numbers in them, as ``wing/file.py NAME``, with their values."""
+    found = {}
+    for module, tree in MODULES.items():
+        for node in tree.body:
+            if isinstance(node, ast.Assign):
+                targets, value = node.targets, node.value
+            elif isinstance(node, ast.AnnAssign) and node.value is not None:
+                targets, value = [node.target], node.value
+            else:
+                continue
+            parts = [e for t in targets for e in (t.elts if isinstance(t, ast.Tuple) else [t])]
+            names = [part.id for part in parts if isinstance(part, ast.Name)]
+            kinds = {type(x.value) for x in ast.walk(value) if isinstance(x, ast.Constant)}
+            if kinds & {int, float} and str not in kinds:
+                found |= {
+                    f"{module.replace('.', '/')}.py {name}": ast.unparse(value)
+                    for name in names
+                    if name.lstrip("_").isupper()
+                }
+    return found
+
+
+def test_the_register_of_constants_is_complete() -> None:
+    """Each has a class: what would change with it."""
+    rows = re.findall(r"^\| `(\S+)` \| `(\w+)` \| (\w+) \|", REGISTER.read_text(), re.MULTILINE)
+    known = {f"{file} {name}": kind for file, name, kind in rows}
+    assert len(known) == len(rows)
+    assert sorted(known) == sorted(numbers())
+    assert set(known.values()) <= CLASSES
+
+
+def test_wings_keep_their_budgets() -> None:
+    """And a budget goes down with its wing."""
+    lines = Counter[str]()
+    for module in MODULES:
+        wing = module.partition(".")[0]
+        lines[wing if wing in BUDGETS else ""] += len(text(module).splitlines())
+    del lines[""]
+    too_long = {wing: n for wing, n in lines.items() if n > BUDGETS[wing]}
+    assert not too_long
+    to_lower = {wing: n for wing, n in lines.items() if n < BUDGETS[wing] - 50}
+    assert not to_lower
+
+
+def test_ratchets() -> None:
+    """And each goes down as soon as it can."""
+    assert counted_things() == RATCHETS
+
+
+def test_a_load_step_goes_from_package_to_package_seldom() -> None:
+    assert 100 < changes_of_package() <= MOST_CHANGES
+
+
+def counted_things() -> dict[str, int]:
+    """The numbers of `RATCHETS` as they are."""
+    classes = [n for t in MODULES.values() for n in ast.walk(t) if isinstance(n, ast.ClassDef)]
+    own = {one.name for one in classes}
+    calls = [n for t in MODULES.values() for n in ast.walk(t) if isinstance(n, ast.Call)]
+    asked = [c.args[1] for c in calls if ast.unparse(c.func) == "isinstance"]
+    public = [
+        node
+        for tree in MODULES.values()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+    ]
+    files = [module for module in MODULES if not module.endswith("__init__")]
+    return {
+        "isinstance of own types": sum(
+            bool({x.id for x in ast.walk(kind) if isinstance(x, ast.Name)} & own) for kind in asked
+        ),
+        "attributes that are born late": sum(len(born_late(one)) for one in classes),
+        "files of less than 100 lines": sum(len(text(m).splitlines()) < 100 for m in files),
+        "public functions and classes": len(public),
+        "classes": len(classes),
+        "module constants": len(numbers()),
+    }
+
+
+def born_late(owner: ast.ClassDef) -> set[str]:
+    """Attributes that a class sets elsewhere than when it is made."""
+    made, late = set[str](), set[str]()
+    for node in owner.body:
+        if isinstance(node, ast.AnnAssign | ast.Assign):
+            made |= {x.id for x in ast.walk(node) if isinstance(x, ast.Name)}
+        elif isinstance(node, ast.FunctionDef):
+            stored = {
+                x.attr
+                for x in ast.walk(node)
+                if isinstance(x, ast.Attribute) and isinstance(x.ctx, ast.Store)
+                if ast.unparse(x.value) == "self"
+            }
+            if node.name in ("__init__", "__new__", "__post_init__"):
+                made |= stored
+            else:
+                late |= stored
+    return late - made
+
+
+def changes_of_package() -> int:
+    """How often a load step of a membrane with a cable goes on in another package."""
+    mesh = meshes.rectangle(MPI.COMM_SELF, 6.0, 6.0, 1.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.1))
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=0.5)
+    cable = scene.lay_cable(Cable(EA=5000.0), [(-1.0, 2.3, 0.0), (7.0, 3.1, 0.0)])
+    solver.advance(L0={cable: cable.L0 * 0.98})
+    passed: list[Path] = []
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        folder = Path(frame.f_code.co_filename).parent
+        if event == "call" and PACKAGE in (folder, *folder.parents):
+            if not passed or passed[-1] != folder:
+                passed.append(folder)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        solver.advance(pressure=0.6)
+    finally:
+        sys.setprofile(before)
+    return len(passed)
