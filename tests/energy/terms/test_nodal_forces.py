@@ -262,7 +262,7 @@ def test_names_of_loads(comm):
 
 def test_bad_factors(comm):
     scene = lifted_scene(comm)
-    with pytest.raises(InputError, match=r"put one there with scene\.put_load"):
+    with pytest.raises(InputError, match=r"add one with scene\.put_load"):
         Solver(scene).advance(load=1.0)
     scene.put_load((0.0, 0.0, 1.0))
     with pytest.raises(InputError, match="load = nan is not finite"):
