@@ -60,13 +60,13 @@ def test_positions_within_a_call_are_those_of_the_function(comm):
     solver = drum(comm)
     scene, seen = solver.scene, []
     ring = scene.vertices("boundary")
-    write = solver._record
+    accept = solver._accept
 
-    def record(*arguments):
+    def note(*arguments):
         seen.append(scene.positions()[ring])
-        write(*arguments)
+        accept(*arguments)
 
-    solver._record = record
+    solver._accept = note
     up = (0.0, 0.0, 0.3)
 
     def tilt(x, t):

@@ -226,7 +226,7 @@ def test_lengths_to_order(comm, tmp_path) -> None:
     np.testing.assert_allclose(both, pull - a.end.reaction, atol=1e-9)
     assert "a x b" in (folder / "net_clamps.csv").read_text()
     for options, message in (
-        ({"order": 3}, "order = 3; give what nets.lengths_to_order"),
+        ({"order": 3}, "order = 3; pass what nets.lengths_to_order"),
         ({"foundations": {"F": ["z end"]}}, "foundation 'F' carries .'z end'."),
         ({"foundations": ["a start"]}, "write names of cables"),
     ):

@@ -165,7 +165,7 @@ def test_cuts_that_make_no_pieces_are_named(comm: MPI.Intracomm, case: str) -> N
         "boundary": ("'boundary' does not", [patterns.edge_line(square, "boundary")], PathError),
         "crossing": ("crosses another one", [line(0.11), line(0.13, 0.31, "b")], PathError),
         "twice": ("two seams have the name 'a'", [line(0.1), line(1.1)], InputError),
-        "none": ("no list to use", line(0.1), InputError),
+        "none": ("is not a valid list", line(0.1), InputError),
         "same": ("along one edge", [line(0.1), line(0.1, name="b")], PathError),
     }[case]  # fmt: skip
     with pytest.raises(error, match=text):

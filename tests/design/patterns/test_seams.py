@@ -158,7 +158,7 @@ def test_seams_follow_the_warp(comm: MPI.Intracomm, slope: float) -> None:
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 1.0, 0.0)),
          PathError, "beside the warp"),
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 0.0, 0.0)),
-         InputError, "no direction"),
+         InputError, "must be a nonzero direction"),
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=lambda x: x[:2]),
          InputError, "strips: warp"),
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 0.0, 1.0)),

@@ -98,7 +98,7 @@ def test_bad_groups(comm: MPI.Intracomm, tmp_path: Path) -> None:
         combine_in_groups(lambda mesh: None, square(comm), TABLE, groups=1)  # type: ignore[arg-type, return-value]
     with pytest.raises(InputError, match=r"\['title'\] are options of a report"):
         combine_in_groups(build, square(comm), TABLE, groups=1, title="Roof")
-    with pytest.raises(InputError, match=r"give one with \.html"):
+    with pytest.raises(InputError, match=r"pass a name with \.html"):
         combine_in_groups(
             build, square(comm), TABLE, groups=1, report=Path(comm.bcast(str(tmp_path))) / "a.pdf"
         )

@@ -209,7 +209,7 @@ def test_bad_reports_write_nothing(
         ({"filename": page / "below.html"}, "cannot be written"),
         ({"filename": 3}, "filename = 3 is not a path"),
         ({"combinations": {}}, r"combinations = {} is not a valid mapping; write solver.combine"),
-        ({"combinations": {"snow": 1.5}}, "combination 'snow' is 1.5"),
+        ({"combinations": {"snow": 1.5}}, "combination 'snow' is of type float"),
         ({"combinations": found}, "'snow' is of another scene"),
         ({"title": None}, "title is of type NoneType; give a str"),
         ({"about": {"Project": 3}}, "3 in about is of type int"),
