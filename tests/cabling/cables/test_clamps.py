@@ -239,8 +239,8 @@ def test_lengths_to_order(comm, tmp_path) -> None:
     for given, message in (
         ({"tension": -0.1}, "tension of 'a' = -0.1, a strain of"),
         ({"tension": {"b": 0.2 * EA}}, "tension of 'b' = .* strain of 0.2 .* from 0 to 0.1 EA"),
-        ({"temperature": 293.0}, "temperature = 293.0; give the difference"),
-        ({"expansion": 12.0}, "expansion = 12.0; give it per kelvin"),
+        ({"temperature": 293.0}, "temperature = 293.0; pass the difference"),
+        ({"expansion": 12.0}, "expansion = 12.0; use a number per kelvin"),
     ):
         with pytest.raises(InputError, match=message):
             nets.lengths_to_order(scene, **given)
