@@ -97,14 +97,8 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """The packages that most scripts do without, imported at the first access."""
-    if name == "output" or name in (
-        "codes",
-        "exchange",
-        "form_finding",
-        "nets",
-        "patterns",
-        "study",
-    ):
-        wing = "results" if name == "output" else "design"
-        return import_module(f"crms_fenicsx.{wing}.{name}")
+    if name == "output":
+        return import_module("crms_fenicsx.results.output")
+    if name in {"codes", "exchange", "form_finding", "nets", "patterns", "study"}:
+        return import_module(f"crms_fenicsx.design.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
