@@ -68,7 +68,7 @@ RATCHETS = {
     "isinstance of own types": 134,
     "attributes that are born late": 123,
     "files of less than 100 lines": 19,
-    "public functions and classes": 1066,
+    "public functions and classes": 997,
     "classes": 404,
     "module constants": 368,
 }

@@ -68,7 +68,7 @@ Hold = Literal["outside", "sleeve", "pocket", "bonded"]
 
 
 @dataclass(frozen=True)
-class Freedom:
+class _Freedom:
     """Motions relative to the membrane that an attachment leaves free."""
 
     lifts: bool  # off the membrane
@@ -76,11 +76,11 @@ class Freedom:
     along: bool  # sliding along its axis
 
 
-HOLDS: dict[Hold, Freedom] = {
-    "outside": Freedom(lifts=True, sideways=True, along=True),
-    "sleeve": Freedom(lifts=False, sideways=True, along=True),
-    "pocket": Freedom(lifts=False, sideways=False, along=True),
-    "bonded": Freedom(lifts=False, sideways=False, along=False),
+HOLDS: dict[Hold, _Freedom] = {
+    "outside": _Freedom(lifts=True, sideways=True, along=True),
+    "sleeve": _Freedom(lifts=False, sideways=True, along=True),
+    "pocket": _Freedom(lifts=False, sideways=False, along=True),
+    "bonded": _Freedom(lifts=False, sideways=False, along=False),
 }
 """Free motions of each kind of attachment."""
 

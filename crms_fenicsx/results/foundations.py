@@ -108,7 +108,7 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
     function.x.array[: line.size] = line.ravel()
     function.x.scatter_forward()
     return Foundations(
-        tuple(_points(every, AT * membrane.size)), tuple(lines), resultants(system),
+        tuple(_points(every, AT * membrane.size)), tuple(lines), _resultants(system),
         held_rim(scene), np.concatenate(comm.allgather(-function.x.array.reshape(-1, 3)[rim])),
     )  # fmt: skip
 
@@ -130,7 +130,7 @@ def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]
     return found
 
 
-def resultants(system: System) -> dict[str, Force]:
+def _resultants(system: System) -> dict[str, Force]:
     """Resultants of all actions on membrane and joints except the supports'. Collective."""
     scene, found = system.scene, dict[str, Array]()
     for load in scene.loads:

@@ -23,7 +23,7 @@ from crms_fenicsx.model.membrane import Membrane
 
 
 @dataclass(frozen=True)
-class CellTensors:
+class _CellTensors:
     """Tensors in the material axes of this rank's owned cells."""
 
     # strains, forces: (n, 2, 2) Green-Lagrange strains, second Piola-Kirchhoff section forces
@@ -41,7 +41,7 @@ class CellTensors:
     folded: Booleans
 
 
-def cell_tensors(system: System) -> CellTensors:
+def cell_tensors(system: System) -> _CellTensors:
     """Evaluate the cells in the scene's present state; see `membrane_results`. Collective."""
     system.update()
     scene, membrane = system.scene, system.membrane.energy
@@ -68,7 +68,7 @@ def cell_tensors(system: System) -> CellTensors:
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
     state = np.rint(values[:, 6]).astype(np.int8)
-    return CellTensors(E, S, frames, axes, images, state, folded)
+    return _CellTensors(E, S, frames, axes, images, state, folded)
 
 
 def added_forces(scene: Scene, axes: Array) -> Array:
@@ -86,7 +86,7 @@ def _symmetric(a: Array, b: Array, c: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CellQuantity:
+class _CellQuantity:
     """A scalar quantity of the cells."""
 
     label: str  # displayed name
@@ -102,24 +102,24 @@ class CellQuantity:
 
 
 QUANTITIES = {
-    "warp": CellQuantity("membrane force along warp", "warp_weft", 0, "stress"),
-    "weft": CellQuantity("membrane force along weft", "warp_weft", 1, "stress"),
-    "shear": CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
-    "true force 1": CellQuantity("larger principal membrane force", "true_forces", 0, "stress"),
-    "true force 2": CellQuantity("smaller principal membrane force", "true_forces", 1, "stress"),
-    "second Piola warp": CellQuantity(
+    "warp": _CellQuantity("membrane force along warp", "warp_weft", 0, "stress"),
+    "weft": _CellQuantity("membrane force along weft", "warp_weft", 1, "stress"),
+    "shear": _CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
+    "true force 1": _CellQuantity("larger principal membrane force", "true_forces", 0, "stress"),
+    "true force 2": _CellQuantity("smaller principal membrane force", "true_forces", 1, "stress"),
+    "second Piola warp": _CellQuantity(
         "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
     ),
-    "second Piola weft": CellQuantity(
+    "second Piola weft": _CellQuantity(
         "second Piola-Kirchhoff force along weft", "second_piola_warp_weft", 1, "stress"
     ),
-    "second Piola shear": CellQuantity(
+    "second Piola shear": _CellQuantity(
         "second Piola-Kirchhoff shear", "second_piola_warp_weft", 2, "stress"
     ),
-    "strain 1": CellQuantity("larger principal strain", "strains", 0),
-    "strain 2": CellQuantity("smaller principal strain", "strains", 1),
-    "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
-    "utilisation": CellQuantity("utilisation", "utilisation"),
+    "strain 1": _CellQuantity("larger principal strain", "strains", 0),
+    "strain 2": _CellQuantity("smaller principal strain", "strains", 1),
+    "state": _CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
+    "utilisation": _CellQuantity("utilisation", "utilisation"),
 }
 """All quantities; "utilisation" needs the strengths of `Scene.set_strengths`, those along warp and
 weft a material with a warp."""

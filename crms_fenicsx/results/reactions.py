@@ -84,7 +84,7 @@ def hung_bars(scene: Scene) -> list[tuple[int, HeldEnd]]:
     return found
 
 
-def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:
+def _are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]) -> Booleans:
     """Which places lie at vertices `dofs` (ghosts included) or on an edge of two. Collective."""
     if not places:
         return np.zeros(0, dtype=bool)
@@ -109,7 +109,7 @@ def ends_at(
     scene: Scene, dofs: Indices | Integers, ends: Sequence[HeldEnd], others: Sequence[Array] = ()
 ) -> list[HeldEnd]:
     """Ends that lie at vertices `dofs` or at other given places. Collective."""
-    near = are_at(scene.membrane, dofs, [end.place for end in ends])
+    near = _are_at(scene.membrane, dofs, [end.place for end in ends])
     for place in others:
         away = [np.linalg.norm(end.place - place) for end in ends]
         near |= np.array(away) <= AT * scene.membrane.size

@@ -68,8 +68,8 @@ class Surface:
         return Surface(
             points,
             triangles,
-            checked_data("point data", self.point_data, len(points)),
-            checked_data("cell data", self.cell_data, len(triangles)),
+            _checked_data("point data", self.point_data, len(points)),
+            _checked_data("cell data", self.cell_data, len(triangles)),
             homes,
         )
 
@@ -144,7 +144,7 @@ def checked_points(what: str, given: ArrayLike) -> Array:
     return points
 
 
-def checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict[str, NDArray[Any]]:
+def _checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict[str, NDArray[Any]]:
     """Return data by name as arrays with `count` rows, or raise `InputError`."""
     data: dict[str, NDArray[Any]] = {}
     for name, values in given.items():

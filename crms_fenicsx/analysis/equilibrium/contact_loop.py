@@ -87,7 +87,7 @@ class ContactLoop:
                 system.rebuild()
                 system.read_scene()
             if system.has_history:  # every term starts the step from there
-                restore_positions(self.scene, self.start)
+                _restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
@@ -133,7 +133,7 @@ class ContactLoop:
         return changes
 
 
-def restore_positions(scene: Scene, state: SceneState) -> None:
+def _restore_positions(scene: Scene, state: SceneState) -> None:
     """Restore the positions of membrane and cables on their new paths. Collective. Path points that
     existed are put back; new ones are placed on the restored membrane."""
     scene.u.x.array[:] = state.u

@@ -31,7 +31,7 @@ from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.materials import UFL_LAW
 
 
-class PlainCells:
+class _PlainCells:
     """This rank's plain cells."""
 
     def __init__(self, unknowns: Unknowns, membrane: MembraneEnergy) -> None:
@@ -145,7 +145,7 @@ class FoldContribution(Contribution):
         energy, pressure = self.membrane.energy, self.pressure
         if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
             return
-        cells = PlainCells(unknowns, energy)
+        cells = _PlainCells(unknowns, energy)
         energy.elementwise = cells.membrane()
         if isinstance(pressure.term, FollowerPressure):
             centre = self.scene.membrane.centre

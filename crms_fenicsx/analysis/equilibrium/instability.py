@@ -42,7 +42,7 @@ MOST_JOINTS, MOST_BARS = 500, 20
 """Joints up to which their dense matrix is used, and bars searched for the unstable one."""
 
 
-class FrameStability:
+class _FrameStability:
     """Bars and joints of a scene in its state, the same on all ranks.
 
     Attributes: `least` (n,): stiffness of each joint (force/length) indistinguishable from zero;
@@ -158,7 +158,7 @@ def instabilities(system: System, tolerance: float) -> list[StateWarning]:
     """Warnings for the instabilities that bars, joints and ponds cause in a scene's state.
     Collective. Units: tolerance (force)."""
     ponds = [] if system.ponds is None else [one for one in system.ponds.ponds if one.pond.factor]
-    frame = FrameStability(system.scene, tolerance) if system.scene.bars else None
+    frame = _FrameStability(system.scene, tolerance) if system.scene.bars else None
     told = []
     if frame is not None and frame.is_alone:
         told, frame = frame.of_joints(), None
@@ -172,7 +172,7 @@ def instabilities(system: System, tolerance: float) -> list[StateWarning]:
 
 
 def _by_tangents(
-    system: System, ponds: list[Ponding], frame: FrameStability | None
+    system: System, ponds: list[Ponding], frame: _FrameStability | None
 ) -> list[StateWarning]:
     """Warnings for each suspect whose removal lowers the number of negative eigenvalues."""
     assert system.minimizer is not None

@@ -39,7 +39,7 @@ SCATTER_CHECK = "scatter of the energy"
 
 
 @dataclass(frozen=True)
-class Scatter:
+class _Scatter:
     """Difference between the state of the load history and the one of least energy found."""
 
     outcome: Outcome  # of the additional solves
@@ -64,7 +64,7 @@ def may_have_others(system: System) -> bool:
     return bool(sums[1] > WRINKLED * sums[0])
 
 
-def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
+def lower_state(system: System, at_once: tuple[float, ...]) -> _Scatter:
     """Bring the scene to the state of least energy found. Collective. `at_once`: extra prestress of
     H0 for the start from the unstressed membrane; empty if that has led to the present state."""
     scene, total = system.scene, None
@@ -86,7 +86,7 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> Scatter:
             system.write_scene()
     assert total is not None
     fall = max(before - scene.energy, 0.0) / scale
-    return Scatter(total, fall, *_moved(scene, first))
+    return _Scatter(total, fall, *_moved(scene, first))
 
 
 def _kick(scene: Scene) -> Array:

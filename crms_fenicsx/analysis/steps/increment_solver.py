@@ -41,7 +41,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
 
 
-def starting_prestress(
+def _starting_prestress(
     system: System, target: Target, share: float, stressed: bool = True
 ) -> tuple[float, ...]:
     """Extra prestress in H0 for each attempt, the last 0 (force per length), from the present state
@@ -60,7 +60,7 @@ def starting_prestress(
     return (coming, 0.1 * coming, 0.01 * coming, 0.0)
 
 
-def covered_ends(scene: Scene) -> Iterator[StateWarning]:
+def _covered_ends(scene: Scene) -> Iterator[StateWarning]:
     """Warn of cable ends that start above the membrane and now lie under it. Collective."""
     over = [
         (cable, which, end, foot)
@@ -186,11 +186,11 @@ class IncrementSolver:
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
             share = (goal - done) / steps
-            prestress = starting_prestress(self.system, target, share)
+            prestress = _starting_prestress(self.system, target, share)
             at_once: tuple[float, ...] | None = None
             if goal > steps - 1e-9:
                 loaded = self.scene.comm.allreduce(bool(before.u.any()), op=MPI.LOR)
-                at_once = starting_prestress(self.system, target, 1.0, False) if loaded else ()
+                at_once = _starting_prestress(self.system, target, 1.0, False) if loaded else ()
             found = self._solve(prestress, at_once)
         except BaseException:
             self._restore(before)
@@ -246,7 +246,7 @@ class IncrementSolver:
 
     def _warnings(self, outcome: Outcome) -> tuple[StateWarning, ...]:
         """Warnings about the state found. Collective."""
-        found = list(covered_ends(self.scene))
+        found = list(_covered_ends(self.scene))
         if self._options.stability != "ignore" and (self.system.bars or self.system.ponds):
             from crms_fenicsx.analysis.equilibrium.instability import instabilities
 

@@ -34,7 +34,7 @@ def between(first: float, last: float, share: float) -> float:
 
 
 @dataclass(frozen=True)
-class InnerPressure:
+class _InnerPressure:
     """Inner pressure over a call of `Solver.advance`."""
 
     # first, last: pressure at start and end (force per area); with fans, in addition to theirs
@@ -66,12 +66,12 @@ class InnerPressure:
             scene.air.update(pressure=between(self.first, self.last, share))
 
 
-def checked_pressure(
+def _checked_pressure(
     scene: Scene,
     pressure: float | FanControl | None,
     temperature: float | None,
     atmosphere: float | None,
-) -> InnerPressure:
+) -> _InnerPressure:
     """Check the inner pressure given to `Solver.advance`."""
     air, given = scene.air.sealed, {"temperature": temperature, "atmosphere": atmosphere}
     for name, value in given.items():
@@ -91,20 +91,20 @@ def checked_pressure(
             for name, value in given.items()
             if value is not None
         }
-        return InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
+        return _InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
     if isinstance(pressure, FanControl):
         factor = checks.named("load", scene.factors, pressure.load)
         offset = scene.pressure - pressure.pressure(factor)
-        return InnerPressure(offset, 0.0, fans=pressure)
+        return _InnerPressure(offset, 0.0, fans=pressure)
     last = scene.pressure if pressure is None else checks.finite("advance: pressure", pressure)
-    return InnerPressure(scene.pressure, last)
+    return _InnerPressure(scene.pressure, last)
 
 
 @dataclass(frozen=True)
 class Target:
     """Initial and target loads of a call of `Solver.advance`."""
 
-    pressure: InnerPressure  # inner pressure
+    pressure: _InnerPressure  # inner pressure
     # first and last factor of each changed load, by name
     factors: dict[str, tuple[float, float]]
     movements: Movements  # of supports and anchors
@@ -163,7 +163,7 @@ def checked_target(
             "advance: nothing of the membrane is held; hold its boundary with "
             'scene.fix("boundary").'
         )
-    inner = checked_pressure(scene, pressure, temperature, atmosphere)
+    inner = _checked_pressure(scene, pressure, temperature, atmosphere)
     factors = {} if load is None else _factors(scene, load)
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):

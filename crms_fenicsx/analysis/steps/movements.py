@@ -131,7 +131,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class EdgeEnd:
+class _EdgeEnd:
     """A cable's end held at a moved edge or vertex, whose movement nobody has given."""
 
     end: CableEnd
@@ -149,7 +149,7 @@ class Movements:
     # cable, first (0) or last (-1) node, and the movement of that end
     cable_ends: list[tuple[LaidCable, int, Motion]]
     joints: list[tuple[Joint, Motion]]
-    sewn_ends: list[EdgeEnd]  # ends that go with the edge they are sewn to
+    sewn_ends: list[_EdgeEnd]  # ends that go with the edge they are sewn to
     staying_ends: list[CableEnd]  # others at moved edges, which stay in space
     # (3,) displacement common to all supports, zero if there is none (length); each increment
     # starts with the whole structure displaced by it
@@ -248,7 +248,7 @@ def _ends_at_moved_edges(
     scene: Scene,
     vertices: list[tuple[Indices, Motion]],
     given: list[tuple[LaidCable, int, Motion]],
-) -> list[EdgeEnd]:
+) -> list[_EdgeEnd]:
     """Ends held at edges or vertices that move, without those whose movement is given.
     Collective."""
     moves = np.zeros(len(scene.held), dtype=bool)
@@ -269,7 +269,7 @@ def _ends_at_moved_edges(
             rows = [np.flatnonzero(ids == vertex) for vertex in support]
             dofs = np.concatenate(rows).astype(np.int32)
             own = np.repeat(weights, [len(row) for row in rows])
-            found.append(EdgeEnd(end, k, dofs, own))
+            found.append(_EdgeEnd(end, k, dofs, own))
             moving.append(bool(moves[dofs].any()))
     anywhere = scene.comm.allreduce(np.array(moving, dtype=np.int64))
     return [one for one, count in zip(found, anywhere, strict=True) if count]
@@ -346,7 +346,7 @@ def _carried(
     scene: Scene,
     vertices: list[tuple[Indices, Motion]],
     ends: list[tuple[LaidCable, int, Motion]],
-    sewn: list[EdgeEnd],
+    sewn: list[_EdgeEnd],
     joints: list[tuple[Joint, Motion]],
 ) -> Array:
     """Displacement common to supports, anchors and held joints, (3,); zero if there is none."""

@@ -37,7 +37,7 @@ CLAMP_SLIP = 1e-6
 
 
 @dataclass(frozen=True)
-class CablesMeeting:
+class _CablesMeeting:
     """A place where two cables cross."""
 
     place: Array  # (3,) midpoint between both (length)
@@ -46,7 +46,7 @@ class CablesMeeting:
     at: tuple[float, float]  # fraction of each unstressed length up to there
 
 
-def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
+def meetings(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
     """Crossings of two cables, in the order of the first one."""
     (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
     across = cross(u[:, None], v[None])
@@ -60,14 +60,14 @@ def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
         # Where they bend, cables that lie apart may do so beyond the ends of all parts there.
         ends = [SAME_PLACE + gap / np.sqrt(dot(way, way)) for way in (u[:, None], v[None])]
     inside = (-ends[0] <= s) & (s <= 1 + ends[0]) & (-ends[1] <= t) & (t <= 1 + ends[1])
-    found: list[CablesMeeting] = []
+    found: list[_CablesMeeting] = []
     for i, j in np.argwhere(inside & (square > OBLIQUE**2 * sizes)):
         along = [float(np.clip(share[i, j], 0.0, 1.0)) for share in (s, t)]
         first, second = x[i] + along[0] * u[i], y[j] + along[1] * v[j]
         place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2
         at = _share(a, int(i), along[0]), _share(b, int(j), along[1])
-        found.append(CablesMeeting(place, float(norm(second - first)), reach, at))
-    kept: list[CablesMeeting] = []
+        found.append(_CablesMeeting(place, float(norm(second - first)), reach, at))
+    kept: list[_CablesMeeting] = []
     for one in sorted(found, key=lambda one: one.gap):
         near = max(1e-6 * one.reach, 2 * one.gap)
         if one.gap < one.reach and all(norm(k.place - one.place) >= near for k in kept):
@@ -158,7 +158,7 @@ def divide(
             if cable.name in nodes[clamp.name]
         }
         if cable.state.bonds is not None:
-            bonds = zip(bonded_nodes(cable), floats(cable.state.bonds.at), strict=True)
+            bonds = zip(_bonded_nodes(cable), floats(cable.state.bonds.at), strict=True)
             shares |= {k: (at, 0.0) for k, at in bonds}
         own = sorted(shares.items())
         cable.update(parts=_parts(cable, own))
@@ -233,11 +233,11 @@ def bonded_parts(cable: LaidCable) -> ClampedParts:
     force = np.full(count, cable.tension)
     inner = np.zeros(count - 1)
     return ClampedParts(
-        cable.state.bonds.at, tuple(bonded_nodes(cable)), force, np.zeros(count), inner, inner
+        cable.state.bonds.at, tuple(_bonded_nodes(cable)), force, np.zeros(count), inner, inner
     )
 
 
-def bonded_nodes(cable: LaidCable) -> list[int]:
+def _bonded_nodes(cable: LaidCable) -> list[int]:
     """Nodes at which a cable is bonded to the fabric, in order."""
     assert cable.state.bonds is not None
     on, found = iter(cable.path_nodes()), []

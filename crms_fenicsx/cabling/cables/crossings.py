@@ -41,7 +41,7 @@ from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
-class Meeting(NamedTuple):
+class _Meeting(NamedTuple):
     """Two crossing links: rows of their first nodes, fractions along each, place in the cell."""
 
     first: int
@@ -67,7 +67,7 @@ class Meetings:
         self._follows = first[follows], both[follows]
         self._inside = first[~follows], simplices.rows[simplices.pointers[both[~follows]]]
 
-    def on_edges(self) -> list[Meeting]:
+    def on_edges(self) -> list[_Meeting]:
         """Points on an edge along which a link of another cable runs."""
         found, nodes, points = [], self.nodes, self.points
         some = points.counts[self._follows[1]] > 0
@@ -80,10 +80,10 @@ class Meetings:
                     ascending = nodes.size[link] == 1 and nodes.support[link, 0] == a
                     along = fraction if ascending else 1 - fraction
                     place = EdgePoint((a, b), fraction)
-                    found.append(Meeting(link, point, (along, 0.0), place))
+                    found.append(_Meeting(link, point, (along, 0.0), place))
         return found
 
-    def in_cells(self) -> list[Meeting]:
+    def in_cells(self) -> list[_Meeting]:
         """Crossing chords of one cell: their ends alternate around it."""
         first, second, row = self._pairs()
         ends = np.stack([first, first + 1, second, second + 1], axis=1)
@@ -102,7 +102,7 @@ class Meetings:
         weights /= (weights[:, 0] + weights[:, 1] + weights[:, 2])[:, None]
         parts = first[crosses], second[crosses], t, self.strip.cells[row[crosses]], weights
         return [
-            Meeting(one, other, (s, r), CellPoint(tuple(cell), tuple(share)))
+            _Meeting(one, other, (s, r), CellPoint(tuple(cell), tuple(share)))
             for one, other, (s, r), cell, share in zip(*map(np.ndarray.tolist, parts), strict=True)
         ]
 
@@ -263,7 +263,7 @@ def _without_crossings(
 
 
 def _lower_first(
-    found: Sequence[Meeting], nodes: NodeTable, cables: Sequence[LaidCable]
+    found: Sequence[_Meeting], nodes: NodeTable, cables: Sequence[LaidCable]
 ) -> tuple[Integers, Integers, Array]:
     """First and last nodes (m, 2) of meeting links, the lower cable's first; fractions (m, 2)."""
     links = np.array([one[:2] for one in found], dtype=np.int64).reshape(-1, 2)

@@ -14,7 +14,7 @@ from crms_fenicsx.foundation.surface.polygons import Polygons, best_fan, fan_fac
 
 
 @dataclass(frozen=True)
-class FoldedShape:
+class _FoldedShape:
     """This rank's folded cells, cut along their cables."""
 
     # (n, 3) current and stress-free positions (length): vertices by local degree of freedom, then
@@ -41,13 +41,13 @@ class CurrentSurface:
     inner: Integers
 
 
-def folded_shape(net: CableNet) -> FoldedShape:
+def _folded_shape(net: CableNet) -> _FoldedShape:
     """Cut this rank's folded cells along taut cables. Not collective."""
     membrane = net.membrane
     places, stress_free = membrane.positions(), membrane.stress_free
     if net.strip is None or not any(cable.taut for cable in net.cables):
         none = np.zeros(0, dtype=np.int64)
-        return FoldedShape(places, stress_free, Polygons(np.zeros(1, dtype=np.int64), none, none))
+        return _FoldedShape(places, stress_free, Polygons(np.zeros(1, dtype=np.int64), none, none))
     from crms_fenicsx.cabling.cables.element_tables import CutCells
     from crms_fenicsx.cabling.cables.numbering import CableNumbering
     from crms_fenicsx.cabling.cables.points_on_edges import VERTEX
@@ -69,14 +69,14 @@ def folded_shape(net: CableNet) -> FoldedShape:
         new[i] = cable.state.positions[k]
         new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
     pieces = Polygons(cut.starts, cut.corners, net.strip.local[cells.rows[cut.cell]])
-    return FoldedShape(
+    return _FoldedShape(
         np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
     )
 
 
 def current_surface(net: CableNet) -> CurrentSurface:
     """Triangulate this rank's part of the current membrane. Not collective."""
-    shape = folded_shape(net)
+    shape = _folded_shape(net)
     n = net.membrane.mesh.mesh.topology.index_map(2).size_local
     plain = np.setdiff1d(np.arange(n), shape.cells)
     triangles = [np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)]
@@ -99,7 +99,7 @@ def gained_volume(net: CableNet) -> float:
     # planes; otherwise it includes the volume swept by the rim as seen from the centre.
     membrane = net.membrane
     V, mesh = membrane.V, membrane.mesh.mesh
-    shape = folded_shape(net)
+    shape = _folded_shape(net)
     owned = mesh.topology.index_map(2).size_local
     plain = membrane.pressed[:owned].copy()
     plain[shape.cells] = False

@@ -33,7 +33,7 @@ from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
-class EdgeSliders:
+class _EdgeSliders:
     """Edge sliders of taut cables known to this rank, with the blocks of their edges' ends."""
 
     def __init__(
@@ -289,7 +289,7 @@ class CableNumbering:
             len(loaded),
         )
         edge_sliders = rows[(nodes.kind[rows] == EDGE_SLIDER) & nodes.taut[rows]]
-        self.edge_sliders = EdgeSliders(
+        self.edge_sliders = _EdgeSliders(
             self.cables,
             nodes.ids(edge_sliders),
             self.node_blocks[edge_sliders].astype(np.int32),

@@ -118,7 +118,7 @@ NOBODY = np.iinfo(np.int32).max
 """Owner of covers, the cells without material that close holes below cables."""
 
 
-class CellsAround(dict[tuple[int, ...], list[int]]):
+class _CellsAround(dict[tuple[int, ...], list[int]]):
     """Cache of rows, ascending, of the cells around a vertex (a,), an edge (a, b) or a cell (a, b,
     c), vertices in any order or repeated. `some` (k,): rows of the cells considered."""
 
@@ -158,15 +158,15 @@ class Strip:
     hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property
-    def _around(self) -> CellsAround:
-        return CellsAround(self.cells, self.corners)
+    def _around(self) -> _CellsAround:
+        return _CellsAround(self.cells, self.corners)
 
     @cached_property
-    def _outer_around(self) -> CellsAround:
+    def _outer_around(self) -> _CellsAround:
         """`_around` without cells behind seams."""
         if not self.hidden:
             return self._around
-        return CellsAround(self.cells, self.corners, np.flatnonzero(self.is_outer))
+        return _CellsAround(self.cells, self.corners, np.flatnonzero(self.is_outer))
 
     @cached_property
     def outer_cells(self) -> Integers:

@@ -59,7 +59,7 @@ MAX_SWITCHES = 6
 """Switches between slack and taut allowed for each cable in one solve."""
 
 
-class ContactMemory(Protocol):
+class _ContactMemory(Protocol):
     """Contact history of the last load step."""
 
     # released, settled: released contacts; those that then stay closed however the cable pulls
@@ -76,7 +76,7 @@ class ActiveSet:
     Attributes: `only_lifted`: whether all changes of the last update are cables that lift off.
     """
 
-    def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
+    def __init__(self, net: CableNet, memory: _ContactMemory | None) -> None:
         self.net, self._memory = net, memory
         self._switches: Counter[str] = Counter()
         self._tried: set[str] = set()

@@ -93,7 +93,7 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     pull = _pulls(cable, nodes, before, after)
     normal[nodes], lateral[nodes] = -dot(pull, up), dot(pull, left)
     for run in runs(cable):
-        smooth_line_load(cable, run, shape, normal, bearing, line)
+        _smooth_line_load(cable, run, shape, normal, bearing, line)
     if not cable.lifts_off:  # it bears from below as well
         return ContactForces(normal, lateral, np.abs(bearing), np.abs(line))
     return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line)
@@ -115,7 +115,7 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     line = np.zeros(len(cable.state.nodes))
     for run in runs(cable):
         for way in range(len(ways)):
-            smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
+            _smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
     return (
         np.asarray(np.linalg.norm(wrap, axis=0))
         if not cable.lifts_off
@@ -323,7 +323,7 @@ def smoothed(
     return np.asarray((passed(np.asarray(at)) - passed(np.array([start]))) @ forces)
 
 
-def smooth_line_load(
+def _smooth_line_load(
     cable: LaidCable, run: list[int], shape: StripShape, normal: Array, bearing: Array, line: Array
 ) -> None:
     """Set `bearing` and `line` for one run of nodes on the membrane."""

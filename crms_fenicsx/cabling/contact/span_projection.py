@@ -82,7 +82,7 @@ def project_span(
         a, b = edge
         s, t = plane.point(a, b)
         if not goal and t >= 1.0:
-            return [*points, anchor_foot(shape, cell, end)]  # an anchor above the membrane
+            return [*points, _anchor_foot(shape, cell, end)]  # an anchor above the membrane
         points.append(EdgePoint(edge, min(max(s, 1e-9), 1 - 1e-9)))
         beyond = [c for c in _cells(shape, edge) if set(c) != set(cell)]
         if not beyond:
@@ -116,7 +116,7 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[Cell]:
     return [(a, b, c) for a, b, c in [corners[k] for k in shape.strip.outer_rows(support)]]
 
 
-def anchor_foot(shape: StripShape, cell: Cell, place: Array) -> CellPoint:
+def _anchor_foot(shape: StripShape, cell: Cell, place: Array) -> CellPoint:
     """Cell point below an anchor."""
     weights = np.clip(_weights(shape, cell, place), 0.0, 1.0)
     x, y, z = (float(w) for w in weights / weights.sum())
@@ -157,7 +157,7 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
         if cell is None or set(cell) == set(nodes[k].support):
             moved.discard(k)
         else:
-            nodes[k] = replace(nodes[k], point=anchor_foot(shape, cell, cable.state.positions[k]))
+            nodes[k] = replace(nodes[k], point=_anchor_foot(shape, cell, cable.state.positions[k]))
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):

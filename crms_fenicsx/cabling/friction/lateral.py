@@ -133,7 +133,7 @@ def place_elements(cable: LaidCable, shape: StripShape) -> None:
     cable.update(lateral=replace(grip, elements=placed))
 
 
-def slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> NodeSlips:
+def _slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> NodeSlips:
     """Slips of a cable's sliding nodes: from the material curve, or of its friction elements."""
     slips, own = node_slips(cable, grip.curve, shape, grip.line), grip.elements
     if own is None:
@@ -186,7 +186,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     friction, grip = cable.cable.sideways, cable.state.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
-    slips = slips_now(cable, grip, shape)
+    slips = _slips_now(cable, grip, shape)
     law = grip.law(slips.supports, friction.tolerance * slips.size)
     return stored_and_lost(slips.slip, *law)
 
@@ -198,7 +198,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     # a node on a vertex cannot slip: friction balances the pull, up to the bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
-    slips = slips_now(cable, grip, shape)
+    slips = _slips_now(cable, grip, shape)
     forces[grip.rows(slips.supports)] = slip_forces(friction, grip, slips)
     return np.asarray(forces)
 
@@ -208,7 +208,7 @@ def note_sliding(cable: LaidCable, shape: StripShape) -> None:
     friction, grip = cable.cable.sideways, cable.state.lateral
     if friction is None or grip is None or grip.elements is None or not cable.taut:
         return
-    slips, moving = slips_now(cable, grip, shape), np.zeros(len(grip.supports))
+    slips, moving = _slips_now(cable, grip, shape), np.zeros(len(grip.supports))
     bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
     slid = (np.abs(slips.slip) >= eps) | (bounds == 0.0)
     moving[grip.rows(slips.supports)] = np.copysign(1.0, slips.slip) * slid
@@ -224,7 +224,7 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
     elastic: dict[int, float] = {}
     moving: dict[int, float] = {}
     if cable.taut:
-        slips = slips_now(cable, grip, shape)
+        slips = _slips_now(cable, grip, shape)
         most = grip.law(slips.supports, friction.tolerance * slips.size)[2]
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -most, most), strict=True))
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)

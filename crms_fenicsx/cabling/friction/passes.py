@@ -77,7 +77,7 @@ MIN_SLOPE = 30.0
 """Limit of a negative slope, where the state responds to a larger sum with a smaller one."""
 
 
-class Brackets:
+class _Brackets:
     """Nodes' bounds between which the state changes by a jump: at a smaller one a node presses more
     than that, at a larger one less. A force between is lawful there, as the pressure is."""
 
@@ -126,7 +126,7 @@ class LateralIteration:
         self._forget()
 
     def _forget(self) -> None:
-        self._pace, self._brackets = AitkenRelaxation(LEAST_SHARE), Brackets()
+        self._pace, self._brackets = AitkenRelaxation(LEAST_SHARE), _Brackets()
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:

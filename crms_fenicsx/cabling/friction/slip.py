@@ -179,7 +179,7 @@ class Slip:
 
     def plastic(self, share: Array) -> Array:
         """Plastic slip at a share of the bound (length)."""
-        return np.asarray(np.maximum(self.work - self.eps * elastic_part(share), 0.0))
+        return np.asarray(np.maximum(self.work - self.eps * _elastic_part(share), 0.0))
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
         """Law of these slips with the other ones fixed, as in `LateralLaw`."""
@@ -191,10 +191,10 @@ class Slip:
         # The share vanishes with the slip, at the slope of the law.
         small = y < 1e-9
         bound = np.where(small, 1.0, share / np.where(small, 1.0, y * (2 - y)))
-        return bound, width, np.where(slides, elastic_part(share), 1.0)
+        return bound, width, np.where(slides, _elastic_part(share), 1.0)
 
 
-def elastic_part(share: Array) -> Array:
+def _elastic_part(share: Array) -> Array:
     """Elastic slip, relative to eps, for a force relative to the bound."""
     return np.asarray(1 - np.sqrt(np.maximum(1 - share, 0.0)))
 

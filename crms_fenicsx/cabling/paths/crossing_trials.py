@@ -133,7 +133,7 @@ class CrossingTrials:
                 )
                 for vertex in sorted(beside.intersection(*holding)):
                     key = ("clamp", own[1].name, (vertex,), False)
-                    take = partial(put_onto, self.change, own, vertex)
+                    take = partial(_put_onto, self.change, own, vertex)
                     yield Way(self.net.cables.index(own[0]), key, take)
 
     def _sides(self) -> Iterator[Way]:
@@ -287,7 +287,7 @@ def lift_clamps(change: PathChange) -> list[str]:
     return changes
 
 
-def put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
+def _put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
     """Lead cables over a vertex beside them; return whether that is possible. Collective."""
     surface, ways = change.surface([vertex]), []
     for cable in cables:

@@ -43,7 +43,7 @@ def pass_run(
 
 
 @dataclass(frozen=True)
-class WayPast:
+class _WayPast:
     """A path past a run of vertices."""
 
     supports: Corridor  # of the path, between the cable's anchors
@@ -54,7 +54,7 @@ class WayPast:
 
 def way_past(
     change: PathChange, cable: LaidCable, run: VertexRun, shape: StripShape | None = None
-) -> WayPast | None:
+) -> _WayPast | None:
     """Find the path of a cable past a run; None if it can pass none of the vertices. Collective."""
     string: Corridor = tuple(cable.state.nodes[k].support for k in cable.path_nodes())
     shape = change.shape(run.vertices, like=shape)
@@ -87,10 +87,10 @@ def way_past(
     if not passed:
         return None
     kept = string[first : len(string) - last]
-    return WayPast(kept, frozenset(passed), replaced, shape)
+    return _WayPast(kept, frozenset(passed), replaced, shape)
 
 
-def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
+def adopt(change: PathChange, cable: LaidCable, way: _WayPast) -> None:
     """Give a cable a path past vertices, with its remaining nodes unchanged."""
     supports, on_path = way.supports, cable.path_nodes()
     shape = change.shape([v for support in supports for v in support], like=way.shape)

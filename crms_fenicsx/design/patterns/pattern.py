@@ -113,7 +113,7 @@ class FlatPiece:
 
 
 @dataclass(frozen=True)
-class CutOptions:
+class _CutOptions:
     """Options of a pattern; see `flatten`."""
 
     warp: Warp | None = None
@@ -145,7 +145,7 @@ class Pattern:
     pieces: Pieces
     material: Materials
     flat: tuple[FlatPiece, ...]
-    made: CutOptions
+    made: _CutOptions
 
     def __repr__(self) -> str:
         """One line; not collective."""
@@ -200,7 +200,7 @@ class Pattern:
                 each.get(one.name, (1.0, 1.0)) for each in (self.made.factors, factors)
             )
             both[one.name] = (before[0] * after[0], before[1] * after[1])
-        return made_pattern(self.pieces, self.material, replace(self.made, factors=both))
+        return _made_pattern(self.pieces, self.material, replace(self.made, factors=both))
 
 
 @collective
@@ -276,12 +276,12 @@ def flatten(
         checks.named("group of edges", pieces.surface.edges, name)
         checks.of_type(f"flatten: edges[{name!r}]", one, EdgeShrink)
     shrinks = shrinks_of(shrink, pieces.surface.parts)
-    return made_pattern(
-        pieces, material, CutOptions(warp, shrinks, edges or {}, bool(equal), limit)
+    return _made_pattern(
+        pieces, material, _CutOptions(warp, shrinks, edges or {}, bool(equal), limit)
     )
 
 
-def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
+def _made_pattern(pieces: Pieces, material: Materials, made: _CutOptions) -> Pattern:
     """The pattern of checked options. Collective."""
     comm = pieces.comm
     stiffness, warps = of_cells(pieces, material, made.warp)
@@ -351,7 +351,7 @@ def of_cells(pieces: Pieces, material: Materials, warp: Warp | None) -> tuple[Ar
 
 
 def _problem(
-    pieces: Pieces, stiffness: Array, made: CutOptions, piece: Piece, flat: Array
+    pieces: Pieces, stiffness: Array, made: _CutOptions, piece: Piece, flat: Array
 ) -> FlatProblem:
     """The flattening problem of a piece near flat coordinates (n, 2)."""
     first, last = int(flat[:, 0].argmin()), int(flat[:, 0].argmax())
@@ -361,7 +361,7 @@ def _problem(
     )  # fmt: skip
 
 
-def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Array:
+def _wanted(pieces: Pieces, piece: Piece, start: Array, made: _CutOptions) -> Array:
     """Wanted strains (m, 3) of a piece's cells, from its flat shape to the form."""
     centres = start[piece.triangles].mean(axis=1)
     along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])

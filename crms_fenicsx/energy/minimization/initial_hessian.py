@@ -75,7 +75,7 @@ def direct_solver(comm: MPI.Comm) -> str:
     return "mumps" if has("mumps") else "petsc"
 
 
-def set_defaults(prefix: str, values: dict[str, str]) -> None:
+def _set_defaults(prefix: str, values: dict[str, str]) -> None:
     """Set options in PETSc's database unless present."""
     options = PETSc.Options(prefix)
     for name, value in values.items():
@@ -83,7 +83,7 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
             options[name] = value
 
 
-def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
+def _shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
     """Shift a matrix's diagonal by a small part of the owned blocks' traces (n,) plus their
     geometric mean, and return the shift of each block, (n,)."""
     some = np.log(traces[traces > 0.0])
@@ -98,7 +98,7 @@ def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Arr
     return shift
 
 
-def set_near_null_space(matrix: PETSc.Mat, potential: Potential) -> None:
+def _set_near_null_space(matrix: PETSc.Mat, potential: Potential) -> None:
     """Attach the rigid body modes as near null space for the coarse levels."""
     unknowns, comm = potential.unknowns, potential.comm
     motions = [matrix.createVecLeft() for _ in range(6)]
@@ -151,7 +151,7 @@ class InitialHessian:
             self.pc.setType(PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
         if self.pc.getType() == PETSc.PC.Type.GAMG:
-            set_defaults(prefix, MULTIGRID)
+            _set_defaults(prefix, MULTIGRID)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # MUMPS's own estimate is too small for some partitions, and it fails then. The options
@@ -183,7 +183,7 @@ class InitialHessian:
         exact &= self._exact
         held = self.assemble(exact)
         if not self._exact:
-            set_near_null_space(self.matrix, self.potential)
+            _set_near_null_space(self.matrix, self.potential)
         self._dyads, columns = self.potential.dyad_columns(held, exact)
         self.slackened = exact and len(self._dyads) < sum(1 for _ in self.potential.dyads())
         augmentable = self._augmented is not None and len(self._dyads) > 0
@@ -199,7 +199,7 @@ class InitialHessian:
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid, and return whether K is definite."""
         if self._exact and self.pc.getFactorSolverType() == "cholmod":
-            set_defaults(self.pc.getOptionsPrefix(), QUIET)
+            _set_defaults(self.pc.getOptionsPrefix(), QUIET)
         try:
             self.pc.setUp()
         except PETSc.Error as error:
@@ -229,7 +229,7 @@ class InitialHessian:
         sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
-        self.shift = shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
+        self.shift = _shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
         if sizes[1]:
             stiffen_across_edge_sliders(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start

@@ -27,7 +27,7 @@ from crms_fenicsx.model.laid_cable import NEARLY_TAUT
 
 
 @dataclass(frozen=True)
-class CableSegments(ElementTable):
+class _CableSegments(ElementTable):
     """Segments of cables."""
 
     ends: Indices  # (n, 2) blocks
@@ -161,12 +161,12 @@ class CableTension(EnergyTerm):
         self._forces[:] = self.cable == k
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
-    def elements_on(self, chosen: Booleans) -> CableSegments | None:
+    def elements_on(self, chosen: Booleans) -> _CableSegments | None:
         """Segments with chosen ends; a table on each rank, as `split` is collective."""
-        table = CableSegments(self.segments, self.eps, self.cable, self._lengths)
+        table = _CableSegments(self.segments, self.eps, self.cable, self._lengths)
         return table.some(table.rows_on(chosen))
 
-    def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
+    def of_elements(self, table: _CableSegments, sums: Array) -> CableTension:
         """Tension of such segments; the rest of each cable keeps its length."""
         some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0, self.alone)
         some._lengths[:] = table.lengths

@@ -145,7 +145,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def cell_stiffness(  # type: ignore[no-untyped-def]
+def _cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
     prestress, exact, element_pointers, element_blocks, offsets, values, tension, active,
     orthotropic,
@@ -270,7 +270,7 @@ class FoldedMembraneEnergy(ElementTerm):
 
     def _add(self, x: Array, A: BlockSink, floor: float, prestress: float, exact: bool) -> None:
         t, X = self.table, self.unknowns.X
-        cell_stiffness(
+        _cell_stiffness(
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
             self.maps, self.areas, t.laws, t.parameters, self.results, floor, prestress, exact,
             self._element_pointers, self._element_blocks, self.elements.offsets,

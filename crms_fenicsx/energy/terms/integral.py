@@ -61,7 +61,7 @@ class FormInputs:
 
 
 @dataclass(frozen=True)
-class CompiledCode:
+class _CompiledCode:
     """The code of forms of one key."""
 
     form: Any  # DOLFINx's `CompiledForm`
@@ -70,7 +70,7 @@ class CompiledCode:
     parts: tuple[int, ...]  # tags of the cells that it integrates over; none for all
 
     @classmethod
-    def of(cls, comm: MPI.Intracomm, form: ufl.Form, inputs: FormInputs) -> CompiledCode:
+    def of(cls, comm: MPI.Intracomm, form: ufl.Form, inputs: FormInputs) -> _CompiledCode:
         """Compile a form. Collective."""
         compiled = fem.compile_form(comm, form)
         functions, constants = list(map(id, inputs.functions)), list(map(id, inputs.constants))
@@ -103,7 +103,7 @@ class CompiledCode:
         return fem.create_form(self.form, list(spaces), mesh, domains, functions, constants)
 
 
-COMPILED: dict[Hashable, CompiledCode] = {}
+COMPILED: dict[Hashable, _CompiledCode] = {}
 
 
 def compiled_form(
@@ -125,7 +125,7 @@ def compiled_form(
     key = (inputs.key, same)
     code = COMPILED.get(key)
     if not comm.allreduce(code is not None, op=MPI.LAND):
-        code = COMPILED[key] = CompiledCode.of(comm, write(), inputs)
+        code = COMPILED[key] = _CompiledCode.of(comm, write(), inputs)
     assert code is not None
     return code.bound(spaces, inputs, cell_tags)
 

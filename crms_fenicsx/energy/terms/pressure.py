@@ -117,7 +117,7 @@ PLANE = 1e-9
 
 
 @dataclass(frozen=True)
-class Rim:
+class _Rim:
     """This rank's part of the rim."""
 
     # (m, 3) coordinates in each product, as three times the local degree of freedom plus direction
@@ -129,7 +129,7 @@ class Rim:
     sliding: Indices  # (k,) local edges that are not held, but slide in a plane
 
 
-def rim_of(membrane: Membrane) -> Rim:
+def rim_of(membrane: Membrane) -> _Rim:
     """Classify a membrane's open edges by how they are held in its current shape. Collective."""
     edges, V, held = membrane.open_edges, membrane.V, membrane.held
     places, size = membrane.positions(), membrane.size
@@ -160,7 +160,7 @@ def rim_of(membrane: Membrane) -> Rim:
     components, factors = (np.concatenate(parts) for parts in zip(*products, strict=True))
     loose = np.concatenate(free)
     loose = loose[~np.all(held[loose], axis=1)]
-    return Rim(components, factors, loose, edges.numbers[~closed])
+    return _Rim(components, factors, loose, edges.numbers[~closed])
 
 
 def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indices, Array]:
@@ -180,7 +180,7 @@ class RimPressure(EnergyTerm):
 
     name = "pressure"
 
-    def __init__(self, rim: Rim, pressure: fem.Constant, origin: Array) -> None:
+    def __init__(self, rim: _Rim, pressure: fem.Constant, origin: Array) -> None:
         self.rim, self.pressure, self.origin = rim, pressure, origin
 
     def attach(self, unknowns: Unknowns) -> None:

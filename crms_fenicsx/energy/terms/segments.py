@@ -174,7 +174,7 @@ def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ign
 
 
 @numba.njit(cache=True)
-def add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, force, values):  # type: ignore[no-untyped-def]
+def _add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, force, values):  # type: ignore[no-untyped-def]
     """Add ``force * Hessian(fraction)`` to such `values`. With the edge's length `total`, its
     derivatives u_q and the fraction s, the second derivatives are
     ``(sum_q c_q Hessian(d_q) - grad(s) u^T - u grad(s)^T) / total``, with c_q = 1 - s before the
@@ -257,7 +257,7 @@ class EdgePointTerm(ElementTerm):
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         t = self.table
         self._stiffen(exact=True)
-        add_slip_curvature(
+        _add_slip_curvature(
             self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
             self._pull, self.pattern.values,
         )  # fmt: skip

@@ -50,7 +50,7 @@ MOST_STEPS = 50
 
 
 @numba.njit(cache=True)
-def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
+def _tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
     """Tension direction of a wrinkled orthotropic membrane: (cos(psi), sin(psi), N, M) as above."""
     rho, kappa = p[16], p[17]
     a, b, d = e0, 0.5 * rho * e2, rho * rho * e1
@@ -133,7 +133,7 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
     if s[0] >= 0.0 and s[1] >= 0.0 and s[0] * s[1] >= s[2] * s[2]:
         return 0.0, 2
     if e0 > 0.0 or e1 > 0.0 or 4 * e0 * e1 < e2 * e2:
-        cos, sin, N, _ = tension_line(p, e0, e1, e2)
+        cos, sin, N, _ = _tension_line(p, e0, e1, e2)
         if N > 0.0:
             rho = p[16]
             t = p[15] * N / (1 + 0.5 * (p[17] - 1) * sin * sin)
@@ -195,7 +195,7 @@ def _orthotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
     taut = s0 >= 0.0 and s1 >= 0.0 and s0 * s1 >= s2 * s2
     if taut or (e0 <= 0.0 and e1 <= 0.0 and 4 * e0 * e1 >= e2 * e2):
         return taut, nothing, nothing, 0.0, 0.0
-    cos, sin, N, mean = tension_line(p, e0, e1, e2)
+    cos, sin, N, mean = _tension_line(p, e0, e1, e2)
     if N <= 0.0:
         return taut, nothing, nothing, 0.0, 0.0
     rho, m = p[16], 0.5 * (p[17] - 1)
@@ -242,7 +242,7 @@ def cell_values(u, dofs, axes, rest, shapes, row, p, cells, strains, values):  #
 
 
 @numba.njit(cache=True)
-def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-def]
+def _cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-def]
     """Consistent tangents (3, 3) into `tangents` at the cells, flat."""
     C = np.empty((3, 3))
     for c in range(len(cells)):
@@ -280,7 +280,7 @@ class TensionField:
     def update_tangents(self) -> None:
         """Evaluate the tangents at the last `update`."""
         tangents = self.tangents.x.array.reshape(-1, 9)
-        cell_tangents(self.strains, self.row, self.parameters, self.cells, tangents)
+        _cell_tangents(self.strains, self.row, self.parameters, self.cells, tangents)
 
     def terms(self, parameters: Any) -> LawTerms:
         """The law with the fields held."""

@@ -33,7 +33,7 @@ QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 
 
 @dataclass(frozen=True)
-class Division:
+class _Division:
     """Child cells; an undivided cell is its own only child."""
 
     parents: Integers  # (k,) parent cell of each child, ascending
@@ -91,7 +91,7 @@ def refine(
     bisected = None if chosen is None else _bisected(mesh, chosen)
     surface, ranks = gathered(mesh)
     finer, m = EMPTY, len(surface.cells)
-    division = Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
+    division = _Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
     with raised_together(mesh.comm):
         if mesh.comm.rank == 0:
             division = division if bisected is None else _fitted(surface, *bisected)
@@ -99,7 +99,7 @@ def refine(
     return distribute(mesh.comm, finer, ranks[division.parents], onto)
 
 
-def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Division:
+def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> _Division:
     """The division given by DOLFINx's children: parents (k,), positions of corners (k, 3, 3)."""
     corners = surface.points[surface.cells]
     around = np.einsum("ck,mki->mci", CORNERS, corners)[parents]
@@ -110,7 +110,7 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
     start = found.argmin(axis=1)[:, None]
     found = np.take_along_axis(found, (start + np.arange(3)) % 3, axis=1)
     order = np.lexsort((*found.T[::-1], parents))
-    return Division(parents[order], found[order])
+    return _Division(parents[order], found[order])
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
@@ -167,7 +167,7 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
 
 
 def _divided(
-    surface: CheckedSurface, division: Division, onto: Projection | None
+    surface: CheckedSurface, division: _Division, onto: Projection | None
 ) -> CheckedSurface:
     """Return the surface with divided cells."""
     n, parents = len(surface.points), division.parents

@@ -192,7 +192,7 @@ def build_and_distribute(
         if comm.rank == 0:
             arrays = build()
             surface, project = checked_surface(arrays, outside), arrays.project
-            given = None if ranks is None else checked_ranks(surface, ranks, comm.size)
+            given = None if ranks is None else _checked_ranks(surface, ranks, comm.size)
     return distribute(comm, surface, given, project)
 
 
@@ -200,7 +200,7 @@ def distribute(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None, project: Projection | None
 ) -> MembraneMesh:
     """Distribute a surface from rank 0, to given ranks of the cells if there are any."""
-    mesh = create_mesh(comm, surface.cells, surface.points, cell_ranks(comm, surface, given))
+    mesh = create_mesh(comm, surface.cells, surface.points, _cell_ranks(comm, surface, given))
     topology = mesh.topology
     topology.create_entities(1)
     for a, b in ((1, 2), (2, 1), (0, 2)):
@@ -217,7 +217,7 @@ def distribute(
     )
 
 
-def cell_ranks(
+def _cell_ranks(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
 ) -> Indices | None:
     """Ranks of this rank's share of the input cells; None lets DOLFINx choose. Collective."""
@@ -238,7 +238,7 @@ def cell_ranks(
     return together
 
 
-def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
+def _checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
     """Check and return the rank of each cell (m,) wanted by the caller."""
     midpoints = surface.points[surface.cells].mean(axis=1)
     given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)

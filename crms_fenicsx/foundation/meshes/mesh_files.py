@@ -46,7 +46,7 @@ SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
 """Prefixes of the environment variables that make a process an MPI rank."""
 
 
-def read_isolated(
+def _read_isolated(
     file: Path, reader: Literal["gmsh", "meshio", "STEP"], *options: str
 ) -> dict[str, Any]:
     """Run `reader_process` on a file; return its arrays and its lists of numbers and texts."""
@@ -182,14 +182,14 @@ def from_file(
                     f"'{file}' is not a gmsh mesh, as it does not begin with $MeshFormat: save it "
                     "with gmsh"
                 )
-            model = read_isolated(file, "gmsh")
+            model = _read_isolated(file, "gmsh")
             return _named(file, lambda: surface_of_model(model))
         if suffix not in SUFFIXES:
             raise MeshError(
                 f"'{file}' has the suffix '{suffix}': convert it to one of .geo, .msh, "
                 f"{', '.join(SUFFIXES)}"
             )
-        content = read_isolated(file, "meshio")
+        content = _read_isolated(file, "meshio")
         return _named(file, lambda: _surface_of(content))
 
     return build_and_distribute(comm, build, outside, ranks)
@@ -249,7 +249,7 @@ def from_step(
             is_step = b"ISO-10303-21" in stream.read(256)
         if not is_step:
             raise MeshError(f"'{file}' is not a STEP file, as it does not begin with ISO-10303-21")
-        model = read_isolated(file, "STEP", repr(float(size)), unit)
+        model = _read_isolated(file, "STEP", repr(float(size)), unit)
         return _named(file, lambda: surface_of_model(model))
 
     return build_and_distribute(comm, build, outside, ranks)

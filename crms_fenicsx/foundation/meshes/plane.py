@@ -24,7 +24,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
 
 
-def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
+def _simple_outline(corners: Sequence[Sequence[float]]) -> Array:
     """Check the corners (n, 2) of a simple polygon, in the given order."""
     try:
         outline = np.asarray(corners, dtype=np.float64)
@@ -231,7 +231,7 @@ def polygon(
         or touch, the numbers of names and sides differ, or `size` is not positive or larger than
         the polygon's extent.
     """
-    outline = simple_outline(corners)
+    outline = _simple_outline(corners)
     if not isinstance(names, Sequence | None):
         raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
     sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)

@@ -34,7 +34,7 @@ def limit(file: Path, seconds: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def read_by_gmsh(file: Path) -> Arrays:
+def _read_by_gmsh(file: Path) -> Arrays:
     import gmsh
 
     gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
@@ -102,7 +102,7 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
     return arrays | {"kinds": kinds, "names": names, "dimensions": dimensions}
 
 
-def read_by_meshio(file: Path) -> Arrays:
+def _read_by_meshio(file: Path) -> Arrays:
     """Points, cells and groups of a file, as named arrays; `blocks` -1 means points."""
     import numpy as np
 
@@ -169,7 +169,7 @@ def main(reader: str, path: str, seconds: str, *options: str) -> None:
     file = Path(path)
     try:
         limit(file, int(seconds))
-        readers = {"gmsh": read_by_gmsh, "meshio": read_by_meshio, "STEP": read_step}
+        readers = {"gmsh": _read_by_gmsh, "meshio": _read_by_meshio, "STEP": read_step}
         arrays = readers[reader](file, *options)  # type: ignore[operator]
         import numpy as np
 

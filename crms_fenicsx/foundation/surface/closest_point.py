@@ -37,7 +37,7 @@ from crms_fenicsx.foundation.surface.points import (
 
 
 @dataclass(frozen=True)
-class Foot:
+class _Foot:
     """Closest point of a surface to a point in space, and the size of its cell."""
 
     position: Array
@@ -48,7 +48,7 @@ class Foot:
 
 def feet_of(
     points: Array, cells: Integers, targets: Array, comm: MPI.Intracomm | None = None
-) -> list[Foot]:
+) -> list[_Foot]:
     """Closest points of a surface to targets (k, 3), the same on all ranks of `comm`."""
     triangles = points[cells]
     centre, radius = balls(triangles)
@@ -78,7 +78,7 @@ def feet_of(
     normal = mix(share, normals)
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     return [
-        Foot(position[k], float(held[k]), normal[k], float(size[k])) for k in range(len(targets))
+        _Foot(position[k], float(held[k]), normal[k], float(size[k])) for k in range(len(targets))
     ]
 
 
@@ -185,7 +185,7 @@ class Place:
     point: SurfacePoint | None  # None for an anchor
     position: Array
     normal: Array
-    foot: Foot | None = None  # closest point of the surface to an anchor
+    foot: _Foot | None = None  # closest point of the surface to an anchor
     beyond: bool = False  # whether an anchor lies beyond the boundary
 
     @property
@@ -227,7 +227,7 @@ def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Pl
     top = near[held[_least_of(target[held], len(course), -heights)[target[held]]]]
     with_top = surface.cells[near[held]][:, :, None] == surface.cells[top][:, None]
     sheet = held[with_top.any(axis=(1, 2))]
-    places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
+    places = _located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
     up = np.array([0.0, 0.0, 1.0])
     return [None if place is None else Place(*place, up) for place in places]
 
@@ -256,7 +256,7 @@ def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
     return place[:2]
 
 
-def located(
+def _located(
     surface: TargetSurface,
     targets: Array,
     target: Integers,
@@ -310,7 +310,7 @@ def places_in_space(
     positions = np.array([foot.position for foot in feet])
     target, rows = _touching(surface, positions, snap)
     triangles = surface.points[surface.cells[rows]]
-    points = located(surface, positions, target, rows, triangles, snap)
+    points = _located(surface, positions, target, rows, triangles, snap)
     altitude, longest = altitudes(triangles), longest_sides(triangles)
     places = []
     ends = np.searchsorted(target, np.arange(len(course) + 1))
@@ -328,7 +328,7 @@ def places_in_space(
         # facets deviate from a smooth surface along its normal
         is_aside = aside > max(snap * float(altitude[own].max()), 0.5 * abs(height))
         off = foot.distance > ON_SURFACE * float(longest[own].max())
-        rim = (is_aside or off) and on_boundary(surface, point)
+        rim = (is_aside or off) and _on_boundary(surface, point)
         if not off and not (rim and is_aside):
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
@@ -361,7 +361,7 @@ def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[In
     return target[touches], near[touches]
 
 
-def on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
+def _on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
     """Whether a point of the surface lies on its boundary."""
     if isinstance(point, CellPoint):
         return False

@@ -139,7 +139,7 @@ string by a fraction below 1e-18.
 
 
 @dataclass(frozen=True)
-class Bend:
+class _Bend:
     """A vertex of the strip at which the string bends."""
 
     vertex: int  # its id
@@ -153,7 +153,7 @@ class TautString:
     """The shortest path through a strip."""
 
     length: float
-    bends: tuple[Bend, ...] = ()  # in order
+    bends: tuple[_Bend, ...] = ()  # in order
     # angles (rad) between the string's first and last segment and the edges at its ends, by the
     # edges' other vertices; meaningful if that end is a vertex
     leaving: dict[int, float] = field(default_factory=dict)
@@ -331,7 +331,7 @@ def pull_taut(
         )
         spokes = [strip.at[strip.left[k] + strip.right[k] - node] for k in range(i, j + 1)]
         angle = _turn(strip.at[node], [a, *spokes, b])
-        bends.append(Bend(strip.vertex[node], strip.first[node], strip.last[node], angle))
+        bends.append(_Bend(strip.vertex[node], strip.first[node], strip.last[node], angle))
     parts = [strip.at[b] - strip.at[a] for a, b in pairwise(nodes)]
     return TautString(
         sum(map(abs, parts)),

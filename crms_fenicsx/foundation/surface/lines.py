@@ -27,7 +27,7 @@ def passed(line, start, end, normal, margin, reach):  # type: ignore[no-untyped-
     for k in range(len(line) - 1):
         side = line[k + 1] - line[k]
         size = _size(side)
-        s, t = apparent_crossing(line[k], line[k + 1], start, end, normal)
+        s, t = _apparent_crossing(line[k], line[k + 1], start, end, normal)
         first, last = before == 0.0, before + size >= total * (1 - 1e-12)
         inside = (s > -margin or not first) and (s < 1 + margin or not last) and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another segment
@@ -66,14 +66,14 @@ def gaps(lower, upper, normals):  # type: ignore[no-untyped-def]
     found = np.empty(len(lower))
     for n in range(len(lower)):
         (a, b), (c, d) = lower[n], upper[n]
-        s, t = apparent_crossing(a, b, c, d, normals[n])
+        s, t = _apparent_crossing(a, b, c, d, normals[n])
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
         found[n] = _dot(c + t * (d - c) - a - s * (b - a), normals[n])
     return found
 
 
 @numba.njit(cache=True)
-def apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
+def _apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
     """Parameters of the crossing of lines ab and cd in the projection along the normal."""
     u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
     area = _triple(u, v, normal)

@@ -80,7 +80,7 @@ def ring_of(vertex: int, link: Iterable[Edge]) -> Ring:
 
 
 @dataclass(frozen=True)
-class OtherSide:
+class _OtherSide:
     """A corridor led around the other side of a vertex."""
 
     corridor: Corridor  # after the change
@@ -91,7 +91,7 @@ class OtherSide:
 
 def other_side(
     supports: Corridor, surface: IntrinsicSurface, vertex: int, upward: bool | None = None
-) -> OtherSide | None:
+) -> _OtherSide | None:
     """Lead a corridor around the other side of a vertex; None if no cable could follow it."""
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]
@@ -112,7 +112,7 @@ def other_side(
     new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
     if why_invalid(new, surface.opposite_vertices) is not None:
         return None
-    return OtherSide(new, own, other)
+    return _OtherSide(new, own, other)
 
 
 class EdgeLengths(dict[Edge, float]):

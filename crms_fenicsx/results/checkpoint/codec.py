@@ -1,7 +1,7 @@
 """Encode dataclasses of numbers, texts, arrays and other dataclasses as JSON data, and decode them.
 
 Decoded data must have the fields and types of the class's type hints. Numbers keep
-every digit; NaN in an array becomes None. `Storage` writes arrays hinted as `Rows` of the mesh to
+every digit; NaN in an array becomes None. `_Storage` writes arrays hinted as `Rows` of the mesh to
 separate files, replaces handles by their names, and omits fields marked `UNSAVED`.
 """
 
@@ -37,7 +37,7 @@ Plain = dict[str, Any]
 Kind = TypeVar("Kind")
 
 
-class Storage(Protocol):
+class _Storage(Protocol):
     """Stores objects that are not plain data, by the path of fields that leads to them."""
 
     def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
@@ -58,7 +58,7 @@ class Storage(Protocol):
         """Present values of a class's fields that are not saved."""
 
 
-def encode(value: Any, storage: Storage | None = None, path: str = "") -> Any:
+def encode(value: Any, storage: _Storage | None = None, path: str = "") -> Any:
     """JSON data of a dataclass: its constructor fields except unsaved ones."""
     if storage is not None:
         value = storage.reduce(value)
@@ -107,7 +107,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def decode(kind: type[Kind], data: object, storage: Storage | None = None, path: str = "") -> Kind:
+def decode(kind: type[Kind], data: object, storage: _Storage | None = None, path: str = "") -> Kind:
     """Restore a dataclass from the data of `encode`."""
     hints = _hints(kind)  # type: ignore[arg-type]
     if not isinstance(data, dict) or data.keys() != hints.keys():
@@ -128,7 +128,7 @@ def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(SimpleNamespace(__annotations__=saved), names, include_extras=True)
 
 
-def _decoded(hint: Any, data: Any, storage: Storage | None, path: str) -> Any:
+def _decoded(hint: Any, data: Any, storage: _Storage | None, path: str) -> Any:
     """Decode the value of a type hint."""
     origin, args = get_origin(hint), get_args(hint)
     if hasattr(origin, "__value__"):  # since 2.5 NumPy's NDArray is a named alias
@@ -174,7 +174,7 @@ def _decoded(hint: Any, data: Any, storage: Storage | None, path: str) -> Any:
     raise ValueError(f"expected {getattr(hint, '__name__', hint)}, found {data!r}")
 
 
-def _one_of(hints: Iterable[Any], data: Any, storage: Storage | None, path: str) -> Any:
+def _one_of(hints: Iterable[Any], data: Any, storage: _Storage | None, path: str) -> Any:
     """Decode data as the first matching type."""
     error: Exception | None = None
     for hint in hints:

@@ -159,7 +159,7 @@ def edge_vertices(scene: Scene) -> Integers:
 
 def scene_record(scene: Scene) -> Plain:
     """A scene as numbers and texts, independent of the number of ranks to rounding. Collective."""
-    storage = RecordStorage(scene)
+    storage = _RecordStorage(scene)
     mesh, cells = scene.mesh, cell_ids(scene)[0]
     pressed = scene.membrane.pressed[: len(cells)].astype(np.int64)
     edges = np.sort(edge_vertices(scene), axis=1)
@@ -191,7 +191,7 @@ def _own(rows: Indices, count: int) -> Indices:
     return rows[rows < count]
 
 
-class RecordStorage:
+class _RecordStorage:
     """Replaces the arrays of a scene's state by sums that do not depend on the ranks."""
 
     def __init__(self, scene: Scene) -> None:

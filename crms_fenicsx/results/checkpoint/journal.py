@@ -87,7 +87,7 @@ _OURS = re.compile(rf"({re.escape(PARTIAL)}|{re.escape(ASIDE)})?(\d{{4,9}})")
 
 
 @dataclass(frozen=True)
-class CallProgress:
+class _CallProgress:
     """Progress of a call."""
 
     # increments done; fractional if increments were halved
@@ -108,7 +108,7 @@ class Journal:
         """Number of the first call whose folder is from another run; 0 if there are none."""
         checks.from_first(comm, lambda: make_writable(self.folder))
 
-    def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[CallProgress, Run | None]:
+    def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[_CallProgress, Run | None]:
         """Begin a call; restore its saved progress and run (None if unsaved). Collective."""
         refuse_history(scene)
         steps, move, L0 = given["steps"], given["move"], given["L0"]
@@ -122,7 +122,7 @@ class Journal:
             saved = read(place, self.comm)
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
-            return CallProgress(), None
+            return _CallProgress(), None
         before = saved.call
         if before is None:
             raise InputError(f"{place / STATE} is not a checkpoint of a call; delete it")
@@ -136,7 +136,7 @@ class Journal:
                     "from this call on anew."
                 )
         with reading(place / STATE):
-            progress = decode(CallProgress, before["progress"])
+            progress = decode(_CallProgress, before["progress"])
         run = restore(place, saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:
@@ -164,9 +164,9 @@ class Journal:
     def keep(
         self, scene: Scene, run: Run, done: float, increment: float, failure: str | None
     ) -> None:
-        """Checkpoint a load step of the call; see `CallProgress`. Collective."""
+        """Checkpoint a load step of the call; see `_CallProgress`. Collective."""
         self.remove_outdated()
-        progress = CallProgress(done, increment, failure)
+        progress = _CallProgress(done, increment, failure)
         save(self._place, scene, run, self._call | {"progress": encode(progress)})
 
     @property

@@ -57,7 +57,7 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     checks.same(scene.comm, "save", folder=folder)
     place = checks.file("save: folder", folder).resolve()
     with replaced_folder(place, scene.comm, STATE) as partial:
-        storage = SceneStorage(partial, scene)
+        storage = _SceneStorage(partial, scene)
         contents = Contents(
             fingerprint(scene),
             storage.write(POSITIONS, Rows.VERTICES, scene.membrane.stress_free),
@@ -73,7 +73,7 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
 
 
-class SceneStorage:
+class _SceneStorage:
     """Stores a scene's arrays in files, in the mesh's original numbering, and handles by name."""
 
     def __init__(self, folder: Path, scene: Scene) -> None:
@@ -191,7 +191,7 @@ def load(folder: str | Path, scene: Scene) -> Run:
 
 def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
     """Restore a scene from a checkpoint and return its run. Collective."""
-    storage = SceneStorage(folder, scene)
+    storage = _SceneStorage(folder, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
     with reading(folder / STATE):

@@ -71,7 +71,7 @@ class Grid:
     texts: Texts  # by name, one or more each
 
 
-def grid_of(surface: Surface | None, lines: Sequence[Line] | None, texts: Texts) -> Grid:
+def _grid_of(surface: Surface | None, lines: Sequence[Line] | None, texts: Texts) -> Grid:
     """A surface, lines, or both as a grid. In a grid of both, data that one of them does not have
     are NaN there, and "line" is -1 on the surface."""
     points = list[Array]()
@@ -119,7 +119,7 @@ def _concatenated(parts: Sequence[Arrays], rows: Sequence[int]) -> Arrays:
     }  # fmt: skip
 
 
-def write_vtu(path: Path, grid: Grid) -> None:
+def _write_vtu(path: Path, grid: Grid) -> None:
     """Write a grid to a .vtu file."""
     geometry = grid.geometry
     wide = max(len(geometry["Points"]), len(geometry["Connectivity"])) >= 2**31
@@ -260,12 +260,12 @@ class Series:
         """Write the files of a step, then list them."""
         if not self._begun:
             self._begin()
-        name, grids = f"_{len(self.times):06d}.vtu", {"surface": grid_of(surface, None, texts)}
+        name, grids = f"_{len(self.times):06d}.vtu", {"surface": _grid_of(surface, None, texts)}
         # without a new file, ParaView would keep showing the last lines
         if lines or self._entries["cables"]:
-            grids["cables"] = grid_of(None, lines, texts)
+            grids["cables"] = _grid_of(None, lines, texts)
         for kind, grid in grids.items():
-            write_vtu(self.folder / "steps" / f"{kind}{name}", grid)
+            _write_vtu(self.folder / "steps" / f"{kind}{name}", grid)
         for kind in grids:
             entries = [*self._entries[kind], _entry(time, f"{kind}{name}")]
             self._write(kind, entries)
@@ -390,7 +390,7 @@ def write_vtkhdf(
             whole = whole_surface(comm, piece)
             lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
             if whole is not None:
-                grids.append(grid_of(whole, lines, {"case": [name] if name else []}))
+                grids.append(_grid_of(whole, lines, {"case": [name] if name else []}))
     with raised_together(comm):
         if grids:
             # in memory at first: HDF5 ends the process if the disk is full while it closes a file

@@ -35,7 +35,7 @@ NAME = ".lock"
 """Name of the locked file, which is never removed: a recreated file could be locked twice."""
 
 
-class FolderLock:
+class _FolderLock:
     """Lock on a folder, until it or its process ends, where the file system has locks."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
@@ -99,13 +99,13 @@ class Recorder:
         self.scene = scene
         self._estimator = ErrorEstimator(scene) if estimate else None
         self.series: Series | None = None
-        self._lock: FolderLock | None = None
+        self._lock: _FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
             from crms_fenicsx.results.output.paraview import Series
 
             self.series = Series(folder, scene.comm)
-            self._lock = FolderLock(self.series.folder, scene.comm)
+            self._lock = _FolderLock(self.series.folder, scene.comm)
 
     def claim(self, going_on: bool = False) -> None:
         """Lock the folder for this recorder, until it or its process ends. Collective."""

@@ -26,7 +26,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 
 
 @numba.njit(cache=True)
-def step_forces(lengths, pointers, side_segments, sides, base, shape, stress, D, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
+def _step_forces(lengths, pointers, side_segments, sides, base, shape, stress, D, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
     """Energy of the step; forces of segments, and new stress and shape (n, 6) into `out`."""
     forces[:] = 0.0
     energy = 0.0
@@ -70,7 +70,7 @@ def step_forces(lengths, pointers, side_segments, sides, base, shape, stress, D,
     return energy
 
 
-def side_directions(shape: Array) -> Array:
+def _side_directions(shape: Array) -> Array:
     """Directions (n, 3, 2) of sides 0-1, 1-2 and 2-0 in the frame of side 0-1, from (a, e, f)."""
     a, e, f = shape.T
     zero = np.zeros_like(a)
@@ -78,10 +78,10 @@ def side_directions(shape: Array) -> Array:
     return np.moveaxis(np.array(sides), 2, 0)
 
 
-def shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
+def _shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
     """Shapes (a, e, f) seen from the frame of side `base` instead of side 0-1, (n, 3)."""
     rows = np.arange(len(shape))
-    sides = side_directions(shape)
+    sides = _side_directions(shape)
     own, previous = sides[rows, base], sides[rows, (base + 2) % 3]
     a = np.linalg.norm(own, axis=1)
     corner = -previous  # from i to j
@@ -120,15 +120,15 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         """Turn the state at the step's start into the frames of the sides ik."""
         state = self._history[self.table.cells]
         rows = np.arange(len(state))
-        directions = side_directions(state[:, 3:])[rows, self.base]
+        directions = _side_directions(state[:, 3:])[rows, self.base]
         self._stress = rotated_stress(state[:, :3], directions)
-        self._shape = shape_on(state[:, 3:], self.base)
+        self._shape = _shape_on(state[:, 3:], self.base)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the step's energy; keeps the segments' forces for the gradient."""
         t = self.table
         segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
-        out[0] = step_forces(
+        out[0] = _step_forces(
             self.lengths, t.side_pointers, t.side_segments, t.sides, self.base, self._shape,
             self._stress, self._D, self.forces, self._after,
         )  # fmt: skip
@@ -172,10 +172,10 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         self._energy_n[0] = self.energy(sums)
         back = (3 - self.base) % 3  # side 0-1 counted from side ik
         rows = np.arange(len(self._after))
-        directions = side_directions(self._after[:, 3:])[rows, back]
+        directions = _side_directions(self._after[:, 3:])[rows, back]
         cells = self.table.cells
         self._history[cells, :3] = rotated_stress(self._after[:, :3], directions)
-        self._history[cells, 3:] = shape_on(self._after[:, 3:], back)
+        self._history[cells, 3:] = _shape_on(self._after[:, 3:], back)
         self._read()
 
 

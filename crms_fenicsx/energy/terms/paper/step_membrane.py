@@ -81,7 +81,7 @@ def shape_of(a_side: Any, b_side: Any) -> tuple[Any, Any, Any]:
     return a, e, ufl.sqrt(ufl.dot(normal, normal)) / a
 
 
-def strain_increment(old: Any, new: Any) -> Any:
+def _strain_increment(old: Any, new: Any) -> Any:
     """d_eps (11, 22, 2 x 12) between two shapes, (2.3-8 ... 2.3-10), in UFL."""
     a, e, f = old
     du_k, du_j, dv_j = new[0] - a, new[1] - e, new[2] - f
@@ -143,7 +143,7 @@ class StepMembraneEnergy(MembraneEnergy):
         h, D = self.history, self.stiffness_n
         stress, old = ufl.as_vector([h[0], h[1], h[2]]), (h[3], h[4], h[5])
         new = shape_of(*sides)
-        increment = strain_increment(old, new)
+        increment = _strain_increment(old, new)
         normal = ufl.cross(J[:, 0], J[:, 1])
         area = old[0] * old[2] / ufl.sqrt(ufl.dot(normal, normal))
         self._density = ufl.dot(stress + ufl.dot(D, increment) / 2, increment) * area

@@ -67,7 +67,7 @@ CABLE = "#c8322b"
 
 
 @dataclass(frozen=True)
-class LineStyle:
+class _LineStyle:
     """Colours and visibility of lines."""
 
     # values of each line for its colours: one, one per point or one per segment
@@ -96,7 +96,7 @@ def line_style(
     limits: tuple[float, float] | None,
     colours: str,
     loose: str | None,
-) -> LineStyle:
+) -> _LineStyle:
     """Style of lines; arguments as for `draw_shape`."""
     if name is not None and not lines:
         raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
@@ -107,14 +107,14 @@ def line_style(
                 raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}")
     off = [_off_segments(line, loose) for line in lines]
     if name is None:
-        return LineStyle([], None, "", off)
+        return _LineStyle([], None, "", off)
     values = [np.asarray(line.data[name]) for line in lines]
     paint, note = colouring(np.concatenate([v.ravel() for v in values]), label, limits, colours)
     if note and len(lines) > 1:
         note = f"{len(lines)} cables: {note}"
     elif note and lines[0].name:
         note = f"{lines[0].name}: {note}"
-    return LineStyle(values, paint, note, off)
+    return _LineStyle(values, paint, note, off)
 
 
 def _off_segments(line: Line, name: str | None) -> Booleans:
@@ -129,7 +129,7 @@ def _off_segments(line: Line, name: str | None) -> Booleans:
 def paint_lines(
     axes3d: Axes3D,
     lines: Sequence[Line],
-    style: LineStyle,
+    style: _LineStyle,
     triangles: Array,
     tolerance: float,
     clip: tuple[Array, Array] | None,

@@ -58,7 +58,7 @@ class ResultTables:
         """Part, name and label of each quantity, with its minimum and maximum."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
-                one, scale = QUANTITIES[name], in_per_cent(name)
+                one, scale = QUANTITIES[name], _in_per_cent(name)
                 label = one.label[:1].upper() + one.label[1:]
                 label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
                 low, high = (replace(x[name], value=scale * x[name].value)
@@ -112,7 +112,7 @@ class ResultTables:
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
-            nodal, peak = None if smooth is None else in_per_cent(name) * smooth, ""
+            nodal, peak = None if smooth is None else _in_per_cent(name) * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
@@ -164,7 +164,7 @@ class ResultTables:
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
-            at, scale = place(high.at, self.size), in_per_cent(name)
+            at, scale = place(high.at, self.size), _in_per_cent(name)
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
             rows.append((part_name(part), label, small, least, most, largest, at))
         columns = self.units.headings(
@@ -365,7 +365,7 @@ class ResultTables:
         return found
 
 
-def in_per_cent(name: str) -> float:
+def _in_per_cent(name: str) -> float:
     """Display factor of a membrane quantity: 100 (per cent) without a unit, else 1."""
     return 1.0 if QUANTITIES[name].unit else 100.0
 
