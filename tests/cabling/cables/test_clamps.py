@@ -483,6 +483,40 @@ def test_slipping_clamps_on_cables_with_friction_along(comm) -> None:
     assert found[None][0] > found[0.3][0] > found[0.0][0]
 
 
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.FrictionWarning")
+@pytest.mark.parametrize("law", ["coulomb", "step"])
+def test_energies_of_all_friction_are_added(comm, tmp_path, law: str) -> None:
+    """The energy of slipping clamps, of friction sideways and of friction along, each on cables of
+    its own, is what is minimised without the heat of the step; so it is after a checkpoint."""
+    folder, found = Path(comm.bcast(str(tmp_path))), []
+    rubbing = {"c": (2.4, Friction(0.05, law=law)), "d": (7.6, Friction(0.0, along=0.1))}
+    for saved in (True, False):
+        scene, solver = crossed(comm, size=1.6)
+        scene.clamp("a", "b", slip=0.3)
+        for name, (y, friction) in rubbing.items():
+            path = [(0.0, y), (10.0, y + 0.5)]
+            scene.lay_cable(Cable(EA, friction=friction), path, tension=5.0, name=name)
+        scene.put_load((0.0, 0.5, 0.0), name="drag")
+        if saved:
+            solver.advance(pressure=2.0, load={"half": 1.0, "drag": 1.0})
+            solver.save(folder / "state")
+            last = scene.energies
+        else:
+            solver.load(folder / "state")
+            assert scene.energies == last
+        spent = scene.dissipated
+        solver.advance(load={"half": 0.5, "drag": 2.0})
+        grips = [scene.cable(name).state for name in ("a", "c", "d")]
+        assert grips[0].parts is not None and grips[0].parts.dissipated > 1e-4
+        assert grips[1].lateral is not None and grips[1].lateral.dissipated > 1e-4
+        assert grips[2].axial is not None and grips[2].axial.dissipated > 1e-4
+        heat = scene.dissipated - spent
+        # slips sideways count as linear in a minimisation; all shares are larger by far
+        assert scene.energy == pytest.approx(solver.system.objective - heat, abs=1e-8)
+        found.append(list(scene.energies.values()))
+    np.testing.assert_allclose(*found, rtol=1e-8)
+
+
 def test_clamps_with_friction_in_a_cone(comm) -> None:
     """Between those of the net that slides and of the one whose friction is a box."""
     energies = {}
