@@ -1,37 +1,164 @@
-"""Tolerances shared by the modules that lay, attach and move cables.
+"""The numbers that decide in which of several states a load step ends, or what is refused.
 
-Except for `SAME_PLACE`, they are fractions of an edge, from one of its ends, in increasing order.
-Each exceeds the one before for the reason given, so that modules agree on what a point lies on.
+None is a property of cloth, rope or air: they belong to the discretisation, a membrane of cells
+with cables along its edges and across them. `docs/theory/constants.md` says what becomes of thirty
+random scenes when each is halved and doubled.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 SAME_PLACE = 1e-9
 """Distance of coinciding points, relative to the size of a cable, the membrane or nearby cells."""
 
-SMOOTHING = 3e-3
-"""Smoothing of segment lengths, relative to the size of the surrounding cells. The larger it is,
-the faster fold points held at a vertex converge; each lengthens the cable by 0.4 of it, which
-`analysis.equilibrium.system.System.renew_smoothing_length` subtracts again."""
 
-BLOCKED = SMOOTHING
-"""A sliding point closer to a vertex has run into it; farther away, the vertex does not hold it."""
+@dataclass(frozen=True)
+class Discretisation:
+    """Where cables lie, touch and stick on a membrane of cells.
 
-PRESSED = 2 * SMOOTHING
-"""A frictionless point closer to a vertex is held as if on it; beyond, lengths are not smoothed."""
+    Heights, depths and movements are relative to the size of the cells there, unless said
+    otherwise; forces to the cable's tension; angles are in radians.
+    """
 
-BEYOND = 0.01
-"""Start of a path on the other side of a vertex, outside the smoothing; also the distance within
-which a vertex beside a crossing holds the path of a geodesic."""
+    # Fractions of an edge, from one of its ends, in increasing order. Each exceeds the one before
+    # for the reason given, so that modules agree on what a point lies on.
+    smoothing: float = 3e-3
+    """Smoothing of segment lengths. A sliding point closer to a vertex has run into it; farther
+    away, the vertex does not hold it. The larger it is, the faster fold points held at a vertex
+    converge; each lengthens the cable by 0.4 of it, which
+    `analysis.equilibrium.system.System.renew_smoothing_length` subtracts again."""
+    beyond: float = 0.01
+    """Start of a path on the other side of a vertex, outside the smoothing; also the distance
+    within which a vertex beside a crossing holds the path of a geodesic."""
+    inside: float = 0.02
+    """Distance of points put on an edge from its ends, larger than for paths just past a vertex."""
+    beside_vertex: float = 0.05
+    """Distance from a vertex within which a sliding cable may pass it on the other side."""
+    stays: float = 0.1
+    """Points with friction that a new path would move by at most this keep their position."""
+    past: float = 0.25
+    """Reach beyond an edge's end within which a span is judged by the edge."""
 
-INSIDE = 0.02
-"""Distance of points put on an edge from its ends, larger than for paths just past a vertex."""
+    contact: float = 1e-6
+    """Outward force above which a contact is released, and depth below the membrane at which a
+    cable touches down."""
+    touching: float = 0.05
+    """Height above the membrane up to which a cable may touch it once it has folded it, as folds
+    bulge; and gap between crossing cables, relative to their segments there, up to which a clamp
+    closes it: before equilibrium cables lie on cells that the others will fold."""
+    low_height: float = 0.125
+    """Height above the membrane up to which a cable beside a crossing may touch it."""
+    sunk: float = 0.02
+    """Depth below the membrane that exceeds any discretisation error."""
+    collapsed: float = 0.5
+    """Length of a chord, relative to that on unfolded cells, below which its cable is caught."""
+    across: float = 0.05
+    """Sine of the smallest angle between cable and edge for which their cross product is the
+    normal."""
+    outside: float = 0.02
+    """Weight by which a crossing must have left its cell to be in another."""
+    oblique: float = 0.1
+    """Sine of the smallest angle of a crossing; below it cables run side by side."""
+    tangled: int = 8
+    """Cells between two crossings of the same cables up to which these are tangled, not taut."""
+    anchor_aside: float = 0.1
+    """Lateral movement of an anchor per step above which its cable is laid again."""
 
-GRIPPED = 0.025
-"""A gripped point closer to a vertex has run into it, including one put on the edge at `INSIDE`."""
+    nearly_taut: float = 2e-3
+    """Relative excess length up to which a cable still counts as taut at first."""
+    bulge: float = 1.2
+    """The same where folds bulge: factor of the squared mean turn at nodes. On meshes with 9 cells
+    along a side, cables keep some tension up to a factor of 1.0."""
+    most_bulge: float = 0.02
+    """The largest such excess length."""
+    hardly_slack: float = 1e-4
+    """Slack of a guy, relative to its length, up to which it counts as taut: a mast that shortens
+    under its load slackens guys without prestress by that much."""
 
-STAYS = 0.1
-"""Points with friction that a new path would move by at most this keep their position."""
+    sliding: float = 0.05
+    """Slip in a load step above which a node slides: with less, noise would trigger an avalanche
+    where the static coefficient is larger; with much more sliding starts late."""
+    first_strain: float = 1e-4
+    """Least strain for the force by which a cable first sticks."""
+    bound_rise: float = 1e-3
+    """Rise of the tension for bounds of friction to grow: an idle cable's smoothing gives less."""
+    bent_pull: float = 0.5
+    """Lateral pull of a fold point beyond the friction force, relative to its bound, that only a
+    bent edge can carry. From 0.2 to 1 the choice does not count on 20 meshes of a cylinder."""
 
-PAST = 0.25
-"""Reach beyond an edge's end within which a span is judged by the edge."""
+    friction_excess: float = 0.05
+    """Excess of a pull over friction, relative to its bound, for a cable to pass a vertex."""
+    least_excess: float = 1e-5
+    """The same, relative to the tension."""
+    uneven: float = 0.02
+    """Lateral pull of a run without friction, relative to the normal force, that is not counted:
+    different cells on both sides cause such forces, which vanish with the cell size, and edges that
+    the penalty straightens hold fold points slightly."""
+    row_gap: int = 2
+    """Distance of consecutive vertices in a row, in points of the path."""
+    still: float = 1e-4
+    """Movement, relative to a cable's length, within which rejected paths stay rejected."""
+    kink: float = 0.05
+    """Kink of a folded edge above which its cable is laid again; and angle by which a path along
+    mesh lines must bend at a vertex to leave it before the cable has pressed a crease into the
+    membrane.
+
+    Fold points on two edges with a common vertex can approach each other away from it: their chord
+    then loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound
+    states are below 0.01 on meshes of 9 cells a side."""
+    stuck_kink: float = 0.15
+    """Kink of a folded edge above which a state is rejected if fold points have approached each
+    other."""
+    tense_kink: float = 0.01
+    """Kink above which fold points of a cable with friction are straightened."""
+    light_turn: float = 0.04
+    """Turn of the cable at a contact beside a crossing up to which this may be open instead."""
+    bent_turn: float = 0.1
+    """Turn of a cable within the membrane above which a kink of an edge holds it."""
+    round_gain: float = 1e-5
+    """Gain of energy, relative to the sum of all kinds, that a round of passing vertices must bring
+    for another one. Meshes of 64 cells a side have a hundred times that error. On a roof of 30 000
+    unknowns under 28 cables the rounds below this take a quarter of a load step, for 3e-5 of its
+    energy."""
+    lower_energy: float = 1e-7
+    """Fall of the energy, relative to the sum of all its kinds, that is another state's, also one
+    with another arrangement of crossings: rough states of the same arrangement differ by less."""
+
+    path_residual: float = 1e-3
+    """Residual, relative to the force scale, below which paths are examined. Contacts are updated
+    earlier: a wrong contact can be undone, a passed vertex cannot."""
+    contact_residual: float = 0.1
+    """Residual, relative to the weakest tension, below which contacts are updated: with a larger
+    one taut cables would be taken for slack."""
+    far: float = 0.01
+    """Movement in a minimisation, relative to the membrane's size, above which snap-through is
+    checked: most load steps of an erected structure move less."""
+    slope_fall: float = 0.01
+    """Fall of the slope, relative to the largest one, above which the energy is not convex on the
+    way to a state."""
+    wrinkled: float = 0.5
+    """Share of the area that is wrinkled or slack above which other states are looked for: one or
+    two solves more."""
+    kick: float = 1.0
+    """Largest displacement of a start of that search, relative to the mean cell size. With less
+    than a half starts fall back to where they came from, in a square air cushion of 32 cells a
+    side."""
+    near_state: float = 0.1
+    """Largest distance of another state, relative to the membrane's size: folds move by less, and
+    what has not snapped through must not do so in the search."""
+
+    @property
+    def pressed(self) -> float:
+        """Distance from a vertex, as a fraction of the edge, within which a frictionless point is
+        held as if on it; beyond, lengths are not smoothed."""
+        return 2 * self.smoothing
+
+    @property
+    def gripped(self) -> float:
+        """The same of a point with friction, including one put on the edge at `inside`."""
+        return 1.25 * self.inside
+
+
+TOL = Discretisation()
+"""The values used everywhere; only benchmarks try others."""

@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.frame_contribution import HARDLY_SLACK
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.stability import ExactTangent
@@ -24,6 +23,7 @@ from crms_fenicsx.energy.terms.ponding import Ponding
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.bar import SHORTEST, BarEnd, Joint, PlacedBar
+from crms_fenicsx.model.tolerances import TOL
 from crms_fenicsx.model.versions import StateWarning
 
 ROUNDING = 100.0
@@ -88,7 +88,7 @@ class _FrameStability:
         for bar in self.scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             d = (bar.points[1] - bar.points[0]) / length
-            slack = bar.bar.tension_only and length < (1 - HARDLY_SLACK) * bar.L0
+            slack = bar.bar.tension_only and length < (1 - TOL.hardly_slack) * bar.L0
             across = bar.force / length
             block = ((not slack) * bar.bar.EA / bar.L0 - across) * np.outer(d, d)
             block += across * np.eye(3)
@@ -186,7 +186,7 @@ def _by_tangents(
                 level = term.pond.level + TOUCH * system.scene.membrane.size
                 stack.enter_context(_with(term, pond=replace(term.pond, level=level)))
         if system.bars is not None:  # what hardly slack guys restrain hardly moves
-            stack.enter_context(_with(system.bars.energy, loose=HARDLY_SLACK))
+            stack.enter_context(_with(system.bars.energy, loose=TOL.hardly_slack))
         tangent = ExactTangent(potential, h0, springs)
         for term in ponds:
             if tangent.negative == 0:

@@ -23,7 +23,7 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.loading import Target, has_free_rim
 from crms_fenicsx.analysis.verification.report import Check, Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
-from crms_fenicsx.cabling.contact.lift_off import SUNK, is_foot, size_at
+from crms_fenicsx.cabling.contact.lift_off import is_foot, size_at
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import as_text
@@ -39,6 +39,7 @@ from typing import Any, Literal
 
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.tolerances import TOL
 
 
 def _starting_prestress(
@@ -77,7 +78,7 @@ def _covered_ends(scene: Scene) -> Iterator[StateWarning]:
         node = cable.state.nodes[foot]
         above = cable.state.positions[end] - shape.mean(*node.interpolation())
         gap = float(above @ shape.normal(node.support))
-        if gap < -SUNK * size_at(shape, node.support):
+        if gap < -TOL.sunk * size_at(shape, node.support):
             yield StateWarning(
                 "cable end",
                 f"the {which} of {cable.name!r} at {as_text(cable.state.positions[end])} lies "

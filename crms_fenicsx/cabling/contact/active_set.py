@@ -18,13 +18,14 @@ from crms_fenicsx.cabling.cables.points_on_edges import NodeTable, fractions_of,
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact import lift_off as contact
 from crms_fenicsx.cabling.contact.free_spans import FreeSpans
-from crms_fenicsx.cabling.contact.lift_off import DEPTH, PULL, Polylines
+from crms_fenicsx.cabling.contact.lift_off import Polylines
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Booleans, flags, floats, ints
 from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
+from crms_fenicsx.model.tolerances import TOL
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -37,7 +38,7 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     number = nodes.crossing[at]
     at = at[together[number] & (nodes.cable[at] == upper[number])]
     pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
-    return set(ints(nodes.crossing[at[pulls > PULL]]))
+    return set(ints(nodes.crossing[at[pulls > TOL.contact]]))
 
 
 def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -48,7 +49,7 @@ def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
     lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
     normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
-    deep = gaps(lower, upper, normals) < -DEPTH * norm(lower[:, 1] - lower[:, 0])
+    deep = gaps(lower, upper, normals) < -TOL.contact * norm(lower[:, 1] - lower[:, 0])
     return {apart[n] for n in np.flatnonzero(deep)}
 
 
@@ -193,10 +194,10 @@ class ActiveSet:
         places = {}
         if cable.state.lifted.any():
             free.move(c)
-            places = free.captured(c, -DEPTH)
+            places = free.captured(c, -TOL.contact)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not loose and not places:
-                nearly = free.captured(c, contact.NEARLY)
+                nearly = free.captured(c, TOL.touching)
                 # The folds around a vertex do not bulge up to the span where one was released.
                 keys = [key for key in self._released if key[0] == cable.name]
                 parted = {v for _, at in keys if not isinstance(at, str) for v in at}

@@ -36,10 +36,7 @@ from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.tolerances import SAME_PLACE
-
-ASIDE = 0.1
-"""Lateral movement of an anchor per step, in cell sizes, above which its cable is laid again."""
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 FARTHEST = 1000
 """Limit of boundary edges that an end may pass in one load step."""
@@ -73,7 +70,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
     moved = float((cable.state.positions[k] - cable.state.ends_before[k]) @ aside)
-    return abs(moved) > ASIDE * size_at(shape, point.support) * length
+    return abs(moved) > TOL.anchor_aside * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:

@@ -26,18 +26,10 @@ from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.surface.points import edge_of
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
+from crms_fenicsx.model.tolerances import TOL
 
-SLACK, TINY = 0.05, 1e-5
-"""Excess of a pull over friction, relative to the bound and to the tension, that counts."""
-UNEVEN = 0.02
-"""Lateral pull of a run without friction, relative to the normal force, that is not counted:
-different cells on both sides cause such forces, which vanish with the cell size, and edges that the
-penalty straightens hold fold points slightly."""
 ROUNDING = 1e-9
 """Displacement of a string, relative to the largest, attributed to rounding."""
-APART = 2
-"""Distance of consecutive vertices in a row, in points of the path."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +123,9 @@ def held_vertices(
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    uneven = UNEVEN * np.abs(down) if cable.state.lateral is None else SLACK * most
-    allowed = TINY * cable.tension + uneven
+    rubs = cable.state.lateral is not None
+    uneven = TOL.friction_excess * most if rubs else TOL.uneven * np.abs(down)
+    allowed = TOL.least_excess * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
@@ -186,7 +179,7 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     for one in held:
         first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
         parted = any(before <= k <= first for k in held_there)
-        if rows and at[first] - at[before] <= APART and not parted:
+        if rows and at[first] - at[before] <= TOL.row_gap and not parted:
             rows[-1].append(one)
         else:
             rows.append([one])
@@ -196,7 +189,7 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
     which it can only slide, and at clamps, unless all of their cables can slide."""
-    near = PRESSED if cable.state.lateral is None else GRIPPED
+    near = TOL.pressed if cable.state.lateral is None else TOL.gripped
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
     boundary = _along_boundary(nodes, shape)
     clamped = () if cable.state.parts is None else set(cable.state.parts.nodes) - set(others)

@@ -14,6 +14,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.surface.corridor import Corridor
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import TOL
 
 MISLED, MISLED_AT_CROSSINGS = 2, 1
 """Geodesics of higher energy in a load step after which only the forces at vertices propose paths;
@@ -21,9 +22,6 @@ and the same for crossed cables, for which geodesics are less reliable."""
 
 WayKey = tuple[str, str, Support, bool]
 """Key of a trial at a crossing: kind, other cable if any, vertex or edge, one of two orders."""
-
-STILL = 1e-4
-"""Movement, relative to a cable's length, within which rejected paths stay rejected."""
 
 
 @dataclass
@@ -95,7 +93,7 @@ class TriedPaths:
         before, x = self.at.get(cable.name), cable.state.positions
         if before is None or before.shape != x.shape:
             return True
-        return bool(np.abs(before - x).max() > STILL * cable.length)
+        return bool(np.abs(before - x).max() > TOL.still * cable.length)
 
     def has_rested(self, cable: LaidCable) -> bool:
         """Whether a cable has not changed since the last load step."""
