@@ -162,3 +162,44 @@ class Discretisation:
 
 TOL = Discretisation()
 """The values used everywhere; only benchmarks try others."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Limits of the loops of a load step: beyond most of them it ends with an error."""
+
+    follower_solves: int = 50
+    """Solves per increment under wind, or under lagged pressure with free edges."""
+    passes: int = 40
+    """Updates of the friction forces."""
+    patience: int = 20
+    """Updates without a smaller change before giving up: where the state responds strongly to a
+    small change of force, as at the edge of lifting off, the iteration cycles."""
+    lengths: int = 30
+    """Repeated solves for the length that smoothing adds to cables."""
+    changes: int = 60
+    """Path changes, and projections of lifted parts' paths below their spans."""
+    switches: int = 6
+    """Switches between slack and taut of each cable in one solve."""
+    halvings: int = 2
+    """Times that a rejected set of runs that pass vertices is halved."""
+    there_and_back: int = 3
+    """Passes to either side of a vertex: the friction bounds on each side may favour the other."""
+    misled: int = 2
+    """Geodesics of higher energy after which only the forces at vertices propose paths."""
+    misled_at_crossings: int = 1
+    """The same for crossed cables, for which geodesics are less reliable."""
+    crossings: int = 4
+    """Crossings up to which alternatives are tried. Nets have some at each crossing, each with a
+    change of energy far below the mesh error; taking some of them makes tensions jump between
+    loads."""
+    crossing_trials: int = 12
+    """Alternatives that are tried."""
+    boundary_edges: int = 1000
+    """Boundary edges that an end may pass."""
+    cells_below: int = 10_000
+    """Cells under a span."""
+
+
+BUDGET = Budget()
+"""The limits used everywhere; only tests set others."""

@@ -18,13 +18,9 @@ from crms_fenicsx.cabling.contact.active_set import ActiveSet
 from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 logger = logging.getLogger("crms_fenicsx")
-
-MAX_CHANGES = 60
-"""Limit of path changes, and of projections of lifted parts' paths below their spans, in one load
-step."""
 
 Look = Callable[[bool], bool]
 """Called near equilibrium with whether contacts change; returns whether to end the solve."""
@@ -119,7 +115,7 @@ class ContactLoop:
             from crms_fenicsx.cabling.paths.crossing_trials import lift_clamps
 
             changes = lift_clamps(self.sliding.change)
-        if self.sliding is not None and not changes and self._projections < MAX_CHANGES:
+        if self.sliding is not None and not changes and self._projections < BUDGET.changes:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
         return changes

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from crms_fenicsx.analysis.equilibrium.contact_loop import MAX_CHANGES, ContactLoop
+from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.crossings import tangled
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
@@ -18,7 +18,7 @@ from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class PathLoop:
                     for c in caught:  # the fold points are put back on straight edges
                         self.scene.cables[c].update(path_is_geodesic=False)
                 else:
-                    if tries < MAX_CHANGES:
+                    if tries < BUDGET.changes:
                         moved = trials.next(best.energy, self._scale())
                         other = not moved and others.next()
                     if not moved and not other and not settled:
@@ -76,7 +76,7 @@ class PathLoop:
                         flips = self._pass_vertices(None)
                         if not flips and not self._straighten_kinks():
                             break
-            if tries == MAX_CHANGES:
+            if tries == BUDGET.changes:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
             tries += 1

@@ -39,7 +39,7 @@ from typing import Any, Literal
 
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def _starting_prestress(
@@ -97,9 +97,6 @@ class Increment:
     # of instability, of cable ends under the membrane and of uncertain forces
     warnings: tuple[StateWarning, ...] = ()
 
-
-MAX_FOLLOWER_SOLVES = 50
-"""Limit of solves per increment under wind, or under lagged pressure with free edges."""
 
 SAME_TENSIONS, OTHER_TENSIONS = 1e-6, 1e-4
 """Changes of tensions, relative to the largest, below which a state under lagged pressure counts as
@@ -257,7 +254,7 @@ class IncrementSolver:
     def _iterate_pressure(self, outcome: Outcome) -> Outcome:
         """Solve again under lagged pressure until its forces are normal to the final shape."""
         earlier: list[Array] = []
-        for _ in range(MAX_FOLLOWER_SOLVES):
+        for _ in range(BUDGET.follower_solves):
             self.system.commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
@@ -273,13 +270,13 @@ class IncrementSolver:
                     "lines beside those edges, and from each other's crossings there"
                 )
                 return replace(outcome, converged=False, reason=reason, takes_turns=True)
-        reason = f"the pressure at free edges still turns after {MAX_FOLLOWER_SOLVES} solves"
+        reason = f"the pressure at free edges still turns after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def _iterate_wind(self, outcome: Outcome) -> Outcome:
         """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
-        for _ in range(MAX_FOLLOWER_SOLVES):
+        for _ in range(BUDGET.follower_solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
@@ -291,7 +288,7 @@ class IncrementSolver:
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
                 return outcome
-        reason = f"the wind still turns with the membrane after {MAX_FOLLOWER_SOLVES} solves"
+        reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def snapshot(self) -> SceneState:

@@ -25,7 +25,7 @@ from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -55,9 +55,6 @@ def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
-
-MAX_SWITCHES = 6
-"""Switches between slack and taut allowed for each cable in one solve."""
 
 
 class _ContactMemory(Protocol):
@@ -120,7 +117,7 @@ class ActiveSet:
 
     def cycling_cable(self) -> str:
         """Name of a cable that keeps switching between slack and taut; "" if none does."""
-        return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
+        return next((name for name, n in self._switches.items() if n > BUDGET.switches), "")
 
     def _switch(self, shape: StripShape, lines: Polylines, solved: bool) -> list[str]:
         """Tighten slack cables that have become too short for their paths, slacken others.

@@ -26,10 +26,7 @@ from crms_fenicsx.foundation.surface.points import (
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
-
-FARTHEST = 10000
-"""Limit of cells under a span."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 Cell = tuple[int, int, int]
 """Vertices of a cell of the membrane, by id."""
@@ -77,7 +74,7 @@ def project_span(
         return None
     edge, cell = found
     points: list[SurfacePoint] = []
-    for _ in range(FARTHEST):
+    for _ in range(BUDGET.cells_below):
         if goal and goal <= set(cell):
             return points
         a, b = edge

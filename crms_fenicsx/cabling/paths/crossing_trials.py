@@ -32,14 +32,7 @@ from crms_fenicsx.foundation.surface.corridor import corridor, why_invalid
 from crms_fenicsx.foundation.surface.points import Edge, VertexPoint
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
-
-FEW = 4
-"""Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
-of energy far below the mesh error; taking some of them makes tensions jump between loads."""
-
-MOST = 12
-"""Limit of trials in one load step."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 @dataclass(frozen=True)
@@ -56,7 +49,7 @@ class CrossingTrials:
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
-        self._left = MOST
+        self._left = BUDGET.crossing_trials
         self._last: tuple[str, WayKey]  # trial to accept or to reject
         self._excess: dict[tuple[str, WayKey], float] = {}  # of rejected trials (force x length)
         self._contacts = set(tried.released), set(tried.settled)
@@ -64,7 +57,7 @@ class CrossingTrials:
     def next(self) -> bool:
         """Move cables to an untried configuration; return whether there is one. Collective."""
         ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
-        if 0 < len(self.net.crossings) <= FEW:
+        if 0 < len(self.net.crossings) <= BUDGET.crossings:
             ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
         for way in ways:

@@ -21,11 +21,7 @@ from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import adopt, straighten, way_past
 from crms_fenicsx.foundation.runtime.arrays import ints
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
-
-THERE_AND_BACK = 3
-"""Passes allowed to either side of a vertex in a load step: the friction bounds on each side may
-favour the other one."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
@@ -131,7 +127,7 @@ def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: VertexRu
     """Move a cable with friction past a vertex, if allowed; return the number passed."""
     here = (cable.name, run.vertices[0], run.to_left)
     back = (cable.name, run.vertices[0], not run.to_left)
-    if min(tried.passes[here], tried.passes[back]) >= THERE_AND_BACK:
+    if min(tried.passes[here], tried.passes[back]) >= BUDGET.there_and_back:
         return 0
     found = way_past(change, cable, run)
     if found is None:

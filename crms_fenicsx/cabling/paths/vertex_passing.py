@@ -27,7 +27,7 @@ from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, other_side
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def pass_run(
@@ -144,9 +144,6 @@ def straighten(
     return True
 
 
-HALVINGS = 2
-"""Times that a rejected set of runs is halved."""
-
 Trial = tuple[int, VertexRun]
 """A cable, by number, and the run of vertices to pass."""
 
@@ -186,7 +183,7 @@ class VertexTrials:
     def halve(self, moved: list[Trial]) -> bool:
         """Schedule the halves of a rejected trial and return True, or reject it finally."""
         half = len(moved) // 2
-        if half == 0 or self._halved == HALVINGS:
+        if half == 0 or self._halved == BUDGET.halvings:
             self._note(moved)
             return False
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
