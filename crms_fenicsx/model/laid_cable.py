@@ -15,14 +15,11 @@ from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import HOLDS, Cable, Hold
 from crms_fenicsx.model.cable_state import CableNode, CableState, End
-from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL, UNSTRAINED
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
 """Remedy for assignments to attributes of laid cables."""
-
-ROUNDED = 1e-12
-"""Strain that a cable needs on its path to count as taut."""
 
 
 @dataclass(frozen=True)
@@ -274,7 +271,7 @@ class LaidCable(Handle[CableState]):
         """Internal: whether it is short enough to be taut, or `nearly`, as folds bulge."""
         steps = np.diff(self.state.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
-        too_long = -ROUNDED
+        too_long = -UNSTRAINED
         if nearly:
             apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]

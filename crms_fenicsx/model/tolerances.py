@@ -11,6 +11,16 @@ from dataclasses import dataclass
 
 SAME_PLACE = 1e-9
 """Distance of coinciding points, relative to the size of a cable, the membrane or nearby cells."""
+SAME_POINT = 1e-6
+"""The same of points that are drawn, or found by iteration, relative to a line, edge or step."""
+LEAST_WEIGHT = 1e-6
+"""Least weight of an edge's end, or of a cell's corner, at a point that must lie inside."""
+SAME_VALUE = 1e-7
+"""Relative difference of results due to the solver's tolerance, or to rounding on another number of
+processes."""
+UNSTRAINED = 1e-12
+"""Strain that counts as zero. At it the tangent of a membrane is that of the taut one, whatever the
+sign of rounding errors, and cables are slack; smaller loads and prestresses count as none."""
 
 
 @dataclass(frozen=True)

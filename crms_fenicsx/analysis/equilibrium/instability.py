@@ -26,9 +26,6 @@ from crms_fenicsx.model.bar import SHORTEST, BarEnd, Joint, PlacedBar
 from crms_fenicsx.model.tolerances import TOL
 from crms_fenicsx.model.versions import StateWarning
 
-ROUNDING = 100.0
-"""Error of a bar's lateral stiffness, in roundings of its axial stiffness."""
-
 TOUCH = 1e-9
 """Rise of a given water level, relative to the membrane's size, for the check."""
 
@@ -56,7 +53,8 @@ class _FrameStability:
         for bar in scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             far = max(float(np.linalg.norm(bar.points, axis=1).max()) / length, 1.0)
-            unsure = ROUNDING * EPSILON * far * bar.bar.EA / bar.L0 + tolerance / length
+            # by rounding of the axial stiffness, and by the tolerance
+            unsure = 100 * EPSILON * far * bar.bar.EA / bar.L0 + tolerance / length
             for end in (bar.start, bar.end):
                 if isinstance(end, Joint):
                     self.least[self._number[end]] += unsure

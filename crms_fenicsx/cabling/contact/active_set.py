@@ -24,8 +24,8 @@ from crms_fenicsx.foundation.runtime.arrays import Booleans, flags, floats, ints
 from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.cable_state import Crossing
-from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
-from crms_fenicsx.model.tolerances import BUDGET, TOL
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BUDGET, TOL, UNSTRAINED
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -138,7 +138,7 @@ class ActiveSet:
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved and cable.taut
             if judged and cable.state.parts is None:
-                taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
+                taut = tight = lengths[c] > cable.L0 * (1 + UNSTRAINED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
             if judged and tight and untried and cable.slides_freely and not cable.is_divided:

@@ -41,12 +41,9 @@ from crms_fenicsx.foundation.surface.flip_geodesic import FlippedPath, shorten
 from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import LEAST_WEIGHT, TOL
 
 Result = TypeVar("Result")
-
-CLAMP_INSIDE = 1e-6
-"""Least weight of a corner of a clamp's cell."""
 
 
 @dataclass(frozen=True)
@@ -345,6 +342,6 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
 def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
     """The point of a cell nearest to a position (3,)."""
     corners = np.array([shape.at(vertex) for vertex in point.cell])
-    weights = np.maximum(closest(corners[None], position)[0][0], CLAMP_INSIDE)
+    weights = np.maximum(closest(corners[None], position)[0][0], LEAST_WEIGHT)
     a, b, c = (weights / weights.sum()).tolist()
     return CellPoint(point.cell, (a, b, c))

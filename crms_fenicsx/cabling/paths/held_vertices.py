@@ -28,9 +28,6 @@ from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import TOL
 
-ROUNDING = 1e-9
-"""Displacement of a string, relative to the largest, attributed to rounding."""
-
 
 @dataclass(frozen=True)
 class HeldVertex:
@@ -156,7 +153,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     moved = np.array([one.pull for one in row])
     if cable.state.lateral is None:
         moved = string_displacements(places, moved)
-        moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's ends
+        moved[np.abs(moved) < 1e-9 * np.abs(moved).max()] = 0.0  # rounding at the string's ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
     return [list(row[a:b]) for a, b in pairwise(starts)]
 

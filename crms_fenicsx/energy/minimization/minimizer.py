@@ -47,16 +47,11 @@ from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 if TYPE_CHECKING:
     from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
-CLOSE, NEAR = 1e-6, 100
-"""Residual below which energy is measured from the stage's start: relative to the force scale, or
-to a tolerance set by rounding or `atol`. Farther away the rule's error would matter."""
-
 ROUNDED = 1e-6
-"""Residual, relative to the force scale, up to which one of pure rounding is accepted, and to which
-a solve without H0 goes: the last digits would take it a hundred times as many iterations."""
-
-TINY = 1e-300
-"""Replaces zero in logarithms and quotients."""
+"""Residual, relative to the force scale, below which energy is measured from the stage's start, as
+also below a hundred tolerances where these are set by rounding or `atol`; farther away the rule's
+error would matter. Up to it a residual of pure rounding is accepted, and to it a solve without H0
+goes: the last digits would take it a hundred times as many iterations."""
 
 Interrupt = Callable[[float, float, bool], bool]
 """Whether to stop, given residual and force scale (force), and whether it is the last call."""
@@ -191,7 +186,7 @@ class Minimizer:
         """Whether finishing takes longer than rebuilding H0 and going on with that."""
         if residual <= self._tolerance:
             return False
-        left = math.log(residual) - math.log(max(self._tolerance, TINY))
+        left = math.log(residual) - math.log(max(self._tolerance, 1e-300))
         rate = (math.log(self._residual0) - math.log(residual)) / iterations
         return left > rate * (self.strategy.rebuild - left / math.log(self.strategy.fresh))
 
@@ -226,7 +221,7 @@ class Minimizer:
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
-            least = self.strategy.unsettled * (self._residual0 / max(self._scale, TINY)) ** 2
+            least = self.strategy.unsettled * (self._residual0 / max(self._scale, 1e-300)) ** 2
         for stiffening in self._stiffenings():
             stiffening.set(prestress, failures, least)
             if self._newton_method.active:
@@ -351,7 +346,7 @@ class Minimizer:
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
         if is_unstressed(self._scale, self._energy0, self.stiffness, self.size):
             tolerance = max(tolerance, self._scale)
-        self._near = max(CLOSE * self._scale, NEAR * tolerance)
+        self._near = max(ROUNDED * self._scale, 100 * tolerance)
         return self.residual(), tolerance, rounding
 
     def _end(self, residual: float, tolerance: float, stages: float) -> str:

@@ -21,7 +21,8 @@ from crms_fenicsx.energy.minimization.strategy import STRATEGY
 from crms_fenicsx.energy.terms import stress_laws as compiled
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.materials import UNSTRAINED, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.tolerances import UNSTRAINED
 
 Array = npt.NDArray[Any]
 
