@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.other_states import (
-    LESS,
     SCATTER_CHECK,
     lower_state,
     may_have_others,
@@ -238,7 +237,7 @@ class IncrementSolver:
         found = lower_state(self.system, at_once)
         apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
         where = apart if found.energy > 0.0 else ""
-        check = Check(SCATTER_CHECK, found.energy, LESS, where, binding=False)
+        check = Check(SCATTER_CHECK, found.energy, TOL.lower_energy, where, binding=False)
         total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
         return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
 
