@@ -42,11 +42,13 @@ class Discretisation:
     """Start of a path on the other side of a vertex, outside the smoothing; also the distance
     within which a vertex beside a crossing holds the path of a geodesic."""
     inside: float = 0.02
-    """Distance of points put on an edge from its ends, larger than for paths just past a vertex."""
+    """Distance of points put on an edge from its ends, larger than for paths just past a vertex;
+    and weight by which a crossing must have left its cell to be in another."""
     beside_vertex: float = 0.05
     """Distance from a vertex within which a sliding cable may pass it on the other side."""
     stays: float = 0.1
-    """Points with friction that a new path would move by at most this keep their position."""
+    """Points with friction that a new path would move by at most this keep their position; and a
+    cable whose anchor moves aside by at most this in a step keeps its path."""
     past: float = 0.25
     """Reach beyond an edge's end within which a span is judged by the edge."""
 
@@ -66,14 +68,10 @@ class Discretisation:
     across: float = 0.05
     """Sine of the smallest angle between cable and edge for which their cross product is the
     normal."""
-    outside: float = 0.02
-    """Weight by which a crossing must have left its cell to be in another."""
     oblique: float = 0.1
     """Sine of the smallest angle of a crossing; below it cables run side by side."""
     tangled: int = 8
     """Cells between two crossings of the same cables up to which these are tangled, not taut."""
-    anchor_aside: float = 0.1
-    """Lateral movement of an anchor per step above which its cable is laid again."""
 
     nearly_taut: float = 2e-3
     """Relative excess length up to which a cable still counts as taut at first."""
@@ -105,8 +103,6 @@ class Discretisation:
     """Lateral pull of a run without friction, relative to the normal force, that is not counted:
     different cells on both sides cause such forces, which vanish with the cell size, and edges that
     the penalty straightens hold fold points slightly."""
-    row_gap: int = 2
-    """Distance of consecutive vertices in a row, in points of the path."""
     still: float = 1e-4
     """Movement, relative to a cable's length, within which rejected paths stay rejected."""
     kink: float = 0.05
@@ -141,19 +137,9 @@ class Discretisation:
     contact_residual: float = 0.1
     """Residual, relative to the weakest tension, below which contacts are updated: with a larger
     one taut cables would be taken for slack."""
-    far: float = 0.01
-    """Movement in a minimisation, relative to the membrane's size, above which snap-through is
-    checked: most load steps of an erected structure move less."""
-    slope_fall: float = 0.01
-    """Fall of the slope, relative to the largest one, above which the energy is not convex on the
-    way to a state."""
     wrinkled: float = 0.5
     """Share of the area that is wrinkled or slack above which other states are looked for: one or
     two solves more."""
-    kick: float = 1.0
-    """Largest displacement of a start of that search, relative to the mean cell size. With less
-    than a half starts fall back to where they came from, in a square air cushion of 32 cells a
-    side."""
     near_state: float = 0.1
     """Largest distance of another state, relative to the membrane's size: folds move by less, and
     what has not snapped through must not do so in the search."""

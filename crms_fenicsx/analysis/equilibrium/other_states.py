@@ -81,7 +81,9 @@ def _kick(scene: Scene) -> Array:
     places = scene.membrane.stress_free / size
     ways = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])
     noise = np.sin(places @ ways) * 43758.5453
-    kick = TOL.kick * size * (2 * (noise - np.floor(noise)) - 1)
+    # with less than half a cell starts fall back to where they came from, in a square air cushion
+    # of 32 cells a side
+    kick = size * (2 * (noise - np.floor(noise)) - 1)
     return np.where(scene.held, 0.0, kick).ravel()
 
 

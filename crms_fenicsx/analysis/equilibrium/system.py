@@ -27,12 +27,15 @@ from crms_fenicsx.energy.minimization.stability import is_convex_from
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.model.cable_state import NodeId
-from crms_fenicsx.model.tolerances import TOL
 
 if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
     from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
     from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+
+FAR = 0.01
+"""Movement in a minimisation, relative to the membrane's size, above which snap-through is checked:
+most load steps of an erected structure move less."""
 
 ENDLESS = 10.0
 """Movement under water, relative to the membrane's size, above which no equilibrium is expected: no
@@ -220,7 +223,7 @@ class System:
                 raise error.__cause__ from None
             raise
         self._solved = outcome.converged
-        far = outcome.converged and self._moved(start) > TOL.far * self.scene.membrane.size
+        far = outcome.converged and self._moved(start) > FAR * self.scene.membrane.size
         return replace(outcome, nonconvex=far and not is_convex_from(self.potential, start))
 
     def _moved(self, start: Array) -> float:

@@ -192,7 +192,7 @@ def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None
     while cell not in passed:
         passed.add(cell)
         weights = _weights(shape, cell, place)
-        if weights.min() >= -TOL.outside:
+        if weights.min() >= -TOL.inside:
             return cell
         corner = cell[int(np.argmin(weights))]
         a, b = (v for v in cell if v != corner)

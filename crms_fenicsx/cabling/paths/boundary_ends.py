@@ -67,7 +67,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
     moved = float((cable.state.positions[k] - cable.state.ends_before[k]) @ aside)
-    return abs(moved) > TOL.anchor_aside * size_at(shape, point.support) * length
+    return abs(moved) > TOL.stays * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:

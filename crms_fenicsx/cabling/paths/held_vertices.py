@@ -176,7 +176,8 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     for one in held:
         first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
         parted = any(before <= k <= first for k in held_there)
-        if rows and at[first] - at[before] <= TOL.row_gap and not parted:
+        # consecutive, or with one point of the path between them
+        if rows and at[first] - at[before] <= 2 and not parted:
             rows[-1].append(one)
         else:
             rows.append([one])

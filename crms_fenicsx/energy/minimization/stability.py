@@ -19,7 +19,9 @@ from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffn
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices
-from crms_fenicsx.model.tolerances import TOL
+
+FALL = 0.01
+"""Fall of the slope, relative to the largest one, above which the energy is not convex."""
 
 
 def is_convex_from(potential: Potential, start: Array) -> bool:
@@ -36,7 +38,7 @@ def is_convex_from(potential: Potential, start: Array) -> bool:
         slopes[k] = np.vdot(potential.g[:n], free)
     potential.comm.Allreduce(MPI.IN_PLACE, slopes, op=MPI.SUM)
     falls = [a - b for a, b in itertools.combinations(slopes.tolist(), 2)]
-    return bool(max(falls) <= TOL.slope_fall * np.abs(slopes).max())
+    return bool(max(falls) <= FALL * np.abs(slopes).max())
 
 
 class ExactTangent:
