@@ -53,23 +53,20 @@ class Discretisation:
     """Reach beyond an edge's end within which a span is judged by the edge."""
 
     contact: float = 1e-6
-    """Outward force above which a contact is released, and depth below the membrane at which a
-    cable touches down."""
+    """Outward force above which a contact is released, depth below the membrane at which a cable
+    touches down, and lateral pull beyond friction above which a cable may pass a vertex."""
     touching: float = 0.05
-    """Height above the membrane up to which a cable may touch it once it has folded it, as folds
-    bulge; and gap between crossing cables, relative to their segments there, up to which a clamp
-    closes it: before equilibrium cables lie on cells that the others will fold."""
-    low_height: float = 0.125
-    """Height above the membrane up to which a cable beside a crossing may touch it."""
+    """Height above the membrane up to which a cable may touch it beside a crossing, and elsewhere
+    once it has folded it, as folds bulge; and gap between crossing cables, relative to their
+    segments there, up to which a clamp closes it: before equilibrium cables lie on cells that the
+    others will fold."""
     sunk: float = 0.02
     """Depth below the membrane that exceeds any discretisation error."""
     collapsed: float = 0.5
     """Length of a chord, relative to that on unfolded cells, below which its cable is caught."""
-    across: float = 0.05
-    """Sine of the smallest angle between cable and edge for which their cross product is the
-    normal."""
     oblique: float = 0.1
-    """Sine of the smallest angle of a crossing; below it cables run side by side."""
+    """Sine of the smallest angle of a crossing; below it cables run side by side. A cable's force
+    on an edge that it crosses at a smaller one is along the edge's normal, not across both."""
     tangled: int = 8
     """Cells between two crossings of the same cables up to which these are tangled, not taut."""
 
@@ -97,8 +94,6 @@ class Discretisation:
 
     friction_excess: float = 0.05
     """Excess of a pull over friction, relative to its bound, for a cable to pass a vertex."""
-    least_excess: float = 1e-5
-    """The same, relative to the tension."""
     uneven: float = 0.02
     """Lateral pull of a run without friction, relative to the normal force, that is not counted:
     different cells on both sides cause such forces, which vanish with the cell size, and edges that
@@ -106,22 +101,17 @@ class Discretisation:
     still: float = 1e-4
     """Movement, relative to a cable's length, within which rejected paths stay rejected."""
     kink: float = 0.05
-    """Kink of a folded edge above which its cable is laid again; and angle by which a path along
-    mesh lines must bend at a vertex to leave it before the cable has pressed a crease into the
-    membrane.
+    """Angle that counts as a turn: of a folded edge, above which its cable is laid again, and above
+    three times which a state is rejected if fold points have approached each other; of a path along
+    mesh lines, which leaves a vertex if it turns there before the cable has pressed a crease into
+    the membrane; of a cable beside a crossing, where a contact may be open up to it, and a kink of
+    an edge holds a cable that turns more within the membrane.
 
     Fold points on two edges with a common vertex can approach each other away from it: their chord
     then loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound
     states are below 0.01 on meshes of 9 cells a side."""
-    stuck_kink: float = 0.15
-    """Kink of a folded edge above which a state is rejected if fold points have approached each
-    other."""
     tense_kink: float = 0.01
     """Kink above which fold points of a cable with friction are straightened."""
-    light_turn: float = 0.04
-    """Turn of the cable at a contact beside a crossing up to which this may be open instead."""
-    bent_turn: float = 0.1
-    """Turn of a cable within the membrane above which a kink of an edge holds it."""
     round_gain: float = 1e-5
     """Gain of energy, relative to the sum of all kinds, that a round of passing vertices must bring
     for another one. Meshes of 64 cells a side have a hundred times that error. On a roof of 30 000

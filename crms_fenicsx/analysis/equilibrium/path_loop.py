@@ -112,7 +112,7 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = self.system.kinked_cables(TOL.stuck_kink)
+        caught = self.system.kinked_cables(3 * TOL.kink)
         if caught:
             # those whose fold points have approached each other away from vertices
             cables, net = self.scene.cables, self.scene.net

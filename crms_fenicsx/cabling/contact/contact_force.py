@@ -225,7 +225,7 @@ def directions(
     if slides.any():
         square = cross(edge_directions(cable, np.asarray(nodes)[slides], shape), along[slides])
         square *= np.where(dot(square, outside[slides]) > 0.0, 1.0, -1.0)[:, None]
-        up[slides] = np.where(norm(square)[:, None] > TOL.across, square, up[slides])
+        up[slides] = np.where(norm(square)[:, None] > TOL.oblique, square, up[slides])
     up /= norm(up)[:, None]
     left = cross(up, along)
     at_vertex = np.array([cable.state.nodes[k].kind == "vertex" for k in nodes])

@@ -150,7 +150,7 @@ class CrossingTrials:
             if crossing.clamp is None or abs(first - second) > TOL.beside_vertex:
                 continue
             pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
-            if all(abs(lateral) > TOL.bent_turn * tension for lateral, tension in pulls):
+            if all(abs(lateral) > TOL.kink * tension for lateral, tension in pulls):
                 take = partial(self._put, nodes, edge, [self._straight(edge, *n) for n in nodes])
                 yield Way(crossing.lower, ("apart", nodes[1][0].name, edge, first > second), take)
 
@@ -201,7 +201,7 @@ class CrossingTrials:
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]
-            if press < TOL.light_turn:
+            if press < TOL.kink:
                 key = cable.name, cable.state.nodes[k].support
                 yield Way(c, ("open", *key, False), partial(self._lift, cable, k, key))
 
@@ -219,7 +219,7 @@ class CrossingTrials:
             off = cable.state.lifted
             if not off.any():
                 continue
-            for k, gap in captured(cable, shape, TOL.low_height).items():
+            for k, gap in captured(cable, shape, TOL.touching).items():
                 if not (off[k - 1] and off[k + 1]):
                     found.append((gap.gap, c, k, gap))
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):

@@ -122,7 +122,7 @@ def held_vertices(
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
     rubs = cable.state.lateral is not None
     uneven = TOL.friction_excess * most if rubs else TOL.uneven * np.abs(down)
-    allowed = TOL.least_excess * cable.tension + uneven
+    allowed = TOL.contact * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
