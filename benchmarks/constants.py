@@ -16,6 +16,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 from fuzzing.runs import SAME_ENERGY, SAME_TENSION, Result, run
@@ -28,6 +29,7 @@ SCENES = [
     *(209, 217, 228, 234, 254, 276, 278, 303, 309, 318, 327, 337, 345, 351, 362),
 ]
 FACTORS = (0.5, 2.0)
+NUMBERS = [field.name for field in dataclasses.fields(Discretisation)]
 
 Changes = dict[str, Result]
 """Results that differ from those without changes, by the number that has been changed."""
@@ -86,42 +88,60 @@ def changes(number: int, names: Sequence[str], factor: float, before: Result) ->
     return {name: one for part in parts for name, one in part.items()}
 
 
-def main() -> None:
+def compared(number: int) -> dict[str, Any]:
+    """What is read in a scene, and what each number alone changes there."""
+    with recorded() as read:
+        before = result(number)
+    names = [name for name in NUMBERS if name in read]
+    changed = [
+        {
+            "number": name,
+            "factor": factor,
+            "refused": after.outcome != before.outcome,
+            "other": is_other_state(before, after),
+            "evaluations": after.evaluations,
+        }
+        for factor in FACTORS
+        for name, after in changes(number, names, factor, before).items()
+    ]
+    return {"scene": number, "evaluations": before.evaluations, "read": names, "changed": changed}
+
+
+def show(scenes: Sequence[dict[str, Any]]) -> None:
     """Print a row for each number."""
+    print(f"{'':24}{'':>6}" + "".join(f"{f'times {factor}':>30}" for factor in FACTORS))
+    print(f"{'number':24}{'read':>6}" + f"{'refused':>10}{'other':>8}{'evaluations':>12}" * 2)
+    whole = sum(one["evaluations"] for one in scenes)
+    for name in NUMBERS:
+        text = f"{name:24}{sum(name in one['read'] for one in scenes):6}"
+        for factor in FACTORS:
+            own = [
+                {**change, "more": change["evaluations"] - one["evaluations"]}
+                for one in scenes
+                for change in one["changed"]
+                if (change["number"], change["factor"]) == (name, factor)
+            ]
+            refused, other, more = (
+                sum(change[key] for change in own) for key in ("refused", "other", "more")
+            )
+            text += f"{refused:10}{other:8}{1 + more / whole:12.3f}"
+        print(text)
+
+
+def main() -> None:
+    """Compare scene by scene, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="+", type=int, default=SCENES)
-    parser.add_argument("--to", type=Path, help="file for a line of JSON for each change")
+    parser.add_argument("--to", type=Path, help="file for a line of JSON for each scene")
     given = parser.parse_args()
-    numbers = [field.name for field in dataclasses.fields(Discretisation)]
     result(given.scenes[0])  # so that everything is imported and compiled
-    reading = dict.fromkeys(numbers, 0)
-    rows = {name: {factor: [0, 0, 0] for factor in FACTORS} for name in numbers}
-    evaluations = 0
+    scenes = []
     for number in given.scenes:
-        with recorded() as read:
-            before = result(number)
-        names = [name for name in numbers if name in read]
-        evaluations += before.evaluations
-        for name in names:
-            reading[name] += 1
-        for factor in FACTORS:
-            for name, after in changes(number, names, factor, before).items():
-                other = is_other_state(before, after)
-                row = rows[name][factor]
-                row[0] += after.outcome != before.outcome
-                row[1] += other
-                row[2] += after.evaluations - before.evaluations
-                line = {"number": name, "factor": factor, "scene": number, "other": other}
-                if given.to:
-                    with given.to.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(line | dataclasses.asdict(after)) + "\n")
-    print(f"{'':24}{'read':>6}" + "".join(f"{f'times {factor}':>30}" for factor in FACTORS))
-    print(f"{'number':24}{'':>6}" + f"{'refused':>10}{'other':>8}{'evaluations':>12}" * 2)
-    for name in numbers:
-        text = f"{name:24}{reading[name]:6}"
-        for refused, others, more in rows[name].values():
-            text += f"{refused:10}{others:8}{1 + more / evaluations:12.3f}"
-        print(text)
+        scenes.append(compared(number))
+        if given.to:
+            with given.to.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(scenes[-1]) + "\n")
+    show(scenes)
 
 
 if __name__ == "__main__":
