@@ -128,7 +128,7 @@ def _held(
     cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
 ) -> dict[str, float]:
     """Lateral forces that vertices exert on a cable, relative to its contact force."""
-    # Smoothed lengths keep a cable off the vertices by `SMOOTHING` cells, even where a straight one
+    # Smoothed lengths keep a cable off the vertices by `smoothing` cells, even where a straight one
     # runs through them: it turns by as much at both ends of a run.
     own = 2 * TOL.smoothing * cable.tension
     runs = held_runs(cable, shape, others)

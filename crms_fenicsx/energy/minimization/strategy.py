@@ -52,8 +52,9 @@ class Strategy:
     quick_to: float = 1e-4
     """Residual down to which steps use the second derivatives where cable points can be relaxed."""
     quick: float = 0.3
-    """Reduction of the residual required within `quick_steps` such steps."""
+    """Reduction of the residual that is required of `quick_steps` such steps."""
     quick_steps: int = 10
+    """Steps after which this is checked."""
     exact: float = 1e-2
     """Residual below which H0 is the second derivatives."""
     slow: float = 0.7
