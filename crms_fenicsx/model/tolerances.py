@@ -49,17 +49,17 @@ class Discretisation:
     stays: float = 0.1
     """Points with friction that a new path would move by at most this keep their position; and a
     cable whose anchor moves aside by at most this in a step keeps its path."""
-    past: float = 0.25
-    """Reach beyond an edge's end within which a span is judged by the edge."""
+    reach: float = 0.125
+    """Distance beyond an edge's end within which a span is judged by the edge; and height above the
+    membrane up to which a cable beside a crossing may touch it."""
 
     contact: float = 1e-6
     """Outward force above which a contact is released, depth below the membrane at which a cable
     touches down, and lateral pull beyond friction above which a cable may pass a vertex."""
     touching: float = 0.05
-    """Height above the membrane up to which a cable may touch it beside a crossing, and elsewhere
-    once it has folded it, as folds bulge; and gap between crossing cables, relative to their
-    segments there, up to which a clamp closes it: before equilibrium cables lie on cells that the
-    others will fold."""
+    """Height above the membrane up to which a cable may touch it once it has folded it, as folds
+    bulge; and gap between crossing cables, relative to their segments there, up to which a clamp
+    closes it: before equilibrium cables lie on cells that the others will fold."""
     sunk: float = 0.02
     """Depth below the membrane that exceeds any discretisation error."""
     collapsed: float = 0.5

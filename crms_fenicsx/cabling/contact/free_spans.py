@@ -61,7 +61,7 @@ def under(
         shape.at(support[0]), *bends, shape.at(support[-1])
     ]  # fmt: skip
     gap, fraction, place, above, inside, end = lines.passed(
-        np.array(line), *span, shape.normal(support), TOL.inside, TOL.past
+        np.array(line), *span, shape.normal(support), TOL.inside, TOL.reach
     )
     return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
 
@@ -79,7 +79,7 @@ class FreeSpans:
         folded: bool = False,
         reach: float | None = None,
     ) -> None:
-        reach = TOL.past if reach is None else reach
+        reach = TOL.reach if reach is None else reach
         self.cables, self.nodes = cables, nodes
         x, self._fractions = positions_of(cables), fractions_of(cables)
         contacts = np.flatnonzero(~nodes.lifted)

@@ -219,7 +219,7 @@ class CrossingTrials:
             off = cable.state.lifted
             if not off.any():
                 continue
-            for k, gap in captured(cable, shape, TOL.touching).items():
+            for k, gap in captured(cable, shape, TOL.reach).items():
                 if not (off[k - 1] and off[k + 1]):
                     found.append((gap.gap, c, k, gap))
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):

@@ -247,7 +247,7 @@ def slow_under(
     span: tuple[Array, Array],
     shape: StripShape,
     bends: Sequence[Array] = (),
-    reach: float = TOL.past,
+    reach: float = TOL.reach,
 ) -> Gap:
     """The place of the membrane on a node's edge or vertex that a free span passes."""
     assert node.point is not None
