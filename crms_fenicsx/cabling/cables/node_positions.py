@@ -12,7 +12,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import CROSSING
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
-from crms_fenicsx.model.tolerances import BLOCKED
+from crms_fenicsx.model.tolerances import TOL
 
 
 class NodePositions:
@@ -99,7 +99,7 @@ class NodePositions:
             positions[known] = part[known, :3]
             if cable.taut:
                 fractions[slides] = part[slides, 3]
-            close = (fractions < BLOCKED) | (fractions > 1 - BLOCKED)
+            close = (fractions < TOL.smoothing) | (fractions > 1 - TOL.smoothing)
             cable.update(
                 positions=positions,
                 fractions=fractions,

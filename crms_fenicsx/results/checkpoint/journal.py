@@ -27,14 +27,11 @@ from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.checkpoint.checkpoint_files import ASIDE, complete
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.results.checkpoint.contents import Run, refuse_history, scene_record
 from crms_fenicsx.results.checkpoint.saving import STATE, read, reading, restore, save
-
-ROUNDING = 1e-7
-"""Difference of numbers, relative to the largest beside them, that is attributed to rounding on
-another number of processes."""
 
 
 def _name(key: object) -> str:
@@ -57,7 +54,7 @@ def difference(was: object, now: object) -> str | None:
     if _numeric(was) and _numeric(now):
         a, b = np.atleast_1d(was), np.atleast_1d(now)  # type: ignore[call-overload]
         size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        if a.shape == b.shape and np.all(np.abs(a - b) <= ROUNDING * size):
+        if a.shape == b.shape and np.all(np.abs(a - b) <= SAME_VALUE * size):
             return None
     elif was == now:
         return None

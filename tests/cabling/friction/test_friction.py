@@ -31,6 +31,7 @@ from crms_fenicsx.analysis.equilibrium import search
 from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
 from crms_fenicsx.cabling.paths.path_change import PathChange
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.model.tolerances import BUDGET
 
 MODEL_3 = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(0.0, 1.0, 0.0)
@@ -310,7 +311,7 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.state.lateral, scene.energy, cable.state.positions.copy()
-    monkeypatch.setattr(search, "MAX_PASSES", 1)
+    monkeypatch.setitem(vars(BUDGET), "passes", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.state.lateral is before[0]
@@ -446,4 +447,4 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     with told if comm.rank == 0 else nullcontext():
         step = solver.advance(L0={cable: 0.985 * cable.length})
     assert step.outcome.unsettled == change
-    assert step.outcome.passes == search.PATIENCE + 1
+    assert step.outcome.passes == BUDGET.patience + 1

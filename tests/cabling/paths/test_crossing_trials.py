@@ -11,9 +11,9 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cabling.paths import crossing_trials
 from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials, Way
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.model.tolerances import BUDGET
 
 
 def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +74,7 @@ def test_ways_of_crossing_cables_do_not_depend_on_the_loads_before(number: int, 
 def test_repeating_a_load_starts_none_of_the_trials_beyond_the_limit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(crossing_trials, "MOST", 1)
+    monkeypatch.setitem(vars(BUDGET), "crossing_trials", 1)
     solver = loaded(MPI.COMM_SELF, 505, over=False)
     energy = solver.scene.energy
     outcome = solver.advance(pressure=0.01).outcome

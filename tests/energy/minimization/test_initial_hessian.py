@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,14 +16,16 @@ from taylor import noise
 from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.analysis.equilibrium import system as equilibrium
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
-from crms_fenicsx.energy.minimization import newton
 from crms_fenicsx.energy.minimization.initial_hessian import (
     SHIFT,
     WORKSPACE,
     InitialHessian,
     direct_solver,
 )
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 from crms_fenicsx.model.laid_cable import polyline_length
 
 
@@ -162,16 +166,22 @@ def multigrid():
     database.delValue("pc_type")
 
 
+def use(monkeypatch, **numbers) -> None:
+    """Have solvers minimise with other numbers."""
+    minimizer = partial(Minimizer, strategy=replace(STRATEGY, **numbers))
+    monkeypatch.setattr(equilibrium, "Minimizer", minimizer)
+
+
 def test_multigrid_is_for_many_unknowns(comm, monkeypatch) -> None:
     """But not under cables."""
-    monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.DIRECT", 0)
+    use(monkeypatch, direct=0)
     assert preconditioners(comm) == ["gamg", "cholesky"]
 
 
 @pytest.mark.ranks
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, multigrid) -> None:
     """Held components and those across edge sliders are no business of its coarse levels."""
-    monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.ACCURACY", 1e-11)
+    use(monkeypatch, cg_accuracy=1e-11)
     solver, _ = cabled(comm)
     solver.advance(pressure=0.01)
     h0, potential = solver.system.minimizer.h0, solver.system.potential
@@ -196,8 +206,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
 @pytest.mark.ranks
 def test_multigrid_leads_to_the_same_equilibrium(comm, multigrid, monkeypatch) -> None:
     """By the same H0: the second derivatives, which may be indefinite, are for factorisations."""
-    monkeypatch.setattr(newton, "EXACT", 0.0)
-    monkeypatch.setattr(newton, "SLOW", np.inf)
+    use(monkeypatch, exact=0.0, slow=np.inf)
     database = PETSc.Options("crms_h0_")
     database["pc_type"] = "cholesky"
     solver, cables = cabled(comm)

@@ -24,6 +24,7 @@ from crms_fenicsx import (
 from crms_fenicsx.design.study import adapt, convergence
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.model.tolerances import BUDGET
 
 
 @pytest.fixture
@@ -154,7 +155,7 @@ def test_a_step_that_fails_leaves_what_was_verified(
     scene = solver.scene
     scene.put_wind(0.3, -0.8)
     other = Solver(scene, max_halvings=1)
-    monkeypatch.setattr("crms_fenicsx.analysis.steps.increment_solver.MAX_FOLLOWER_SOLVES", 1)
+    monkeypatch.setitem(vars(BUDGET), "follower_solves", 1)
     with pytest.raises(ConvergenceError, match="still turns"):
         other.advance(load={"wind": 1.0})
     assert solver.summary().in_equilibrium
