@@ -157,20 +157,15 @@ def summed(space: fem.FunctionSpace, dofs: Integers | Indices, values: Array) ->
     return sums.copy()
 
 
-class HasSystem(Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
+class Solved(HasStates, Protocol):
+    """Interface of `Solver`, which results must not import."""
 
     comm: MPI.Intracomm
+    base: SceneState | None
 
     @property
     def system(self) -> System:
         """The scene's potential."""
-
-
-class Solved(HasSystem, HasStates, Protocol):
-    """Protocol of `Solver` with the states of load cases."""
-
-    base: SceneState | None
 
 
 def load_label(scene: Scene, name: str) -> tuple[str, str]:

@@ -31,9 +31,9 @@ from crms_fenicsx.results.cable_and_bar_results import (
     joint_reactions,
     triple,
 )
-from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import shown_briefly
+from crms_fenicsx.results.rain import Hollow, find_hollows
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,

@@ -28,7 +28,7 @@ from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, load_label, load_values
+from crms_fenicsx.results.quantities import QUANTITIES, Solved, load_label, load_values
 from crms_fenicsx.results.reactions import gap, held_ends
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 from crms_fenicsx.results.view_data import (
@@ -78,7 +78,7 @@ def label_of(colour: str) -> tuple[str, str]:
 
 @collective
 def draw(
-    solver: HasSystem,
+    solver: Solved,
     filename: str | Path | None = None,
     *,
     colour: str | None = None,

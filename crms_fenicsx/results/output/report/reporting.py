@@ -30,10 +30,10 @@ from crms_fenicsx.results.output.report.case import (
     shape_of,
 )
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.results.output.report.page import MACROS, PageSection
-from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
+from crms_fenicsx.results.output.report.page import MACROS, PageSection, browser, print_page
 from crms_fenicsx.results.output.report.pictures import (
     TENSION,
+    check_interactive,
     force_figures,
     load_figures,
     model_figures,
