@@ -1,4 +1,4 @@
-"""Rain on a roof: the hollows of its surface, and the water that stands there as a load.
+"""Ponding: rainwater in the hollows of a roof as a load that depends on its shape.
 
 The water in each hollow acts as a load of fixed direction on the shape it was computed for. The
 membrane deflects, the hollows and the load grow, and the iteration repeats; if it converges, the
@@ -9,178 +9,22 @@ levels in advance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.cabling.cables.cable_net import CableNet
-from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.energy.terms.ponding import add_water_pressure, find_level, water_sums
-from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane_load import MembraneLoad
-from crms_fenicsx.results.cable_and_bar_results import Force
-from crms_fenicsx.results.view_data import edges_of, surface_piece, whole_surface
-
-if TYPE_CHECKING:
-    from scipy.sparse import coo_array
+from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
 
 NAME = "rain in hollows"
 """Name of the load."""
-
-
-@dataclass(frozen=True, repr=False)
-class Hollow:
-    """A part of the surface without drainage.
-
-    Attributes
-    ----------
-    at
-        Lowest point (length).
-    depth
-        Water depth there when the hollow is full (length).
-    level
-        Overflow level z (length).
-    volume, area
-        Water volume when full (length cubed), and area of the water surface (length squared).
-    """
-
-    at: Force
-    depth: float
-    level: float
-    volume: float
-    area: float
-
-    def __repr__(self) -> str:
-        place = ", ".join(f"{x:.4g}" for x in self.at)
-        return f"{self.depth:.3g} deep at ({place}), volume {self.volume:.3g}"
-
-
-@dataclass(frozen=True)
-class Hollows:
-    """Hollows of a surface, the deepest first, and the hollow of each point."""
-
-    hollows: tuple[Hollow, ...]
-    of_points: Integers  # hollow of each of this rank's points, -1 for none
-    plan: float  # plan area of the surface (length squared)
-
-
-def find_hollows(net: CableNet) -> Hollows:
-    """Find the hollows of the current surface where it faces up; water drains over its edges and
-    where it overhangs. Collective."""
-    membrane, comm = net.membrane, net.membrane.comm
-    # shallower ones do not count
-    shallow = 1e-5 * membrane.size  # collective
-    piece = surface_piece(membrane, current_surface(net), {})
-    rim = np.zeros(len(np.asarray(piece.points)))
-    rim[membrane.vertices(BOUNDARY)] = 1.0
-    piece = replace(piece, point_data={"rim": rim})
-    whole, found = whole_surface(comm, piece), None
-    if whole is not None:
-        points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
-        on_rim = np.asarray(whole.point_data["rim"]) > 0.0
-        found = hollows_of(points, triangles, on_rim, shallow)
-    found = cast(Hollows, comm.bcast(found))
-    homes = np.asarray(piece.homes)
-    counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
-    starts = np.cumsum([0, *counts[:-1]])
-    return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
-
-
-def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
-    """Hollows of points (n, 3) and triangles (m, 3); `rim`: which points lie on the surface's edge.
-    Units: shallow (length)."""
-    from scipy.sparse import csgraph
-
-    vectors = double_areas(points[triangles]) / 2
-    # triangles of a smaller plan hold no water
-    steep = 1e-6 * norm(vectors)
-    side = 1 if np.any(vectors[:, 2] > steep) else -1
-    up = np.asarray(triangles[side * vectors[:, 2] > steep], dtype=np.int64)
-    plan = float(np.abs(vectors[side * vectors[:, 2] > steep, 2]).sum())
-    z, of_points = points[:, 2], np.full(len(points), -1)
-    if not len(up):
-        return Hollows((), of_points, plan)
-    pairs, counts = edges_of(up)
-    # where cables fold one of two cells, their common edge belongs to a single triangle, too
-    every, times = edges_of(triangles)
-    inner = np.flatnonzero(times > 1)
-    overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
-    leads_out = rim.copy()
-    leads_out[pairs[overhang]] = True
-    leads_out &= np.bincount(up.ravel(), minlength=len(z)) > 0
-    fill = _filled(z, pairs, np.flatnonzero(leads_out))
-    wet: Booleans = fill > z + shallow * 1e-3
-    joined = pairs[wet[pairs].all(axis=1)]
-    label = csgraph.connected_components(_graph(len(z), joined), directed=False)[1]
-    found = []
-    for one in np.unique(label[wet]):
-        inside = np.flatnonzero(wet & (label == one))
-        lowest = int(inside[np.lexsort((*points[inside].T[:2], z[inside]))[0]])
-        level = float(fill[lowest])
-        if level - z[lowest] <= shallow:
-            continue
-        own = up[np.isin(up, inside).any(axis=1)]
-        volume, area = _water(points[own], level)
-        x, y, bottom = points[lowest].tolist()
-        hollow = Hollow((x, y, bottom), level - bottom, level, volume, area)
-        found.append((hollow, inside))
-    found.sort(key=lambda one: (-one[0].depth, one[0].at))
-    for k, (_, inside) in enumerate(found):
-        of_points[inside] = k
-    return Hollows(tuple(hollow for hollow, _ in found), of_points, plan)
-
-
-def _water(corners: Array, level: float) -> tuple[float, float]:
-    """Volume of water below a level over triangles with corners (n, 3, 3), and the area of its
-    surface; a single wet or dry corner makes a smaller triangle."""
-    plan = np.abs(double_areas(corners)[:, 2]) / 2
-    h = np.sort(level - corners[:, :, 2], axis=1)
-    wet, volume, area = (h > 0.0).sum(axis=1), np.zeros(len(h)), np.zeros(len(h))
-    for alone, others, sign in ((2, (0, 1), wet == 1), (0, (1, 2), wet == 2)):
-        a, b, c = h[sign, alone], h[sign, others[0]], h[sign, others[1]]
-        part = a * a / ((a - b) * (a - c))
-        area[sign], volume[sign] = part, part * a / 3
-    area[wet == 2], volume[wet == 2] = 1 - area[wet == 2], (h.sum(axis=1) / 3 - volume)[wet == 2]
-    area[wet == 3], volume[wet == 3] = 1.0, h[wet == 3].sum(axis=1) / 3
-    return float(plan @ volume), float(plan @ area)
-
-
-def _keys(pairs: Integers, n: int) -> Integers:
-    return np.asarray(pairs[:, 0] * n + pairs[:, 1])
-
-
-def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:
-    from scipy.sparse import coo_array
-
-    values = np.ones(len(pairs)) if weights is None else weights
-    return coo_array((values, tuple(pairs.T.astype(np.int32))), shape=(n, n))
-
-
-def _filled(z: Array, pairs: Integers, outlets: Integers) -> Array:
-    """Least level at which water at each point (n,) drains: the highest point of the lowest path to
-    an outlet, which always runs along triangle edges. Points without a path or an edge stay dry.
-    Units: z (length)."""
-    # The lowest paths to all outlets form the minimum spanning tree of the edges' heights, with an
-    # extra point to which all outlets lead.
-    from scipy.sparse import csgraph
-
-    n = len(z)
-    out = np.column_stack([outlets, np.full(len(outlets), n)])
-    heights = np.concatenate([z[pairs].max(axis=1), z[outlets]])
-    weights = heights - heights.min() + 1.0 + np.ptp(heights)  # a weight of 0 would be no edge
-    tree = csgraph.minimum_spanning_tree(_graph(n + 1, np.concatenate([pairs, out]), weights))
-    order, before = csgraph.breadth_first_order(tree, n, directed=False)
-    fill = np.append(z, -np.inf)
-    for point, last in zip(order[1:].tolist(), before[order[1:]].tolist(), strict=True):
-        fill[point] = max(fill[point], fill[last])
-    return np.asarray(fill[:n])
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.results.rain import hollows_of
+from crms_fenicsx.results.hollows import hollows_of
 
 
 def grid(n: int) -> tuple[Array, Integers]:

@@ -17,7 +17,7 @@ from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.report.page import Figure, Verdict, number, per_cent, place
 from crms_fenicsx.results.quantities import Solved
-from crms_fenicsx.results.summary import Summary, held_groups, summary
+from crms_fenicsx.results.summary import Summary, summary
 
 Corner = tuple[float, ...]
 
@@ -50,9 +50,8 @@ def case_of(solver: Solved, name: str, before: Shape) -> Case:
                              *(bar.points for bar in scene.bars)])  # fmt: skip
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
-    groups = {key: dofs for key, (_, dofs) in held_groups(scene.membrane).items()}
     return Case(
-        name, found, checked, foundations(system, groups), shape_change(before, scene),
+        name, found, checked, foundations(system), shape_change(before, scene),
         recovered(membrane_results(system), found), *box(comm, places),
     )  # fmt: skip
 

@@ -211,9 +211,7 @@ def load_figures(solver: Solved, units: Units, look: Any) -> list[Figure]:
 def outline_in_plan(scene: Scene) -> Array:
     """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
     surface = whole_shape(scene)
-    edges: Array = np.zeros((0, 2, 3))
-    if surface is not None:
-        edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
+    edges = np.zeros((0, 2, 3)) if surface is None else outline_of(surface)
     bars = [bar.points for bar in scene.bars]
     return np.concatenate([scene.comm.bcast(edges), np.reshape(bars, (-1, 2, 3))])
 

@@ -47,12 +47,15 @@ class ResultTables:
         every = (name for case in self.cases for name in getattr(case.summary, kind))
         return list(dict.fromkeys(every))
 
+    def by_name(self, kind: str) -> Iterator[tuple[str, list[tuple[str, Any]]]]:
+        """Name of each item of a kind, and (case, result) pairs."""
+        for name in self.names(kind):
+            every = ((case.name, getattr(case.summary, kind)) for case in self.cases)
+            yield name, [(case, known[name]) for case, known in every if name in known]
+
     def each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
         """Name, case and result of each item of a kind."""
-        for name in self.names(kind):
-            for case in self.cases:
-                if name in getattr(case.summary, kind):
-                    yield name, case.name, getattr(case.summary, kind)[name]
+        return ((name, *one) for name, found in self.by_name(kind) for one in found)
 
     def _extremes(self, case: Case) -> Iterator[tuple[str, str, str, Extreme, Extreme]]:
         """Part, name and label of each quantity, with its minimum and maximum."""
@@ -129,8 +132,7 @@ class ResultTables:
     def patches(self) -> Table:
         """Reinforced corners, and what plain fabric would bear there, over all cases."""
         rows: list[Row] = []
-        for name in self.names("patches"):
-            found = [(case, one) for own, case, one in self.each("patches") if own == name]
+        for name, found in self.by_name("patches"):
             governs, most = max(found, key=lambda one: one[1].utilisation)
             patch = most.patch
             radius = "given" if patch.given else "a twentieth of the distance to the next"
@@ -194,8 +196,7 @@ class ResultTables:
     def cable_envelope(self) -> Table:
         """Smallest and largest tension of each cable over all cases."""
         rows: list[Row] = []
-        for name in self.names("cables"):
-            found = [(case, one) for own, case, one in self.each("cables") if own == name]
+        for name, found in self.by_name("cables"):
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
             share = high.largest / self.strengths[name] if name in self.strengths else None

@@ -266,10 +266,10 @@ class Report:
 
     def _tensions(self) -> BarChart:
         """Chart of the cables' tensions over all combinations."""
-        found = []
-        for name in self.results.names("cables"):
-            one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
-            found.append((name, min(x.least for x in one), max(x.largest for x in one)))
+        found = [
+            (name, min(x.least for _, x in cases), max(x.largest for _, x in cases))
+            for name, cases in self.results.by_name("cables")
+        ]
         where = " over all combinations" if len(self.cases) > 1 else ""
         return BarChart(f"Least to largest tension{where}{self.plan.units['force']}", found)
 
