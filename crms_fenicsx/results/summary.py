@@ -31,7 +31,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
 )
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -48,11 +48,6 @@ from crms_fenicsx.results.recovered_values import (
     patches,
     reinforced,
 )
-
-SUMMED_UP = (
-    "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
-)  # fmt: skip
-"""Quantities of `results.quantities` in a summary, where known."""
 
 
 @dataclass(frozen=True, repr=False)

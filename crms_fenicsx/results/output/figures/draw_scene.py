@@ -28,7 +28,13 @@ from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.quantities import QUANTITIES, Solved, load_label, load_values
+from crms_fenicsx.results.quantities import (
+    QUANTITIES,
+    QUANTITY_OF,
+    Solved,
+    load_label,
+    load_values,
+)
 from crms_fenicsx.results.reactions import gap, held_ends
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 from crms_fenicsx.results.view_data import (
@@ -55,9 +61,6 @@ SIGNED = "RdYlBu_r"
 """Colour map of tension and compression."""
 
 
-QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
-QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
-"""Cell quantities by their names as colours."""
 COLOURS = ("height", "displacement", *QUANTITY_OF)
 """Colours of the membrane that `draw` accepts."""
 

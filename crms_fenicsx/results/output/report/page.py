@@ -140,47 +140,30 @@ class BarChart:
     rows: Sequence[tuple[str, float, float]]
     limit: float | None = None
     kind: ClassVar[str] = "chart"
-    WIDE: ClassVar[float] = 760.0  # drawing units; width right of the longest bar, for its values
-    BESIDE: ClassVar[float] = 140.0
-    LETTER: ClassVar[float] = 6.6  # mean width of a letter
     MOST: ClassVar[int] = 40  # largest number of bars; more are unreadable
 
     @property
     def is_empty(self) -> bool:
         """Whether there are no bars, too many, or only zeros."""
-        return not 0 < len(self.rows) <= self.MOST or self._most <= 0.0
+        return not 0 < len(self.rows) <= self.MOST or self.most <= 0.0
 
     @property
-    def _most(self) -> float:
+    def most(self) -> float:
+        """The largest value, which spans the chart's width."""
         return max([high for *_, high in self.rows] + [self.limit or 0.0], default=0.0)
 
     @property
-    def left(self) -> float:
-        """Start of the bars, right of the longest name (drawing units)."""
-        longest = max(len(name) for name, *_ in self.rows)
-        return min(max(self.LETTER * longest + 16.0, 120.0), 0.6 * self.WIDE)
-
-    @property
-    def scale(self) -> float:
-        """Drawing units per unit of value."""
-        return (self.WIDE - self.BESIDE - self.left) / self._most
-
-    @property
     def drawn(self) -> list[tuple[str, float, float, str, bool]]:
-        """Name, start, width and text of each bar, and whether it exceeds the limit."""
-        ranges, found = any(low > 0.0 for _, low, _ in self.rows), []
-        for name, low, high in self.rows:
-            text = f"{number(low)} to {number(high)}" if ranges else number(high)
-            width = max(self.scale * (high - low), 1.5)
-            over = self.limit is not None and high > self.limit
-            found.append((name, self.scale * low, width, text, over))
-        return found
-
-    @property
-    def words(self) -> str:
-        """Alternative text with all values."""
-        every = (f"{name}: {number(low)} to {number(high)}" for name, low, high in self.rows)
-        return f"{self.caption}. {'; '.join(every)}"
+        """Name, start, width (per cent) and text of each bar, and whether it exceeds the limit."""
+        ranges, per = any(low > 0.0 for _, low, _ in self.rows), 100.0 / self.most
+        return [
+            (
+                name, per * low, per * (high - low),
+                f"{number(low)} to {number(high)}" if ranges else number(high),
+                self.limit is not None and high > self.limit,
+            )
+            for name, low, high in self.rows
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True)

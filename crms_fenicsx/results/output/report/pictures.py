@@ -22,7 +22,6 @@ from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.draw_scene import (
     LOAD,
     MOST_STROKES,
-    QUANTITY_OF,
     SIGNED,
     draw,
     label_of,
@@ -34,10 +33,16 @@ from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.results.output.report.page import Figure, Units, rendered
 from crms_fenicsx.results.output.report.results_tables import families
-from crms_fenicsx.results.quantities import QUANTITIES, Solved, fields_of, load_label
+from crms_fenicsx.results.quantities import (
+    QUANTITIES,
+    QUANTITY_OF,
+    SUMMED_UP,
+    Solved,
+    fields_of,
+    load_label,
+)
 from crms_fenicsx.results.reactions import gap
 from crms_fenicsx.results.recovered_values import judged_utilisation, patches
-from crms_fenicsx.results.summary import SUMMED_UP
 from crms_fenicsx.results.view_data import Line, to_pyvista, whole_shape
 
 SHARPEST = 150
@@ -57,7 +62,7 @@ def with_pictures(
     pictures = []
     for colour in colours:  # one colour bar per picture, to leave room for the shape
         fabric = None if colour == TENSION else colour
-        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        forces = label_of(colour)[1] == "stress"
         options |= {
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
             "directions": forces, "loose": "lifted" if fabric is None else None,

@@ -20,8 +20,8 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
     place,
 )
-from crms_fenicsx.results.quantities import QUANTITIES
-from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
+from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
+from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
@@ -61,9 +61,9 @@ class ResultTables:
         """Part, name and label of each quantity, with its minimum and maximum."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
-                one, scale = QUANTITIES[name], _in_per_cent(name)
+                one, scale = QUANTITIES[name], QUANTITIES[name].scale
                 label = one.label[:1].upper() + one.label[1:]
-                label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
+                label += self.units[one.unit] if one.unit else " [%]"
                 low, high = (replace(x[name], value=scale * x[name].value)
                              for x in (found.least, found.largest))  # fmt: skip
                 yield part, name, label, low, high
@@ -115,7 +115,7 @@ class ResultTables:
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
-            nodal, peak = None if smooth is None else _in_per_cent(name) * smooth, ""
+            nodal, peak = None if smooth is None else QUANTITIES[name].scale * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
@@ -166,7 +166,7 @@ class ResultTables:
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
-            at, scale = place(high.at, self.size), _in_per_cent(name)
+            at, scale = place(high.at, self.size), QUANTITIES[name].scale
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
             rows.append((part_name(part), label, small, least, most, largest, at))
         columns = self.units.headings(
@@ -364,11 +364,6 @@ class ResultTables:
         if far:
             found.append(Paragraph(f"Below {per_cent(FINE)} of their limits: {', '.join(far)}."))
         return found
-
-
-def _in_per_cent(name: str) -> float:
-    """Display factor of a membrane quantity: 100 (per cent) without a unit, else 1."""
-    return 1.0 if QUANTITIES[name].unit else 100.0
 
 
 def part_name(part: str) -> str:
