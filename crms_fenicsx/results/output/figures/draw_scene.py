@@ -42,6 +42,7 @@ from crms_fenicsx.results.view_data import (
     Surface,
     bar_lines,
     cable_lines,
+    held_places,
     point_homes,
     surface_piece,
     whole_surface,
@@ -217,10 +218,8 @@ def _recovered(system: System, colour: str | None) -> Array:
 def _supports(scene: Scene) -> dict[str, Any]:
     """Held edges, (h, 2, 3), and held points off them, (k, 3), on all ranks. Collective."""
     rim = held_rim(scene)
-    own = scene.V.dofmap.index_map.size_local
-    held = scene.positions()[:own][scene.held[:own].any(axis=1)]
     places = np.concatenate([
-        *scene.comm.allgather(held),
+        held_places(scene)[0],
         *(joint.position[None] for joint in scene.joints if joint.held.any()),
         *(end.place[None] for end in held_ends(scene)),
     ])  # fmt: skip
