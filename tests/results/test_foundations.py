@@ -8,7 +8,6 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.results.foundations import Foundations, foundations, partition
-from crms_fenicsx.results.summary import held_groups
 
 pytestmark = pytest.mark.ranks
 
@@ -16,8 +15,7 @@ SIDE, SNOW = 8.0, 0.2
 
 
 def found_in(solver: Solver) -> Foundations:
-    groups = {name: dofs for name, (_, dofs) in held_groups(solver.scene.membrane).items()}
-    return foundations(solver.system, groups)
+    return foundations(solver.system)
 
 
 def pneu(comm: MPI.Intracomm) -> Solver:
@@ -113,6 +111,5 @@ def test_each_held_vertex_is_in_one_group(comm: MPI.Intracomm) -> None:
     for name in ("left", "front"):
         scene.fix(name)
     scene.fix(lambda x: np.linalg.norm(x - np.array([[4.0], [4.0], [0.0]]), axis=0) < 1e-9)
-    groups = {name: dofs for name, (_, dofs) in held_groups(scene.membrane).items()}
-    counts = {name: comm.allreduce(len(own)) for name, own in partition(scene, groups).items()}
+    counts = {name: comm.allreduce(len(own)) for name, own in partition(scene).items()}
     assert counts == {"front": 5, "left": 4, "other supports": 1}

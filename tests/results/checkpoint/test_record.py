@@ -28,8 +28,7 @@ from crms_fenicsx import (
     nets,
 )
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.results.checkpoint.contents import scene_record
-from crms_fenicsx.results.checkpoint.journal import difference
+from crms_fenicsx.results.checkpoint.journal import difference, scene_record
 
 
 class Springs(EnergyTerm):

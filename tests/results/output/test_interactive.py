@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.output.report.pdf_and_views import Scale, with_scales
+from crms_fenicsx.results.output.report.pictures import Scale, with_scales
 
 
 def roof(comm: MPI.Intracomm) -> Solver:

@@ -288,12 +288,12 @@ def test_bars_are_as_long_as_their_values() -> None:
     rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
     text = html(BarChart("Utilisation", rows, limit=1.0))
     Page(text)
-    widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
+    widths = [float(x) for x in re.findall(r"; width: ([\d.]+)%", text)]
     assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
     assert text.count('class="over"') == 1
-    assert "0.5000 to 1.250</text>" in text
+    assert "0.5000 to 1.250</div>" in text
     nothing = [BarChart("nothing", []), BarChart("slack", [("a", 0.0, 0.0)])]
-    assert "<svg" not in html(*nothing, BarChart("many", rows * 30))
+    assert "<figure" not in html(*nothing, BarChart("many", rows * 30))
 
 
 def test_tables_group_rows_of_one_heading() -> None:
