@@ -19,44 +19,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fuzzing.runs import SAME_ENERGY, SAME_TENSION, run
+from fuzzing.checks import ENERGY, FORCE, Result
+from fuzzing.runs import run
 from fuzzing.scenes import scene
 
 import crms_fenicsx
 
 REGISTER = Path(crms_fenicsx.__file__).parents[1] / "docs" / "theory" / "constants.md"
-SCENES = [
-    10,
-    24,
-    33,
-    42,
-    61,
-    79,
-    95,
-    130,
-    133,
-    135,
-    154,
-    162,
-    187,
-    193,
-    198,
-    209,
-    217,
-    228,
-    234,
-    254,
-    276,
-    278,
-    303,
-    309,
-    318,
-    327,
-    337,
-    345,
-    351,
-    362,
-]
+SCENES = (
+    10, 24, 33, 42, 61, 79, 95, 130, 133, 135, 154, 162, 187, 193, 198,
+    209, 217, 228, 234, 254, 276, 278, 303, 309, 318, 327, 337, 345, 351, 362,
+)  # fmt: skip
 FACTORS = (0.5, 2.0)
 
 
@@ -86,12 +59,12 @@ def multiplied(module: str, name: str, factor: float) -> Iterator[None]:
             setattr(one, name, old)
 
 
-def results() -> list[Any]:
+def results() -> list[Result]:
     """What comes of the scenes, without their twins."""
-    return [run(dataclasses.replace(scene(number), twin="")) for number in SCENES]
+    return [run(dataclasses.replace(scene(number), twins=())) for number in SCENES]
 
 
-def other_state(a: Any, b: Any) -> bool:
+def other_state(a: Result, b: Result) -> bool:
     """Whether two results of a scene end in different states."""
     if a.outcome != b.outcome:
         return True
@@ -100,8 +73,8 @@ def other_state(a: Any, b: Any) -> bool:
     others = [t for step in b.tensions for t in step]
     most = max(map(abs, tensions), default=1.0)
     return (
-        any(abs(x - y) > SAME_ENERGY * size for x, y in zip(a.energies, b.energies, strict=True))
-        or any(abs(x - y) > SAME_TENSION * most for x, y in zip(tensions, others, strict=True))
+        any(abs(x - y) > ENERGY * size for x, y in zip(a.energies, b.energies, strict=True))
+        or any(abs(x - y) > FORCE * most for x, y in zip(tensions, others, strict=True))
     )  # fmt: skip
 
 
