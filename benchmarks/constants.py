@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from fuzzing.runs import SAME_ENERGY, SAME_TENSION, Result, run
+from fuzzing.checks import ENERGY, FORCE, Result
+from fuzzing.runs import run
 from fuzzing.scenes import scene
 
 from crms_fenicsx.model.tolerances import TOL, Discretisation
@@ -50,7 +51,7 @@ def recorded() -> Iterator[set[str]]:
 
 def result(number: int) -> Result:
     """What comes of a scene, without its twin."""
-    return run(dataclasses.replace(scene(number), twin=""))
+    return run(dataclasses.replace(scene(number), twins=()))
 
 
 def is_same(a: Result, b: Result) -> bool:
@@ -67,8 +68,8 @@ def is_other_state(a: Result, b: Result) -> bool:
     tensions, others = ([t for step in one.tensions for t in step] for one in (a, b))
     most = max(map(abs, tensions), default=1.0)
     return (
-        any(abs(x - y) > SAME_ENERGY * size for x, y in zip(a.energies, b.energies, strict=True))
-        or any(abs(x - y) > SAME_TENSION * most for x, y in zip(tensions, others, strict=True))
+        any(abs(x - y) > ENERGY * size for x, y in zip(a.energies, b.energies, strict=True))
+        or any(abs(x - y) > FORCE * most for x, y in zip(tensions, others, strict=True))
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
@@ -21,8 +22,7 @@ def found_in(solver: Solver) -> Foundations:
 def pneu(comm: MPI.Intracomm) -> Solver:
     """A cushion held along its rim, under air, snow and wind, with two cables from one anchor."""
     mesh = meshes.rectangle(comm, SIDE, SIDE, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
     scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
     scene.put_wind(0.2, lambda x, n: np.where(x[0] < 3.0, 0.5, -0.9))
     solver = Solver(scene)
@@ -94,8 +94,7 @@ def test_corners_with_bars_and_guys(comm: MPI.Intracomm) -> None:
 
 def test_a_floor_bears_its_part(comm: MPI.Intracomm) -> None:
     mesh = meshes.rectangle(comm, SIDE, SIDE, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=1.0))
     scene.floor(-0.2)
     scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
     solver = Solver(scene)

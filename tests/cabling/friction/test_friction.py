@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import PRESSURE, place, sheet
+from cabled_square import PRESSURE, clamped, place, sheet
 from friction_scene import friction_dome
 from reference_meshes import rotated_lattice
 
@@ -230,8 +230,7 @@ def test_crossing_cables(comm) -> None:
 def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) -> list[float]:
     """Tension and energies of a cable dragged over a lattice, units of force and length smaller."""
     mesh = meshes.from_arrays(comm, x * unit, cells)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
     solver = Solver(scene)
     solver.advance(pressure=PRESSURE / unit)
     path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * unit

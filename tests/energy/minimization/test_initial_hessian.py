@@ -9,13 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cable_edits import put
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from petsc4py import PETSc
 from ridged_square import OBLIQUE, preconditioners, ridged
 from taylor import noise
 from term_scene import cable_square, displaced
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.analysis.equilibrium import system as equilibrium
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.energy.minimization.initial_hessian import (
@@ -68,8 +69,7 @@ def test_its_memory_is_there_beforehand_and_not_much_too_much(comm) -> None:
 
 def test_its_memory_is_exact_without_cables() -> None:
     mesh = meshes.rectangle(MPI.COMM_SELF, 3.0, 2.0, 0.5)
-    scene = Scene(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
     allocated = len(Solver(scene).system.minimizer.h0.matrix.getValuesCSR()[2])
     edges, vertices = (mesh.mesh.topology.index_map(dim).size_global for dim in (1, 0))
     assert allocated == 9 * (vertices + 2 * edges)
@@ -122,9 +122,7 @@ def test_a_scene_without_tension_has_no_dyads(comm) -> None:
 
 def test_held_anchors_do_not_set_its_size(comm) -> None:
     """An anchor within rounding of its held place has a stiff link to it, which must not count."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, 4)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 51.0), (100.0, 31.0)], tension=10.0)
     solver = Solver(scene)
     put(cable, "positions", 0, cable.state.positions[0] + 1e-15)
@@ -257,8 +255,6 @@ def test_petscs_own_factorisation_leads_to_the_same_equilibrium(
             "crms_fenicsx.energy.minimization.initial_hessian.direct_solver",
             lambda _, own=solver: own,
         )
-        mesh = meshes.rectangle(MPI.COMM_SELF, 100.0, 100.0, 25.0)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        scene.fix("boundary")
+        scene = sheet(MPI.COMM_SELF, 4, "unstructured")
         energies.append(Solver(scene).advance(pressure=0.01).energy)
     np.testing.assert_allclose(energies, energies[0], rtol=1e-10)

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from PIL import Image
 from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
-from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
 from crms_fenicsx.results.output.report import pictures as pictures_of_reports
 from crms_fenicsx.results.output.report import sections
@@ -46,8 +47,7 @@ def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     """A roof of two halves over a wall, a cable across it, snow and wind."""
     ranks = (lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None
     mesh = roof_mesh(comm, ranks, n=4, size=8.0, height=2.0, rise=1.0, levels=1)
-    scene = Scene(mesh, FABRIC, pressure_on=["roof"])
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC, pressure_on=["roof"])
     scene.put_load((0.0, 0.0, -0.3), name="snow", per="plan")
     scene.put_wind(0.5, -0.6)
     solver = Solver(scene)
