@@ -27,7 +27,6 @@ from crms_fenicsx.results.output import (
 from crms_fenicsx.results.output.figures import draw_scene, plans
 from crms_fenicsx.results.output.figures.cable_lines import (
     CABLE,
-    _subdivided,
     common_value,
     in_words,
     limits_of,
@@ -35,7 +34,7 @@ from crms_fenicsx.results.output.figures.cable_lines import (
 )
 from crms_fenicsx.results.output.figures.draw_paths import _spaced_steps
 from crms_fenicsx.results.output.figures.draw_surface import outline_of, sides_among
-from crms_fenicsx.results.output.figures.picture import Camera, brightness, visible
+from crms_fenicsx.results.output.figures.picture import Camera, brightness, subdivided, visible
 from crms_fenicsx.results.output.figures.plots import default_panels, units_of_results
 from crms_fenicsx.results.view_data import Surface
 
@@ -426,11 +425,12 @@ def test_both_sides_are_lit_alike() -> None:
 
 def test_pieces_of_a_line() -> None:
     nodes = np.array([[0, 0, 0], [3, 4, 1], [3, 4, 9], [3, 5.5, 9.0]])
-    cut, segment, middle = _subdivided(nodes, 2.0)
+    pieces, segment, middle = subdivided(np.stack([nodes[:-1], nodes[1:]], axis=1), 2.0)
     # 5 long: three pieces; end-on: one; 1.5 long: one
     assert segment.tolist() == [0, 0, 0, 1, 2]
     np.testing.assert_allclose(middle, [1 / 6, 1 / 2, 5 / 6, 1 / 2, 1 / 2])
-    np.testing.assert_allclose(cut, [nodes[0], nodes[1] / 3, nodes[1] * 2 / 3, *nodes[1:]])
+    cuts = [nodes[0], nodes[1] / 3, nodes[1] * 2 / 3, *nodes[1:]]
+    np.testing.assert_allclose(pieces, np.stack([cuts[:-1], cuts[1:]], axis=1))
 
 
 def test_outline_counts_vertices_at_one_place_once() -> None:

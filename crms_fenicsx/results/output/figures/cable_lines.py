@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
-from crms_fenicsx.results.output.figures.picture import add_lines, offsets_within, visible
+from crms_fenicsx.results.output.figures.picture import add_lines, subdivided, visible
 from crms_fenicsx.results.view_data import Line
 
 if TYPE_CHECKING:
@@ -140,7 +140,10 @@ def paint_lines(
     run_values: list[float] = []
     run_off: list[bool] = []
     for number, line in enumerate(lines):
-        nodes, segment, middle = _subdivided(axes3d.camera.project(line.points), 2.5 * axes3d.point)
+        flat = axes3d.camera.project(line.points)
+        ends = np.stack([flat[:-1], flat[1:]], axis=1)
+        pieces, segment, middle = subdivided(ends, 2.5 * axes3d.point)
+        nodes = np.concatenate([pieces[:, 0], flat[-1:]])
         seen = _seen(axes3d, 0.5 * (nodes[1:] + nodes[:-1]), triangles, tolerance, clip)
         values: Array = np.zeros(len(segment))
         if style.paint is not None:
@@ -203,13 +206,3 @@ def _interpolated(given: Array, segment: Integers, middle: Array, count: int) ->
     if given.shape == (count,):
         return given[segment] + middle * (given[segment + 1] - given[segment])
     return np.broadcast_to(given, count - 1)[segment]
-
-
-def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Nodes (s + 1, 3) of pieces up to `step`, their segments, and midpoints along these (s,)."""
-    lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
-    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
-    segment, k = offsets_within(counts)
-    start = (k / counts[segment])[:, None]
-    cut = nodes[segment] + start * (nodes[segment + 1] - nodes[segment])
-    return np.vstack([cut, nodes[-1:]]), segment, (k + 0.5) / counts[segment]
