@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 INK = "#2b2f36"
 RIM = "#1d1f24"
-"""Colour of cables."""
+"""Colour of cables' rims, held edges and supports."""
 STRIPES = (0.0, (0.9, 0.9))
 """Dashes of cables off the membrane; the rim shows between them."""
 _GRID = "#d3d7dc"

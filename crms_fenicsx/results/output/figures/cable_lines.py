@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 NO_VALUE = (0.784, 0.784, 0.784)
 
 
-def common_value(values: Array) -> tuple[float, float] | None:
+def _common_value(values: Array) -> tuple[float, float] | None:
     """Range of values that are nearly equal; None if they differ or none is finite."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0 or np.ptp(finite) > 1e-2 * np.abs(finite).max():
@@ -30,7 +30,7 @@ def common_value(values: Array) -> tuple[float, float] | None:
     return float(finite.min()), float(finite.max())
 
 
-def in_words(label: str, low: float, high: float) -> str:
+def _in_words(label: str, low: float, high: float) -> str:
     """Label with its values; a unit in brackets at the label's end is moved behind them."""
     found = re.fullmatch(r"(.*?)\s*\[(.*)\]", label)
     name, unit = found.groups() if found else (label, "")
@@ -38,7 +38,7 @@ def in_words(label: str, low: float, high: float) -> str:
     return " ".join(part for part in (name, " to ".join(ends), unit) if part)
 
 
-def limits_of(values: Array) -> tuple[float, float]:
+def _limits_of(values: Array) -> tuple[float, float]:
     """Ends of the colour scale: those of the values and 0, from which they are counted."""
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
@@ -55,11 +55,11 @@ def colouring(
 
     if values is None:
         return None, ""
-    same = common_value(values) if limits is None else None
+    same = _common_value(values) if limits is None else None
     if same is not None:
-        return None, in_words(label, *same)
+        return None, _in_words(label, *same)
     colormap = colormaps[colours].with_extremes(bad=NO_VALUE)
-    scale = Normalize(*(limits_of(values) if limits is None else limits))
+    scale = Normalize(*(_limits_of(values) if limits is None else limits))
     return ScalarMappable(scale, colormap), ""
 
 

@@ -54,7 +54,7 @@ def case_of(solver: Solved, name: str, before: Shape) -> Case:
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
     return Case(
-        name, found, checked, foundations(system), *shape_change(before, scene),
+        name, found, checked, foundations(system), *_shape_change(before, scene),
         recovered(membrane_results(system), found), *box(comm, places),
     )  # fmt: skip
 
@@ -250,7 +250,7 @@ def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
     return Shape(apex, vectors, volume, area)
 
 
-def shape_change(before: Shape, scene: Scene) -> tuple[float | None, float]:
+def _shape_change(before: Shape, scene: Scene) -> tuple[float | None, float]:
     """`Case.volume` and `Case.turned` since an earlier shape. Collective."""
     now = shape_of(scene, before.apex)
     turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
