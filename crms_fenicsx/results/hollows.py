@@ -69,7 +69,7 @@ def find_hollows(net: CableNet) -> Hollows:
     if whole is not None:
         points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
         on_rim = np.asarray(whole.point_data["rim"]) > 0.0
-        found = hollows_of(points, triangles, on_rim, shallow)
+        found = _hollows_of(points, triangles, on_rim, shallow)
     found = cast(Hollows, comm.bcast(found))
     homes = np.asarray(piece.homes)
     counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
@@ -77,7 +77,7 @@ def find_hollows(net: CableNet) -> Hollows:
     return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
 
 
-def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
+def _hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
     """Hollows of points (n, 3) and triangles (m, 3); `rim`: which points lie on the surface's edge.
     Units: shallow (length)."""
     from scipy.sparse import csgraph

@@ -355,7 +355,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
                 radius = 0.003 * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
             for name, some in lines.items():
                 if some:
-                    found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
+                    found[name] = _tubes(pyvista, some, radius)
             joints = (
                 np.array([joint.position for joint in scene.joints]).reshape(-1, 3),
                 np.array([joint.held for joint in scene.joints], dtype=bool).reshape(-1, 3),

@@ -78,7 +78,7 @@ def _grid_of(surface: Surface | None, lines: Sequence[Line] | None, texts: Texts
             on_cells["line"] = np.full(len(cells[0]), -1)
         data.append((on_points, on_cells))
     if lines is not None:
-        places, pairs, *on_lines = joined([line.checked() for line in lines])
+        places, pairs, *on_lines = joined(lines)
         cells.append(pairs + sum(map(len, points)))
         points.append(places)
         data.append((on_lines[0], on_lines[1]))

@@ -97,6 +97,7 @@ def test_the_foot_is_below_the_anchor_however_steep_the_span_is(comm, height: fl
         np.testing.assert_allclose(foot, below, atol=1e-6)
 
 
+@pytest.mark.ranks
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
     between = np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)])

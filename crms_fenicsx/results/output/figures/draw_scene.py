@@ -156,10 +156,12 @@ def draw(
     if _too_large(scene, f"{filename or 'the scene'} is not drawn"):
         return None
     shape = current_surface(scene.net)
-    fields: dict[str, Array] = {}
+    fields: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
     if colour in loads:
-        fields["values"] = load_values(scene, str(colour).removeprefix(LOAD))
-    smooth = _recovered(system, colour) if colour in QUANTITY_OF else None
+        own = load_values(scene, str(colour).removeprefix(LOAD))
+        fields["values"] = own[shape.parents]
+    elif colour in QUANTITY_OF:
+        fields["values"] = _recovered(system, colour)
     if directions:
         options["strokes"] = _principal_strokes(system)
     if colour is not None:
@@ -178,10 +180,8 @@ def draw(
     if any(cable.state.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
-    piece = surface_piece(scene.membrane, shape, fields)
-    more: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
-    more |= {} if smooth is None else {"values": smooth}
-    surface = whole_surface(scene.comm, replace(piece, cell_data={**piece.cell_data, **more}))
+    piece = replace(surface_piece(scene.membrane, shape, {}), cell_data=fields)
+    surface = whole_surface(scene.comm, piece)
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
     with raised_together(scene.comm):
         if surface is not None:
@@ -202,9 +202,9 @@ def draw(
     return None
 
 
-def _recovered(system: System, colour: str | None) -> Array:
+def _recovered(system: System, colour: str) -> Array:
     """Values (m, 3) of a colour at the corners of the current surface's facets. Collective."""
-    results, name = membrane_results(system), QUANTITY_OF[str(colour)]
+    results, name = membrane_results(system), QUANTITY_OF[colour]
     if name == "state":
         values = results.values(name)[results.surface.parents]
         return np.repeat(values[:, None], 3, axis=1)

@@ -32,7 +32,7 @@ from crms_fenicsx.results.output.figures.picture import (
     add_polygons,
     brightness,
     checked_picture,
-    offsets_within,
+    subdivided,
     visible,
 )
 from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points, edges_of
@@ -368,15 +368,9 @@ def _paint_seen(
 ) -> None:
     """Paint the parts of strokes (k, 2, 3) that no triangle hides."""
     if len(strokes):
-        ends = axes3d.camera.project(strokes)
-        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / 6.0
-                         / axes3d.point).astype(np.int64)  # fmt: skip
-        stroke, k = offsets_within(np.maximum(pieces, 1))
-        share = np.stack([k, k + 1], axis=1) / np.maximum(pieces, 1)[stroke, None]
-        way = ends[stroke, 1] - ends[stroke, 0]
-        ends = ends[stroke, :1] + share[..., None] * way[:, None]
-        seen = visible(ends.mean(axis=1), flat, tolerance)
-        add_lines(axes3d.axes, ends[seen, :, :2], colors=[colour], linewidths=thick,
+        pieces, _, _ = subdivided(axes3d.camera.project(strokes), 6.0 * axes3d.point)
+        seen = visible(pieces.mean(axis=1), flat, tolerance)
+        add_lines(axes3d.axes, pieces[seen, :, :2], colors=[colour], linewidths=thick,
                   capstyle="round", zorder=2)  # fmt: skip
 
 
