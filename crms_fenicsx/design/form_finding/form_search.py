@@ -204,12 +204,12 @@ class FormSearch:
         if not newton or not self.holding:
             evens = [film.gathered(line.slope(n, even=True)) for line in lines]
         if not newton:
-            self.system.update()
+            self.system.assemble(exact=False)
             for line, even, slope in zip(lines, evens, pulls, strict=True):
                 forces = forces + line.tension * (even - slope)
             pulls = evens
         elif self.holding:
-            self.system.balance(inflation.pressure, film.modulus)
+            self.system.assemble(exact=True, modulus=film.modulus, pressure=inflation.pressure)
         else:
             film.reference.x.array[:] = film.u.x.array
             self.system.balance_across(inflation.pressure, self._damping)

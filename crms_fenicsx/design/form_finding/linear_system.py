@@ -103,24 +103,18 @@ class LinearSystem:
         for own in (self._pc, self._vector, self._way, self.film.matrix, self.film.elastic):
             own.destroy()
 
-    def update(self) -> None:
-        """Assemble the updated reference strategy, with cables as force densities."""
-        self.film.assemble(self.film.matrix, exact=False, modulus=0.0)
+    def assemble(self, *, exact: bool, modulus: float = 0.0, pressure: float = 0.0) -> None:
+        """Assemble the exact stiffness, elasticity included, or that of the updated reference
+        strategy, with cables as force densities."""
+        self.film.assemble(self.film.matrix, exact=exact, modulus=modulus, pressure=pressure)
         for line in self.lines:
-            line.add_stiffness(self.film.matrix, even=True)
-        self.film.matrix.assemble()
-
-    def balance(self, pressure: float, modulus: float) -> None:
-        """Assemble the exact stiffness, elasticity included."""
-        self.film.assemble(self.film.matrix, exact=True, modulus=modulus, pressure=pressure)
-        for line in self.lines:
-            line.add_stiffness(self.film.matrix)
+            line.add_stiffness(self.film.matrix, even=not exact)
         self.film.matrix.assemble()
 
     def balance_across(self, pressure: float, damping: float) -> None:
         """Assemble the exact stiffness across the form, and an elasticity within it."""
         film, directions = self.film, self.directions
-        self.balance(pressure, damping)
+        self.assemble(exact=True, modulus=damping, pressure=pressure)
         film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
         film.elastic.assemble()
         film.elastic.zeroRows(self._on_cable, diag=0.0)

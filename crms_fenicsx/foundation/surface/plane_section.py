@@ -226,7 +226,7 @@ class Section:
     @property
     def rim(self) -> set[Node]:
         """Nodes on the surface's boundary: edges with one cell, and their vertices."""
-        count = Counter(
+        count: Counter[Node] = Counter(
             edge_of(a, b) for u, v, w in self.cells for a, b in ((u, v), (v, w), (w, u))
         )
         vertices = {v for edge, n in count.items() if n == 1 for v in edge}
