@@ -162,12 +162,6 @@ def _checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict
     return data
 
 
-def edges_of(triangles: Integers) -> tuple[Integers, Integers]:
-    """Edges of triangles, (n, 2), and the number of triangles of each."""
-    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0, return_counts=True)
-
-
 Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
 """Points, point pairs, and data at points and on pairs."""
 

@@ -18,11 +18,11 @@ from crms_fenicsx.cabling.paths.path_change import fractions_of, nodes_of
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface, arc_lengths_on
-from crms_fenicsx.foundation.meshes.triangles import mix, norm, vectors
+from crms_fenicsx.foundation.meshes.triangles import mix, vectors
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
-from crms_fenicsx.foundation.surface.closest_point import pairs_within
+from crms_fenicsx.foundation.surface.closest_point import Balls
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
@@ -50,13 +50,12 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
         contacts += [(cable, k) for k in here]
         positions.append(cable.state.positions[here])
     x, reach = np.concatenate(positions), SAME_PLACE * net.membrane.size
-    target, contact = pairs_within(x, route, np.full(len(route), reach))
-    same = norm(x[contact] - route[target]) <= reach
-    if not same.any():
+    target, contact = Balls(x, np.zeros(len(x))).within(route, np.full(len(route), reach))
+    if not len(target):
         return route, {}, []
     first_at: dict[int, int] = {}
-    for row, at in zip(target[same], contact[same], strict=True):
-        first_at.setdefault(int(row), int(at))
+    for row, at in zip(ints(target), ints(contact), strict=True):
+        first_at.setdefault(row, at)
     shape = net.strip_shape()
     rows: list[Array] = []
     known: dict[int, SurfacePoint] = {}

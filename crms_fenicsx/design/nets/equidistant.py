@@ -147,11 +147,10 @@ class Chart:
         self.nodes[0, 0] = origin
         axes = ((1, 0), (-1, 0), (0, 1), (0, -1))
         for (i, j), way in zip(axes, ways, strict=True):  # to the rim, or until the line closes
-            if (first := self.surface.step(origin, way, self.width)) is not None:
-                line = self.surface.to_rim([origin, first], self.width)
-                for k, (last, new) in enumerate(pairwise(line), start=1):
-                    if norm(new - last) > self.width * (1 - SAME_POINT):
-                        self.nodes[k * i, k * j] = new
+            line = self.surface.to_rim([origin], self.width, way)
+            for k, (last, new) in enumerate(pairwise(line), start=1):
+                if norm(new - last) > self.width * (1 - SAME_POINT):
+                    self.nodes[k * i, k * j] = new
         for p, q in product((1, -1), repeat=2):
             self._fill(p, q)
 

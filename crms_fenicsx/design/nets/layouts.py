@@ -125,22 +125,11 @@ def geodesics_across(
             way = points[k] - points[k - 1]
             start = points[k - 1] + (s - along[k - 1]) / (along[k] - along[k - 1]) * way
             across = cross(surface.normal(start), way / norm(way))
-            family.append(_both_ways(surface, start, across / norm(across), step))
+            across /= norm(across)
+            back, ahead = (surface.to_rim([start], step, sign * across) for sign in (-1.0, 1.0))
+            family.append(np.array([*back[:0:-1], *ahead]))
         families.append(family)
     return assembled(call, surface, families, taut=True)
-
-
-def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> Array:
-    """Points (k, 3) of the straight line through a point in a direction, from rim to rim."""
-    halves = []
-    for sign in (-1.0, 1.0):
-        first = surface.step(start, sign * way, step)
-        if first is None:
-            first = surface.rim_ahead(start, sign * way, step)
-            halves.append([start] if first is None else [start, first])
-        else:
-            halves.append(surface.to_rim([start, first], step))
-    return np.array([*halves[0][:0:-1], *halves[1]])
 
 
 def _chain(surface: WholeSurface, name: str) -> Array:

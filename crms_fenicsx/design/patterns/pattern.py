@@ -19,12 +19,14 @@ from crms_fenicsx.design.patterns.compensation import (
     warp_moduli,
     width_in_tension,
 )
-from crms_fenicsx.design.patterns.conformal import aligned, conformal, double_areas_in_plane
 from crms_fenicsx.design.patterns.flattening import (
     FlatProblem,
     ProblemOf,
     Sides,
+    aligned,
     columns_of,
+    conformal,
+    double_areas_in_plane,
     fine_energies,
     flat_shapes,
     limit_of,
@@ -165,10 +167,6 @@ class Pattern:
         """Area of all flat pieces (length squared)."""
         return sum(one.area for one in self.flat)
 
-    def flat_piece(self, name: str) -> FlatPiece:
-        """Return the flat piece with a name."""
-        return checks.named("piece", {one.name: one for one in self.flat}, name)
-
     def seam_lengths(self) -> dict[str, Array]:
         """Lengths (k, 2) of each seam's segments, on both sides (length)."""
         joints = self.pieces.joints
@@ -291,14 +289,13 @@ def _made_pattern(pieces: Pieces, material: Materials, made: _CutOptions) -> Pat
     with raised_together(comm):
         for k in mine:
             piece = pieces.pieces[k]
-            own = None if warps is None else warps[piece.cells]
-            start = aligned(piece, conformal(piece.points, piece.triangles), own)
+            start = aligned(piece, conformal(piece.points, piece.triangles), warps)
             problems[k] = problem = problem_of(piece, start)
             mean = piece.areas @ problem.wanted / piece.area
             stretches[k] = np.sqrt(1.0 + 2.0 * mean[:2])
             start = start / stretches[k]
             for _ in range(2):  # the conformal map rotates its ends
-                start = aligned(piece, problem.solve(start), own)
+                start = aligned(piece, problem.solve(start), warps)
             row, side = np.nonzero(pieces.joints.pieces == k)
             ends = pieces.joints.ends[row, side]
             starts[k], sides[k] = start, Sides(row, ends, np.where(side == 0, 1.0, -1.0))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
@@ -16,11 +16,8 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text, collective
 from crms_fenicsx.foundation.surface.closest_point import places_in_space
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
-from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint
+from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.foundation.surface.trace import checked_route, trace
-
-SNAP = 1e-3
-"""Distance, relative to the mesh size, within which a seam's points snap to vertices and edges."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +91,11 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     >>> patterns.geodesic(found.mesh, [(-18.0, -6.0), (18.0, -6.0)], name="seam 1")
     """
     surface = PatternSurface.of("geodesic", mesh, points=points, name=name)
-    route = checked_route(points, SNAP)
+    route = checked_route(points)
     found: list[SurfacePoint] = []
     for k in range(len(route) - 1):
         ids = surface.target.ids
-        section = trace(ids, surface.points, surface.cells, route[k : k + 2], snap=SNAP)
+        section = trace(ids, surface.points, surface.cells, route[k : k + 2])
         anchor = section.end_anchor if section.start_anchor is None else section.start_anchor
         if anchor is not None:
             raise PathError(
@@ -136,12 +133,10 @@ def geodesic_along(
     surface = PatternSurface.of("geodesic_along", mesh, start=start, direction=direction, name=name)
     place = checks.vector("geodesic_along: start", start)
     along = checks.vector("geodesic_along: direction", direction)
-    found = places_in_space(surface.target, place[None], SNAP, {})[0].point
+    found = places_in_space(surface.target, place[None], {})[0].point
     if found is None:
         raise PathError(f"geodesic_along: start = {as_text(place)} does not lie on the surface.")
-    back, ahead = (straight_walk(surface, found, sign * along) for sign in (-1.0, 1.0))
-    middle = () if isinstance(found, CellPoint) else (found,)
-    return seam_of(surface, name, (*back[::-1], *middle, *ahead))
+    return seam_of(surface, name, straight_line(surface, found, along))
 
 
 @collective

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.design.patterns.conformal import gradients
+from crms_fenicsx.design.patterns.flattening import gradients
 from crms_fenicsx.design.patterns.pattern import Materials, Pattern
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.runtime import checks

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.design.patterns.compensation import warp_moduli
-from crms_fenicsx.design.patterns.conformal import aligned, conformal
+from crms_fenicsx.design.patterns.flattening import aligned, conformal
 from crms_fenicsx.design.patterns.pattern import Materials, Warp, of_cells
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_line
 from crms_fenicsx.design.patterns.pieces import Pieces
 from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
@@ -171,16 +170,11 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
     lengths = arc_lengths(surface.places(line))
     middle = line[int(np.abs(lengths - lengths[-1] / 2).argmin())]
 
-    def at(place: Array, sense: float) -> Array:
+    def at(place: Array) -> Array:
         given = np.ravel(warp(place[:, None])) if callable(warp) else warp
-        return sense * checks.vector("strips: warp", given)
+        return checks.vector("strips: warp", given)
 
-    place = surface.places((middle,))[0]
-    back, ahead = (
-        straight_walk(surface, middle, at(place, sense), partial(at, sense=sense))
-        for sense in (-1.0, 1.0)
-    )
-    return (*back[::-1], middle, *ahead)
+    return tuple(straight_line(surface, middle, at))
 
 
 @dataclass(frozen=True)
@@ -239,8 +233,7 @@ def estimates(
     found = {}
     with raised_together(pieces.comm):
         for piece in pieces.pieces:
-            own = None if warps is None else warps[piece.cells]
-            flat = aligned(piece, conformal(piece.points, piece.triangles), own)
+            flat = aligned(piece, conformal(piece.points, piece.triangles), warps)
             widths, K = _widths(flat[piece.outline]), piece.curvature
             modulus = float(piece.areas @ warp_moduli(stiffness[piece.cells])) / piece.area
             fourth = float(np.sum(widths**5) / np.sum(widths))

@@ -15,8 +15,12 @@ from crms_fenicsx import (
     meshes,
     patterns,
 )
-from crms_fenicsx.design.patterns.conformal import conformal
-from crms_fenicsx.design.patterns.flattening import FlatProblem, divided, fine_energies
+from crms_fenicsx.design.patterns.flattening import (
+    FlatProblem,
+    conformal,
+    divided,
+    fine_energies,
+)
 
 FILM = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
 

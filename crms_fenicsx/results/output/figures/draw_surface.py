@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import (
@@ -35,7 +36,7 @@ from crms_fenicsx.results.output.figures.picture import (
     subdivided,
     visible,
 )
-from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points, edges_of
+from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
@@ -271,12 +272,8 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
 
 def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
     """Whether the triangles' sides (corner k to k + 1) are among pairs of vertices, (m, 3)."""
-    if len(triangles) == 0 or len(pairs) == 0:
-        return np.zeros((len(triangles), 3), dtype=bool)
-    n = int(triangles.max()) + 1 + int(pairs.max())
-    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
-    wanted = np.sort(pairs, axis=1)
-    return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
+    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1)
+    return np.isin(edge_keys(sides), edge_keys(pairs)).reshape(-1, 3)
 
 
 def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
@@ -402,5 +399,5 @@ def outline_of(surface: Surface) -> Array:
     _, first, same = np.unique(
         np.round(points / step), axis=0, return_index=True, return_inverse=True
     )
-    pairs, counts = edges_of(same.reshape(-1)[triangles])
-    return points[first[pairs[counts == 1]]]
+    table = EdgeTable.of(same.reshape(-1)[triangles])
+    return points[first[table.vertices[table.counts == 1]]]
