@@ -19,13 +19,9 @@ from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PathError,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, raised_together
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
 from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.model.materials import Direction, check_warp
@@ -92,12 +88,8 @@ def strips(
     --------
     >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5, allowance=0.04)
     """
-    surface = PatternSurface.of(
-        "strips", mesh, first=first, last=last, width=width, kind=kind, warp=warp,
-        allowance=allowance, name=name,
-    )  # fmt: skip
+    surface = PatternSurface.of(mesh)
     usable = usable_width("strips", width, allowance)
-    checks.one_of("strips: kind", kind, ("geodesic", "parallel"))
     if warp is not None:
         check_warp("strips", warp)
     ends = [points_of(surface, "strips", line) for line in (first, last)]
@@ -233,8 +225,6 @@ def estimates(
     --------
     >>> {name: one.strain for name, one in patterns.estimates(pieces, fabric).items()}
     """
-    checks.of_type("estimates: pieces", pieces, Pieces)
-    checks.same(pieces.comm, "estimates", material=material, warp=warp)
     stiffness, warps = of_cells(pieces, material, warp)
     found = {}
     with raised_together(pieces.comm):
