@@ -13,7 +13,7 @@ from crms_fenicsx.design.patterns.pieces import PieceEdge
 from crms_fenicsx.design.patterns.strip_layout import usable_width
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import NonNegative, Positive, checked
+from crms_fenicsx.foundation.runtime.arguments import Finite, NonNegative, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
 from crms_fenicsx.foundation.runtime.errors import InputError
 
@@ -47,8 +47,8 @@ class Sheet:
         A roll narrower than twice the allowance, or an invalid length.
     """
 
-    roll: float
-    allowance: float = 0.0
+    roll: Positive
+    allowance: Finite = 0.0
     rim: NonNegative = 0.0
     edges: Mapping[str, float] = field(default_factory=dict)
     marks: Positive = 1.0

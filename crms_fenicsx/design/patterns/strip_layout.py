@@ -19,7 +19,7 @@ from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import collective
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError, raised_together
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
@@ -40,11 +40,11 @@ def strips(
     mesh: MembraneMesh,
     first: Line,
     last: Line,
-    width: float,
+    width: Positive,
     *,
     kind: Literal["geodesic", "parallel"] = "geodesic",
     warp: Direction | None = None,
-    allowance: float = 0.0,
+    allowance: Finite = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
     """Make seams between two lines for the fewest strips of a given width. Collective.
@@ -127,14 +127,12 @@ def strips(
 
 def usable_width(call: str, width: float, allowance: float) -> float:
     """Width of the roll less the allowances of both sides (length)."""
-    roll = checks.positive(f"{call}: width", width)
-    taken = checks.finite(f"{call}: allowance", allowance)
-    if not 0.0 <= 2.0 * taken < roll:
+    if not 0.0 <= 2.0 * allowance < width:
         raise InputError(
-            f"{call}: a roll {roll:.6g} wide with an allowance of {taken:.6g} on both sides leaves "
-            "no fabric; the width must be more than twice the allowance."
+            f"{call}: a roll {width:.6g} wide with an allowance of {allowance:.6g} on both sides "
+            "leaves no fabric; the width must be more than twice the allowance."
         )
-    return roll - 2.0 * taken
+    return width - 2.0 * allowance
 
 
 def _at(point: SurfacePoint, values: Array) -> float:

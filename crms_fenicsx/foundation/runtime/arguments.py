@@ -45,33 +45,22 @@ def checked(call: Function) -> Function:
     """Decorate a function or a class: arguments that do not fit their annotations are refused, by
     an `InputError` that begins with the call's name. A function gets what the checks return, such
     as numbers for `Finite`; a class gets what is given."""
-    if inspect.isclass(call):
-        _check_class(call)
-        return cast(Function, call)
-    its = Arguments(call, call.__name__)
+    kind: Any = call if inspect.isclass(call) else None
+    begins = call if kind is None else kind.__init__
+    its = Arguments(begins, call.__name__)
 
-    @functools.wraps(call)
+    @functools.wraps(begins)
     def calling(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        args, kwargs = its.checked(args, kwargs)
-        return call(*args, **kwargs)
+        found = its.checked(args, kwargs)
+        args, kwargs = found if kind is None else (args, kwargs)
+        return begins(*args, **kwargs)
 
     calling.arguments = its  # type: ignore[attr-defined]
-    return cast(Function, calling)
-
-
-def _check_class(kind: Any) -> None:
-    """Let a class check its arguments before it takes them."""
-    begin, its = kind.__init__, Arguments(kind.__init__, kind.__name__)
-
-    @functools.wraps(begin)
-    def initialise(*args: Any, **kwargs: Any) -> None:
-        __tracebackhide__ = True
-        its.checked(args, kwargs)
-        begin(*args, **kwargs)
-
-    initialise.arguments = its  # type: ignore[attr-defined]
-    kind.__init__ = initialise
+    if kind is None:
+        return cast(Function, calling)
+    kind.__init__ = calling
+    return call
 
 
 def collective(call: Function) -> Function:
@@ -183,7 +172,7 @@ def _check_of(annotation: Any) -> Check | None:
     if kind in (Union, UnionType):
         some = [one for one in inner if one is not NoneType]
         check = _check_of(some[0]) if len(some) == 1 else None
-        return check and partial(_unless_none, check)
+        return check and (lambda what, value: None if value is None else check(what, value))
     if kind is Literal:
         return partial(checks.one_of, known=inner)
     if not inspect.isclass(annotation) or getattr(annotation, "_is_protocol", False):
@@ -196,7 +185,3 @@ def _is_per_rank(annotation: Any) -> bool:
     """Whether it is `PerRank`, or `PerRank` or None."""
     ones = annotation, *get_args(annotation)
     return any(OWN in getattr(one, "__metadata__", ()) for one in ones)
-
-
-def _unless_none(check: Check, what: str, value: Any) -> Any:
-    return None if value is None else check(what, value)

@@ -25,7 +25,6 @@ LONGEST = 200
 
 Named = TypeVar("Named")
 Found = TypeVar("Found")
-Given = TypeVar("Given")
 
 
 def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
@@ -166,7 +165,7 @@ def one_of(what: str, value: Any, known: Iterable[object]) -> Any:
     return value
 
 
-def of_type(what: str, value: Given, kind: type) -> Given:
+def of_type(what: str, value: Any, kind: type) -> Any:
     """Return a value if it is of a type."""
     if not isinstance(value, kind):
         raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")

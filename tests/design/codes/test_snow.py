@@ -107,7 +107,11 @@ def test_bad_input() -> None:
             {"pitch": -3.0},
             "pitch = -3 is outside the range of 0 to 90 degrees",
         ),
-        (DuopitchSnow, {"ridge": (0, 0), "across": (0, 0)}, "across = .* is zero in plan, expected"),
+        (
+            DuopitchSnow,
+            {"ridge": (0, 0), "across": (0, 0)},
+            "across = .* is zero in plan",
+        ),
         (CylindricalSnow, {**vault, "rise": 10.1}, "rise / span = 0.505 is outside .* 0 to 0.5"),
         (DriftedSnow, {**drift, "upper_pitch": 20.0}, "upper_slope = 0.0 is not positive"),
         (snow_load, {"s_k": 1.0, "shape": 0.8}, "shape = 0.8 is not a snow shape"),
