@@ -16,7 +16,6 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.foundation.dofs.layout import vertex_starts
-from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.bar import PlacedBar
@@ -323,9 +322,6 @@ def _gathered(
 
 def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
     """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
-    checks.same(scene.comm, "to_pyvista", radius=radius)
-    if radius is not None and checks.finite("to_pyvista: radius", radius) < 0.0:
-        raise InputError(f"to_pyvista: radius = {radius:g} is negative; pass 0 to draw lines.")
     scene.membrane.check_finite("to_pyvista")
     piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
     surface = whole_surface(scene.comm, piece)

@@ -59,7 +59,8 @@ class _Plane(dict[int, float]):
         s = self[a] / (self[a] - self[b])
         first, last = self._places[self._row_of[a]], self._places[self._row_of[b]]
         place = first + s * (last - first)
-        return s, float((place - self.start) @ self.along / max(self.along @ self.along, 1e-300))
+        along = max(float(self.along @ self.along), 1e-300)
+        return s, float((place - self.start) @ self.along) / along
 
 
 def project_span(

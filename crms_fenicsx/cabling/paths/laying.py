@@ -90,16 +90,14 @@ def lay(
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
-    checks.of_type("lay_cable: cable", cable, Cable)
     # not the number of a removed cable
     name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
-    checks.one_of(f"lay_cable: hold of {name!r}", hold, tuple(HOLDS))
     if hold == "bonded" and cable.law == "step":
         raise InputError(
             f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '
             'cable; use law="total".'
         )
-    _check_length(name, L0, tension, measured_on)
+    _check_length(name, L0, tension)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     try:
@@ -197,19 +195,13 @@ def _put_in_folds(
     return moved
 
 
-def _check_length(
-    name: str, L0: float | None, tension: float | None, measured_on: MeasuredOn
-) -> None:
+def _check_length(name: str, L0: float | None, tension: float | None) -> None:
     """Check the arguments for the length of a new cable."""
     if L0 is not None and tension is not None:
         raise InputError(f"lay_cable: {name!r} got both L0 and tension; pass one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
-    if measured_on not in ("surface", "facets"):
-        raise InputError(
-            f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
-        )
 
 
 def _follows_free_edge(path: Path, strip: Strip) -> bool:

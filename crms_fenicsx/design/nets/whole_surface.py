@@ -12,7 +12,6 @@ from crms_fenicsx.cabling.cables.strip import Strip, StripShape, whole
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import closest, cross, dot, double_areas, mix, norm
-from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import (
@@ -35,11 +34,9 @@ class WholeSurface:
     cells: Integers  # (m, 3) rows of `points`
 
     @classmethod
-    def of(cls, call: str, scene: Scene, **arguments: object) -> WholeSurface:
-        """The current shape; the arguments must agree on all ranks. Collective."""
-        checks.of_type(f"{call}: scene", scene, Scene)
+    def of(cls, call: str, scene: Scene) -> WholeSurface:
+        """The current shape. Collective."""
         scene.membrane.check_finite(call)
-        checks.same(scene.comm, call, **arguments)
         membrane = scene.membrane
         strip = whole(membrane)
         shape = StripShape.of(membrane, strip)

@@ -35,13 +35,9 @@ from crms_fenicsx.design.patterns.pieces import COLUMNS, Piece, Pieces
 from crms_fenicsx.foundation.meshes.membrane_mesh import outer_first
 from crms_fenicsx.foundation.meshes.triangles import closest
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PatternWarning,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PatternWarning, raised_together
 from crms_fenicsx.model.materials import MembraneMaterial, check_warp
 
 Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
@@ -210,7 +206,7 @@ def flatten(
     shrink: Shrink | Mapping[str, Shrink] | None = None,
     edges: Mapping[str, EdgeShrink] | None = None,
     equal: bool = True,
-    limit: float | None = None,
+    limit: Positive | None = None,
 ) -> Pattern:
     """Lay pieces flat with the least strain energy, and compensate them. Collective.
 
@@ -262,14 +258,8 @@ def flatten(
     --------
     >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
     """
-    checks.of_type("flatten: pieces", pieces, Pieces)
-    checks.same(
-        pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
-        equal=equal, limit=limit,
-    )  # fmt: skip
     if warp is not None and not (isinstance(warp, str) and warp == "seams"):
         check_warp("flatten", warp)
-    limit = None if limit is None else checks.positive("flatten: limit", limit)
     for name, one in (edges or {}).items():
         checks.named("group of edges", pieces.surface.edges, name)
         checks.of_type(f"flatten: edges[{name!r}]", one, EdgeShrink)

@@ -44,10 +44,8 @@ class PatternSurface(CheckedSurface):
     """A surface with its groups, for geodesics, sections and distances."""
 
     @classmethod
-    def of(cls, call: str, mesh: MembraneMesh, **arguments: object) -> PatternSurface:
-        """The whole surface of a mesh; the arguments must agree on all ranks. Collective."""
-        checks.of_type(f"{call}: mesh", mesh, MembraneMesh)
-        checks.same(mesh.comm, call, **arguments)
+    def of(cls, mesh: MembraneMesh) -> PatternSurface:
+        """The whole surface of a mesh. Collective."""
         return cls(**vars(mesh.comm.bcast(gathered(mesh)[0])))
 
     @cached_property

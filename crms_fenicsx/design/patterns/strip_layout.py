@@ -18,13 +18,9 @@ from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PathError,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, raised_together
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
 from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.model.materials import Direction, check_warp
@@ -43,11 +39,11 @@ def strips(
     mesh: MembraneMesh,
     first: Line,
     last: Line,
-    width: float,
+    width: Positive,
     *,
     kind: Literal["geodesic", "parallel"] = "geodesic",
     warp: Direction | None = None,
-    allowance: float = 0.0,
+    allowance: Finite = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
     """Make seams between two lines for the fewest strips of a given width. Collective.
@@ -91,12 +87,8 @@ def strips(
     --------
     >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5, allowance=0.04)
     """
-    surface = PatternSurface.of(
-        "strips", mesh, first=first, last=last, width=width, kind=kind, warp=warp,
-        allowance=allowance, name=name,
-    )  # fmt: skip
+    surface = PatternSurface.of(mesh)
     usable = usable_width("strips", width, allowance)
-    checks.one_of("strips: kind", kind, ("geodesic", "parallel"))
     if warp is not None:
         check_warp("strips", warp)
     ends = [points_of(surface, "strips", line) for line in (first, last)]
@@ -134,14 +126,12 @@ def strips(
 
 def usable_width(call: str, width: float, allowance: float) -> float:
     """Width of the roll less the allowances of both sides (length)."""
-    roll = checks.positive(f"{call}: width", width)
-    taken = checks.finite(f"{call}: allowance", allowance)
-    if not 0.0 <= 2.0 * taken < roll:
+    if not 0.0 <= 2.0 * allowance < width:
         raise InputError(
-            f"{call}: a roll {roll:.6g} wide with an allowance of {taken:.6g} on both sides leaves "
-            "no fabric; the width must be more than twice the allowance."
+            f"{call}: a roll {width:.6g} wide with an allowance of {allowance:.6g} on both sides "
+            "leaves no fabric; the width must be more than twice the allowance."
         )
-    return roll - 2.0 * taken
+    return width - 2.0 * allowance
 
 
 def _at(point: SurfacePoint, values: Array) -> float:
@@ -227,8 +217,6 @@ def estimates(
     --------
     >>> {name: one.strain for name, one in patterns.estimates(pieces, fabric).items()}
     """
-    checks.of_type("estimates: pieces", pieces, Pieces)
-    checks.same(pieces.comm, "estimates", material=material, warp=warp)
     stiffness, warps = of_cells(pieces, material, warp)
     found = {}
     with raised_together(pieces.comm):

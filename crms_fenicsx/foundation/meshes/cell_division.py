@@ -20,6 +20,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribut
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.surface import EMPTY, CheckedSurface, Projection, check_areas
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
@@ -31,9 +32,10 @@ QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 """Rows of `CORNERS` of a cell's four children."""
 
 
+@collective
 def refine(
     mesh: MembraneMesh,
-    cells: ArrayLike | None = None,
+    cells: PerRank[ArrayLike | None] = None,
     *,
     project: Callable[[Array], Array] | None = None,
 ) -> MembraneMesh:
@@ -75,7 +77,6 @@ def refine(
     >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
     >>> meshes.refine(mesh, mesh.parts["corner"])
     """
-    checks.same(mesh.comm, "refine", whole=cells is None, project=project)
     with raised_together(mesh.comm):
         chosen = None if cells is None else _checked_cells(mesh, cells)
         onto = mesh.project if project is None else _checked(project)

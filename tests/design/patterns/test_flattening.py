@@ -260,11 +260,6 @@ def test_bad_options_are_named(options, text, comm: MPI.Intracomm) -> None:  # t
         patterns.flatten(pieces, FABRIC, **options)
 
 
-def test_surfaces_without_pieces_are_refused() -> None:
-    with pytest.raises(InputError, match="pieces is of type"):
-        patterns.flatten(3, FILM)  # type: ignore[arg-type]
-
-
 class TestCompensation:
     """Stretches by the fabric's law, parts by hand, edges of their own."""
 

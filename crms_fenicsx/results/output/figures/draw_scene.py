@@ -15,13 +15,9 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PictureWarning,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PictureWarning, raised_together
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
@@ -142,10 +138,6 @@ def draw(
     """
     if not hasattr(type(solver), "system"):
         raise InputError(f"draw: solver is of type {type(solver).__name__}; pass a Solver.")
-    checks.same(
-        solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
-        tensions=tensions, directions=directions, **options,
-    )  # fmt: skip
     loads = [f"{LOAD}{name}" for name in solver.system.scene.loads.factors]
     checks.one_of("draw: colour", colour, (None, *COLOURS, *loads))
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
@@ -266,8 +258,8 @@ def _signed_colours(scene: Scene) -> dict[str, Any]:
 def draw_paths(
     scene: Scene,
     filename: str | Path | None = None,
-    lines: Sequence[Line] = (),
-    paths: Sequence[Line] = (),
+    lines: PerRank[Sequence[Line]] = (),
+    paths: PerRank[Sequence[Line]] = (),
     **options: Any,
 ) -> Figure | None:
     """Draw cables and paths of points over the stress-free mesh, in plan. Collective.
@@ -300,8 +292,6 @@ def draw_paths(
     PictureWarning
         The mesh is omitted, as it has more than `MOST_CELLS` cells.
     """
-    checks.of_type("draw_paths: scene", scene, Scene)
-    checks.same(scene.comm, "draw_paths", filename=filename, **options)
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
