@@ -6,18 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import clamped, order, sheet
+from cabled_square import advanced, clamped, order, sheet
 from mpi4py import MPI
 from roped_drum import AROUND, EA, FREE, WRAP, exact_tensions, places, roped
 from taylor import OnMesh, dense, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square, on_mesh
 
-from crms_fenicsx import Cable, Friction, InputError, Scene, Solver
+from crms_fenicsx import Cable, Friction, InputError, LaidCable, Scene, Solver
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.friction.passes import capstan_bounds
 from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 from crms_fenicsx.energy.terms.capstan_chain import ENERGY, LAW, find_slips, spread_evenly
-from crms_fenicsx.model.laid_cable import LaidCable
 
 
 def pull(solver: Solver, cable: LaidCable, by: float, steps: int = 1) -> float:
@@ -108,8 +107,7 @@ def test_cycles_dissipate_the_same_and_the_balance_closes(comm) -> None:
     gaps = []
     for steps, rounds in ((4, 3), (8, 2)):
         scene, rope = roped(comm, 12, 0.3, tension=5.0)
-        solver = Solver(scene)
-        solver.advance()
+        solver = advanced(Solver(scene))
         start, losses, work = scene.energy, [0.0], 0.0
         for _ in range(rounds):
             for by in (0.012, -0.012):
@@ -159,8 +157,7 @@ def test_units_do_not_matter(comm) -> None:
     tensions = []
     for scale, force in ((1.0, 1.0), (1e3, 1e-2)):
         scene, rope = roped(comm, 10, 0.3, tension=5.0, scale=scale, force=force)
-        solver = Solver(scene)
-        solver.advance(move={rope.end: (0.0, 0.0, -0.01 * scale)})
+        Solver(scene).advance(move={rope.end: (0.0, 0.0, -0.01 * scale)})
         tensions.append(rope.tensions / force)
     np.testing.assert_allclose(tensions[0], tensions[1], rtol=1e-8)
 
@@ -189,8 +186,7 @@ def test_a_failed_step_leaves_no_trace(comm) -> None:
 def inflated(comm: MPI.Intracomm, n: int, friction: float | Friction, kind: str = "structured"):
     """The inflated square with a cable over it, and its last end pulled down."""
     scene = sheet(comm, n, kind)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(
         Cable(32000.0, friction=friction), [(-20.0, 47.0, 0.0), (120.0, 51.0, 0.0)]
     )
@@ -257,8 +253,7 @@ def test_friction_zero_changes_nothing(comm) -> None:
 def test_cables_with_and_without_in_one_scene(comm) -> None:
     """Two cables side by side, far apart: the one without has the same tension everywhere."""
     scene = sheet(comm, 9)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     plain = scene.lay_cable(Cable(32000.0), [(-20.0, 28.0, 0.0), (120.0, 28.0, 0.0)])
     rough = scene.lay_cable(
         Cable(32000.0, friction=Friction(0.0, along=0.3)), [(-20.0, 72.0, 0.0), (120.0, 72.0, 0.0)]
@@ -515,8 +510,7 @@ def test_ends_on_vertices_that_are_held(comm: MPI.Intracomm) -> None:
         cable = scene.lay_cable(
             Cable(32000.0, friction=Friction(0.0, along=0.2)), [start, (100.0, 100.0 / 3)], L0=101.0
         )
-        solver = Solver(scene)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene), pressure=0.01)
         solver.advance(L0={cable: 100.5})
         tensions.append([cable.tension, cable.tensions.min(), cable.tensions.max()])
     assert {cable.state.nodes[-2].kind} == {"vertex"}
