@@ -20,8 +20,8 @@ from scipy.optimize import brentq
 from crms_fenicsx import meshes
 from crms_fenicsx.design.form_finding import FormCableFound, find_form
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path += [str(TESTS / "scenes"), str(TESTS / "design" / "form_finding")]  # their closed forms
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
+sys.path.append(str(Path(sys.path[-1]).parent / "design" / "form_finding"))  # and closed forms
 from form_meshes import cylinder, nodes, sail
 from test_hypar import sag as mean_sag
 from test_sharp_corners import arc
