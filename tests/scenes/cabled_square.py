@@ -3,7 +3,7 @@ were computed. Units: kgf, cm."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,10 @@ def rotated_lattice(n: int, angle: float = 0.3) -> tuple[np.ndarray, np.ndarray]
     return points, Delaunay(points).simplices
 
 
-def clamped(mesh: MembraneMesh, material: MembraneMaterial = FOIL, **laws: Any) -> Scene:
+def clamped(
+    mesh: MembraneMesh, material: MembraneMaterial | Mapping[str, MembraneMaterial] = FOIL,
+    **laws: Any,
+) -> Scene:  # fmt: skip
     """A stress-free sheet, held all around."""
     scene = Scene(mesh, material, **laws)
     scene.fix("boundary")
