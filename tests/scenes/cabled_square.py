@@ -12,6 +12,7 @@ from scipy.spatial import Delaunay
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
 from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.model.materials import MembraneMaterial
 
 SIDE = 100.0
@@ -31,7 +32,7 @@ def square(
     return meshes.rectangle(comm, side, side, side / n, structured=kind == "structured")
 
 
-def rotated_lattice(n: int, angle: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+def rotated_lattice(n: int, angle: float = 0.3) -> tuple[Array, Integers]:
     """A triangular lattice, turned, in a square whose sides are cut into n edges each."""
     h = SIDE / n
     i, j = np.meshgrid(np.arange(-2 * n, 2 * n + 1), np.arange(-2 * n, 2 * n + 1))
@@ -71,7 +72,7 @@ def advanced(solver: Solver, **loads: Any) -> Solver:
     return solver
 
 
-def place(cable: LaidCable, at: float, axis: int = 0) -> np.ndarray:
+def place(cable: LaidCable, at: float, axis: int = 0) -> Array:
     """Where a cable passes a plane x = at (or another axis), (3,)."""
     x = cable.line
     x = x if x[0, axis] < x[-1, axis] else x[::-1]
