@@ -18,10 +18,9 @@ from mesh_measures import (
 from scipy.integrate import dblquad
 from scipy.special import ellipe
 
-from crms_fenicsx import meshes, nets
+from crms_fenicsx import InputError, MeshError, meshes, nets
 from crms_fenicsx.foundation.meshes import Refinement
 from crms_fenicsx.foundation.meshes.refinement import TargetSize
-from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
 
 
 def order_of(errors, factor=2.0):
