@@ -56,7 +56,7 @@ ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
 
 MAX_SWITCHES = 6
-"""Switches between slack and taut allowed for each cable in one solve."""
+"""Switches between slack and taut allowed for each cable in one solve on given paths."""
 
 
 class _ContactMemory(Protocol):
@@ -87,8 +87,10 @@ class ActiveSet:
         )
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; return the changes in
-        words. Collective."""
+        """Begin a solve on given paths: switch cables between slack and taut for their current
+        lengths; return the changes in words. Collective."""
+        # Each trial of other paths that is rejected restores taut cables, which may slacken again.
+        self._switches.clear()
         return self._switch(self.net.strip_shape(), self._lines(), solved=False)
 
     def update(self, shape: StripShape) -> list[str]:
