@@ -1,8 +1,8 @@
 """The numbers that decide in which of several states a load step ends, or what is refused.
 
 None is a property of cloth, rope or air: they belong to the discretisation, a membrane of cells
-with cables along its edges and across them. `docs/theory/constants.md` says what becomes of thirty
-random scenes when each is halved and doubled.
+with cables along its edges and across them. `docs/theory/constants.md` says what becomes of random
+scenes when each is halved and doubled.
 """
 
 from __future__ import annotations
