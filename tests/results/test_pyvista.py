@@ -128,7 +128,7 @@ def test_a_picture_off_screen(pyvista: Any, tmp_path: Path) -> None:
 
 def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = Solver(sheet(COMM, 2))
-    for radius, words in ((-1.0, "radius = -1 is negative"), (np.nan, "radius"), ("a", "radius")):
+    for radius, words in ((-1.0, "radius = -1.0 is negative"), (np.nan, "radius"), ("a", "radius")):
         with pytest.raises(InputError, match=words):
             solver.to_pyvista(radius=radius)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "pyvista", None)
