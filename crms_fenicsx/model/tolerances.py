@@ -164,7 +164,7 @@ class Budget:
     changes: int = 60
     """Path changes, and projections of lifted parts' paths below their spans."""
     switches: int = 6
-    """Switches between slack and taut of each cable in one solve."""
+    """Switches between slack and taut of each cable in one solve on given paths."""
     halvings: int = 2
     """Times that a rejected set of runs that pass vertices is halved."""
     there_and_back: int = 3
