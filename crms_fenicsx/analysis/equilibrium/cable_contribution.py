@@ -8,13 +8,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mpi4py import MPI
 
-from crms_fenicsx.analysis.equilibrium.contribution import (
-    Contribution,
-    MembraneContribution,
-    PressureContribution,
-)
-from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
+from crms_fenicsx.analysis.equilibrium.contribution import Contribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.clamping import end_step, placed
 from crms_fenicsx.cabling.cables.element_tables import (
@@ -30,8 +26,9 @@ from crms_fenicsx.energy.minimization.damping import Damping
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.cable_tension import CableTension
 from crms_fenicsx.energy.terms.held_line import HeldLine
+from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns
+from crms_fenicsx.foundation.dofs.layout import FrameBlocks
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, pointers
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
@@ -50,18 +47,13 @@ class CableContribution(Contribution):
 
     Attributes: `numbering`: numbering of the cable points; `unknowns`: the layout with these
     points; `node_positions`: copies point positions to the cables; `taut`: the cables in tension;
-    `tables`: this rank's elements of these, or None; `folds`: contribution of the folded cells;
-    `tension`, `sliding`: term of the taut cables that slide freely along their axis, and these;
-    `capstan`, `gripped`: term of those with axial friction, and these; `clutches`, `slipping`: of
-    those that may slip through clamps.
+    `tables`: this rank's elements of these, or None; `tension`, `sliding`: term of the taut cables
+    that slide freely along their axis, and these; `capstan`, `gripped`: term of those with axial
+    friction, and these; `clutches`, `slipping`: of those that may slip through clamps.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        membrane: MembraneContribution,
-        pressure: PressureContribution,
-        frame: FrameBlocks | None = None,
+        self, scene: Scene, membrane: MembraneEnergy, frame: FrameBlocks | None = None
     ) -> None:
         super().__init__(scene)
         assert scene.net.strip is not None
@@ -84,21 +76,23 @@ class CableContribution(Contribution):
         self.clutches: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
-            self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
-            folded = self.tables.folded.cells
-            scene.membrane.refuse_folds(folded, "a cable has slid too far")
-            membrane.fold(folded)
-        self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
+            self.tables = cable_tables(self.numbering, membrane, scene.membrane.pressed)
+            scene.membrane.refuse_folds(self.tables.folded.cells, "a cable has slid too far")
+
+    def folds(self) -> CableTables | None:
+        """The tables if some rank has folded cells; global sums need the same terms on all ranks.
+        Collective."""
+        if self.tables is None:
+            return None
+        own = len(self.tables.folded.cells)
+        return self.tables if self.scene.comm.allreduce(own, op=MPI.SUM) > 0 else None
 
     def damping(self) -> Damping | None:
         """Damping of quasi-Newton steps of the cable points; None without tension."""
         return None if self.tables is None else damping(self.numbering, self.tables.segments)
 
-    @property
-    def has_history(self) -> bool:
-        return any(cable.cable.law == "step" for cable in self.scene.cables)
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+    def terms(self) -> list[EnergyTerm]:
+        """The terms in their order. Collective."""
         terms: list[EnergyTerm] = []
         if self.tables is not None and self.sliding:
             self.tension = self._tension_term(self.tables)
@@ -177,6 +171,7 @@ class CableContribution(Contribution):
             self.clutches.L0[:] = _whole_lengths(self.slipping)
 
     def locate(self, potential: Potential) -> None:
+        """Copy the positions of cable points to the scene, on all ranks. Collective."""
         self.node_positions.gather(potential.x)
 
     def write_scene(self, potential: Potential) -> None:

@@ -41,6 +41,7 @@ class BarContribution(Contribution):
         self.blocks = FrameBlocks(names, first, homes, places)
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        """The terms over a layout, in which the joints' supports are prescribed."""
         frame, blocks = self.scene.frame, self.blocks
         for joint, block in zip(frame.joints, blocks.joint_blocks, strict=True):
             unknowns.held[block] = joint.held

@@ -123,6 +123,8 @@ class IncrementSolver:
         self.scene, self._options = scene, options
         self._verifier = Verifier(scene) if options.verify else None
         self._system: System | None = None
+        self._version = 0
+        """Number of the scene's state that the system has led to."""
         self._search: EquilibriumSearch | None = None
         self._earlier: TriedPaths | None = None
         """Rejected paths of the run that this one resumes."""
@@ -132,10 +134,11 @@ class IncrementSolver:
     @property
     def system(self) -> System:
         """The scene's potential and its minimiser, made on first use."""
-        if self._system is not None and self._system.is_outdated:
+        if self._system is not None and self._version != self.scene.versions.state_version:
             self.release()  # another solver has advanced the scene
         if self._system is None:
             self._system = System(self.scene, self._options.prefix, self._options.rtol)
+            self._version = self.scene.versions.state_version
         return self._system
 
     def release(self) -> None:
@@ -230,7 +233,7 @@ class IncrementSolver:
             if unstable:
                 outcome = replace(outcome, converged=False, reason=unstable[0])
         if outcome.converged:
-            self.system.commit()
+            self._commit()
         return Increment(outcome, verification, warnings)
 
     def _lower(
@@ -257,7 +260,7 @@ class IncrementSolver:
         """Solve again under lagged pressure until its forces are normal to the final shape."""
         earlier: list[Array] = []
         for _ in range(MAX_FOLLOWER_SOLVES):
-            self.system.commit()
+            self._commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
             if more.iterations == 0 or not more.converged:
@@ -286,12 +289,17 @@ class IncrementSolver:
             if size <= self._options.rtol * outcome.scale:
                 return outcome
             scene.loads.update(loads=turned)
-            self.system.commit()
+            self._commit()
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
                 return outcome
         reason = f"the wind still turns with the membrane after {MAX_FOLLOWER_SOLVES} solves"
         return replace(outcome, converged=False, reason=reason)
+
+    def _commit(self) -> None:
+        """End a load step at the state found. Collective."""
+        self.system.commit()
+        self._version = self.scene.versions.state_version
 
     def snapshot(self) -> SceneState:
         """The scene's state and the paths tried."""
@@ -308,12 +316,12 @@ class IncrementSolver:
         scene, system = self.scene, self._system
         # Terms hold the history of step-wise laws, so another history needs new terms.
         same = scene.step_history is state.step_history
-        keeps = same and system is not None and not system.is_outdated
+        keeps = same and self._version == scene.versions.state_version
         scene.state = state
         if system is not None:  # its tables may be for other taut cables
             system.invalidate()
             if keeps:
-                system.follow()
+                self._version = scene.versions.state_version
 
 
 @dataclass(frozen=True)
