@@ -165,12 +165,13 @@ class Movements:
             of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
             of_joints = [motion.at(share).reshape(3) for _, motion in self.joints]
         u = scene.u.x.array.reshape(-1, 3)
-        further = (share - before) * self.rigid_translation
-        u += further
-        for cable in scene.cables:
-            cable.update(positions=cable.state.positions + further)
-        for joint in scene.joints:
-            joint.update(position=joint.position + further)
+        if self.rigid_translation.any():
+            further = (share - before) * self.rigid_translation
+            u += further
+            for cable in scene.cables:
+                cable.update(positions=cable.state.positions + further)
+            for joint in scene.joints:
+                joint.update(position=joint.position + further)
         some, moved_by = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
         for (dofs, motion), displacement in zip(self.vertices, of_vertices, strict=True):
             some[dofs] |= motion.moving()

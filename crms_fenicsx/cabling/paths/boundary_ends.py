@@ -63,6 +63,9 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     that the old path would draw the cable into the membrane sideways."""
     if cable.state.nodes[k].kind != "anchor" or cable.state.ends_before is None:
         return False
+    way = cable.state.positions[k] - cable.state.ends_before[k]
+    if not way.any():
+        return False
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
     chords = cable.state.positions[contacts] - cable.state.ends_before[k]
     # An end on the boundary occurs twice, as an anchor and as the path's first point.
@@ -72,8 +75,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     assert point is not None
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
-    moved = float((cable.state.positions[k] - cable.state.ends_before[k]) @ aside)
-    return abs(moved) > ASIDE * size_at(shape, point.support) * length
+    return abs(float(way @ aside)) > ASIDE * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:

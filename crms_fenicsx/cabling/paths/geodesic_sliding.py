@@ -192,14 +192,14 @@ class GeodesicSliding:
             return lambda cable: self._pulled(cable, creased, max_flips, fresh)
 
         pulled = self._for_each(cables, pull, self.net.strip_shape())
-        surface = CreasedSurface(self.net.strip_shape(), folds)
-        most = 0
         for cable, new in zip(cables, pulled, strict=True):
             self._note(cable, new.followed)
-            if new.flips or fresh:
-                self.change.replace(cable, new.points, new.lifted, surface)
-                most = max(most, new.flips)
+        most = max(new.flips for new in pulled)
         if most or fresh:
+            surface = CreasedSurface(self.net.strip_shape(), folds)
+            for cable, new in zip(cables, pulled, strict=True):
+                if new.flips or fresh:
+                    self.change.replace(cable, new.points, new.lifted, surface)
             nodes = [node.point for cable in cables for node in cable.state.nodes]
             self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
