@@ -7,7 +7,7 @@ import numpy as np
 from crms_fenicsx import Cable
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
@@ -37,10 +37,9 @@ def cable_on(
         node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
     ]
     state = CableState(
-        Cable(1000.0),
         tuple(all_nodes), np.array(places, dtype=float), np.array(fractions),
-        np.zeros(len(all_nodes), dtype=bool), np.full((len(all_nodes), 3), np.nan), 1.0, 1.0, 10.0,
-        taut=True,
+        np.zeros(len(all_nodes), dtype=bool), np.full((len(all_nodes), 3), np.nan),
+        CableLaw(Cable(1000.0), 1.0, 1.0, 10.0, taut=True),
     )  # fmt: skip
     return LaidCable("cable 1", state)
 

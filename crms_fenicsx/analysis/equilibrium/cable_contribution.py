@@ -63,10 +63,12 @@ class CableContribution(Contribution):
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
         self.slipping = [
-            cable for cable in self.taut if cable.may_slip and cable.state.axial is None
+            cable for cable in self.taut if cable.may_slip and cable.state.law.axial is None
         ]
-        self.sliding = [c for c in self.taut if c.state.axial is None and c not in self.slipping]
-        self.gripped = [cable for cable in self.taut if cable.state.axial is not None]
+        self.sliding = [
+            c for c in self.taut if c.state.law.axial is None and c not in self.slipping
+        ]
+        self.gripped = [cable for cable in self.taut if cable.state.law.axial is not None]
         # first part of each sliding cable among all parts, and the total number
         self.first_parts = pointers(
             np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
@@ -126,14 +128,14 @@ class CableContribution(Contribution):
     def _tension_term(self, tables: CableTables) -> CableTension:
         EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
-        starts = [own.state.step_start for own in self.sliding for _ in own.part_lengths]
+        starts = [own.state.law.step_start for own in self.sliding for _ in own.part_lengths]
         one = np.array([cable in self.sliding for cable in self.taut])
         mine, number = one[tables.cable], np.cumsum(one) - 1
         cable = number[tables.cable[mine]]
         part = self.first_parts[cable]
         node = self.numbering.nodes.place[tables.links[mine, 0]]
         for c, own in enumerate(self.sliding):
-            if own.state.parts is not None:
+            if own.state.law.parts is not None:
                 part[cable == c] += own.parts_of(node[cable == c])
         links = (tables.segments[mine], tables.eps[mine], part.astype(np.int32))
         if any(starts):
@@ -185,11 +187,11 @@ class CableContribution(Contribution):
         for cable in self.scene.cables:
             tensions = own.get(cable, 0.0 * cable.part_lengths)
             length = polyline_length(cable.state.positions[cable.contacts()])
-            if cable.state.parts is None:
+            if cable.state.law.parts is None:
                 cable.update(length=length, tension=float(tensions[0]))
                 continue
             mean = float(tensions @ cable.part_lengths) / cable.L0
-            parts = replace(cable.state.parts, tensions=tensions.copy())
+            parts = replace(cable.state.law.parts, tensions=tensions.copy())
             cable.update(length=length, tension=mean, parts=parts)
 
         if self.scene.clamps:
@@ -200,9 +202,9 @@ class CableContribution(Contribution):
         tensions, lost = record_friction(self.scene, term, potential)
         found = {}
         for c, cable in enumerate(self.slipping):
-            assert cable.state.parts is not None
+            assert cable.state.law.parts is not None
             slips = term.slips[term.nodes_of(c)].copy()
-            cable.update(parts=replace(cable.state.parts, slips=slips, loss=float(lost[c])))
+            cable.update(parts=replace(cable.state.law.parts, slips=slips, loss=float(lost[c])))
             found[cable] = tensions[term.spans_of(c)]
         return found
 
@@ -218,8 +220,8 @@ class CableContribution(Contribution):
                 lengths += [(cable, sums[term.spans_of(c)]) for c, cable in enumerate(cables)]
         changed = False
         for cable, own in lengths:
-            if cable.state.axial is not None:
-                length = float(own.sum()) - cable.state.smoothing_length
+            if cable.state.law.axial is not None:
+                length = float(own.sum()) - cable.state.law.smoothing_length
             else:
                 own = own - _smoothing(cable) if cable in self.slipping else own
                 length = float(own.sum())
@@ -227,7 +229,7 @@ class CableContribution(Contribution):
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.update(smoothing_length=cable.state.smoothing_length + more)
+                cable.update(smoothing_length=cable.state.law.smoothing_length + more)
                 changed = True
         return changed
 
@@ -258,19 +260,21 @@ def record_friction(
 
 def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
     """Correct the smoothing lengths of a cable's parts and return whether they changed."""
-    if cable.state.parts is None:
+    if cable.state.law.parts is None:
         return False
     added = lengths - current_lengths(cable)
-    cable.update(parts=replace(cable.state.parts, smoothing=cable.state.parts.smoothing + added))
+    cable.update(
+        parts=replace(cable.state.law.parts, smoothing=cable.state.law.parts.smoothing + added)
+    )
     return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
 
 
 def _smoothing(cable: LaidCable) -> Array:
     """Length that smoothing adds to each part of a cable between clamps (length)."""
     return (
-        np.array([cable.state.smoothing_length])
-        if cable.state.parts is None
-        else cable.state.parts.smoothing
+        np.array([cable.state.law.smoothing_length])
+        if cable.state.law.parts is None
+        else cable.state.law.parts.smoothing
     )
 
 
@@ -278,9 +282,9 @@ def _whole_lengths(cables: Sequence[LaidCable]) -> Array:
     """Unstressed lengths with what smoothing adds, of cables with friction or slipping clamps."""
     return np.array(
         [
-            cable.L0 + cable.state.smoothing_length
-            if cable.state.axial is not None or cable.state.parts is None
-            else cable.L0 + float(cable.state.parts.smoothing.sum())
+            cable.L0 + cable.state.law.smoothing_length
+            if cable.state.law.axial is not None or cable.state.law.parts is None
+            else cable.L0 + float(cable.state.law.parts.smoothing.sum())
             for cable in cables
         ]
     )
@@ -288,7 +292,7 @@ def _whole_lengths(cables: Sequence[LaidCable]) -> Array:
 
 def _parts_of_one_link(cable: LaidCable) -> Booleans:
     """Whether each part of a bonded cable runs straight between two consecutive contacts."""
-    if cable.state.bonds is None:
+    if cable.state.laid.bonds is None:
         return np.zeros(len(cable.part_lengths), dtype=bool)
     return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 

@@ -135,7 +135,9 @@ class BarContribution(Contribution):
                 if joint in (bar.start, bar.end):
                     balance -= bar.pull(joint)
             for cable in scene.cables:
-                for end, name in zip((cable.start, cable.end), cable.state.joints, strict=True):
+                for end, name in zip(
+                    (cable.start, cable.end), cable.state.laid.joints, strict=True
+                ):
                     if name == joint.name and cable.taut:
                         balance += end.reaction
             joint.update(reaction=np.where(joint.held, balance, 0.0) + 0.0)  # no -0.0

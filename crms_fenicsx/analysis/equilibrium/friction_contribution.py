@@ -90,8 +90,8 @@ class FrictionContribution(Contribution):
             store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
 
     def commit(self) -> None:
-        gripped = [cable for cable in self.scene.cables if cable.state.lateral is not None]
-        held_along = [cable for cable in self.scene.cables if cable.state.axial is not None]
+        gripped = [cable for cable in self.scene.cables if cable.state.law.lateral is not None]
+        held_along = [cable for cable in self.scene.cables if cable.state.law.axial is not None]
         if not gripped and not held_along:
             return
         shape = self.scene.net.strip_shape()

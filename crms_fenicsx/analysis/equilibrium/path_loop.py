@@ -61,10 +61,9 @@ class PathLoop:
         others = CrossingTrials(self.change, tried)
         best = self._try(h0_prestress, rough)
         total, flips = best.outcome, best.flips
-        laid_again: set[int] = set()
+        laid_again, sunken = set[int](), set[int]()
         tries = 0
         settled = True  # the potential has the best paths and the scene is in equilibrium
-        sunken = set[int]()
         while best.outcome.converged:
             moved: list[Trial] = []
             other = False

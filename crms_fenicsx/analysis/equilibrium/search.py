@@ -98,7 +98,7 @@ class FrictionLoop:
                 from crms_fenicsx.cabling.friction.passes import LateralIteration
 
                 lags.append(LateralIteration(cable))
-            if cable.state.axial is not None:
+            if cable.state.law.axial is not None:
                 from crms_fenicsx.cabling.friction.passes import AxialIteration
 
                 lags.append(AxialIteration(cable))
@@ -182,7 +182,9 @@ class EquilibriumSearch:
         from crms_fenicsx.cabling.friction.lateral import start_step
 
         shape = net.strip_shape()
-        known = all(cable.slides_freely or cable.state.lateral is not None for cable in net.cables)
+        known = all(
+            cable.slides_freely or cable.state.law.lateral is not None for cable in net.cables
+        )
         for cable in net.cables:
             start_step(cable, shape)
         if not known:

@@ -154,7 +154,9 @@ class System:
             )
             terms += self.folds.terms
             self.parts.append(self.folds)
-        if scene.net.has_friction or any(cable.state.axial is not None for cable in scene.cables):
+        if scene.net.has_friction or any(
+            cable.state.law.axial is not None for cable in scene.cables
+        ):
             from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
 
             self.friction = FrictionContribution(scene, cables)

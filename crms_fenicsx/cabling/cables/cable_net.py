@@ -116,7 +116,7 @@ class CableNet:
             return
         known = with_clamps(self.crossings, self.clamps, self.cables)
         self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
-        if self.clamps or any(cable.state.parts is not None for cable in self.cables):
+        if self.clamps or any(cable.state.law.parts is not None for cable in self.cables):
             self.clamps = divide(self.cables, self.crossings, self.clamps)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:

@@ -12,7 +12,6 @@ from crms_fenicsx.cabling.cables.points_on_edges import CROSSING
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
-from crms_fenicsx.model.tolerances import BLOCKED
 
 
 class NodePositions:
@@ -99,12 +98,10 @@ class NodePositions:
             positions[known] = part[known, :3]
             if cable.taut:
                 fractions[slides] = part[slides, 3]
-            close = (fractions < BLOCKED) | (fractions > 1 - BLOCKED)
             cable.update(
                 positions=positions,
                 fractions=fractions,
                 reference_positions=part[:, 4:].copy(),
-                blocked=tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut),
             )
 
     def _set_material(self, total: Array) -> None:

@@ -137,7 +137,7 @@ class ActiveSet:
                 contact.drape(cable, shape)
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved is not None and cable.taut
-            if lengths is not None and judged and cable.state.parts is None:
+            if lengths is not None and judged and cable.state.law.parts is None:
                 taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
@@ -151,7 +151,7 @@ class ActiveSet:
             if taut or not tight:
                 self._tried.add(cable.name)
             # A cable that slackens recovers its folds from the straight path.
-            cable.update(taut=taut, path_is_geodesic=taut and cable.state.path_is_geodesic)
+            cable.update(taut=taut, path_is_geodesic=taut and cable.state.memory.path_is_geodesic)
             self._switches[cable.name] += 1
             self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
@@ -218,8 +218,8 @@ class ActiveSet:
         """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
-            if cable.state.parts is not None:
-                clamped[start + np.array(cable.state.parts.nodes, dtype=np.int64)] = True
+            if cable.state.law.parts is not None:
+                clamped[start + np.array(cable.state.law.parts.nodes, dtype=np.int64)] = True
         return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:

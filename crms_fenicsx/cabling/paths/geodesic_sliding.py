@@ -77,8 +77,8 @@ class GeodesicSliding:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.state.path_is_geodesic and leaves_cells(cable)
-            if cable.state.parts is None  # clamps may hold it in bends
+            if cable.taut and not cable.state.memory.path_is_geodesic and leaves_cells(cable)
+            if cable.state.law.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
             return False
@@ -159,7 +159,7 @@ class GeodesicSliding:
         for cable in self.net.cables:
             nodes = [cable.state.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
-            if not cable.taut or not places or len(cable.state.blocked) < len(places):
+            if not cable.taut or not places or len(cable.blocked) < len(places):
                 continue
             common = set.intersection(*places)
             surface = self.change.surface(sorted(common))
@@ -322,13 +322,13 @@ Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """Lifted and other parts of a path between clamps."""
-    if cable.state.parts is None:
+    if cable.state.law.parts is None:
         return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
     # clamps by the index of the path's first point after them, except where the cable follows an
     # edge between two of its vertices: these cannot be ends
     at: dict[int, SurfacePoint] = {}
-    for k in cable.state.parts.nodes:
+    for k in cable.state.law.parts.nodes:
         point, after = cable.state.nodes[k].point, int(np.searchsorted(on_path, k))
         if cable.state.nodes[k].kind != "crossing":
             at[after + 1] = cable.point(k)

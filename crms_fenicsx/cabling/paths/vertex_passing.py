@@ -212,7 +212,7 @@ class VertexTrials:
                 continue
             if cable.slides_freely:
                 least[c] = 1
-            elif cable.state.lateral is not None and cable.state.lateral.known:
+            elif cable.state.law.lateral is not None and cable.state.law.lateral.known:
                 from crms_fenicsx.cabling.friction.lateral import remap
 
                 remap(cable)

@@ -30,7 +30,7 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import trace
-from crms_fenicsx.model.cable_state import CableNode, CableState, Crossing
+from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState, Crossing, LaidAs
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 PLACES = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0)])
@@ -74,10 +74,9 @@ def cable_over(
     interpolation = [node.interpolation() for node in nodes]
     fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
     state = CableState(
-        Cable(1000.0),
         tuple(nodes), np.array([np.dot(w, places[list(ids)]) for ids, w in interpolation]),
         np.array(fractions), np.zeros(len(nodes), dtype=bool), np.full((len(nodes), 3), np.nan),
-        1.0, 1.0, 10.0, taut=taut, layer=layer,
+        CableLaw(Cable(1000.0), 1.0, 1.0, 10.0, taut=taut), LaidAs(layer=layer),
     )  # fmt: skip
     return LaidCable("cable", state)
 

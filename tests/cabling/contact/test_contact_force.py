@@ -20,7 +20,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
     turns,
 )
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
 
 COMM = MPI.COMM_SELF
@@ -39,8 +39,8 @@ def polyline(positions, anchored=False, lifted=()):
     off = np.isin(np.arange(len(positions)), lifted)
     x = np.array(positions, dtype=float)
     state = CableState(
-        Cable(1.0),
-        tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, T, taut=True,
+        tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan),
+        CableLaw(Cable(1.0), 1.0, 1.0, T, taut=True),
     )  # fmt: skip
     return LaidCable("c", state)
 
