@@ -181,8 +181,12 @@ class LaidCable(Handle[CableState]):
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
         """Internal: numbers of the parts between clamps that begin at or contain the nodes."""
-        clamps = () if self.state.law.parts is None else self.state.law.parts.nodes
-        return np.searchsorted(np.array(clamps, dtype=np.int64), nodes, side="right")
+        return np.searchsorted(np.array(self.clamped, dtype=np.int64), nodes, side="right")
+
+    @property
+    def clamped(self) -> tuple[int, ...]:
+        """Internal: its nodes at clamps and bonds, between which its tensions may differ."""
+        return () if self.state.law.parts is None else self.state.law.parts.nodes
 
     @property
     def is_divided(self) -> bool:
@@ -198,8 +202,7 @@ class LaidCable(Handle[CableState]):
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` held by clamps, 0 elsewhere."""
         bonds = () if self.state.laid.bonds is None else self.state.laid.bonds.supports
-        ends = () if self.state.law.parts is None else self.state.law.parts.nodes
-        nodes = [k for k in ends if self.state.nodes[k].support not in bonds]
+        nodes = [k for k in self.clamped if self.state.nodes[k].support not in bonds]
         return np.isin(self.line_nodes(), nodes).astype(float)
 
     @property

@@ -114,9 +114,8 @@ class CableContribution(Contribution):
             from crms_fenicsx.cabling.friction import axial
             from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 
-            at = {self.numbering.cables.index(own): own for own in self.slipping}
-            held = {c: axial.clamped_nodes(own) for c, own in at.items()}
-            chains = axial.chain_table(self.numbering, self.tables, held)
+            at = {self.numbering.cables.index(own): own.clamped for own in self.slipping}
+            chains = axial.chain_table(self.numbering, self.tables, at)
             grips = axial.clamp_grips(self.slipping)
             self.clutches = CapstanTension(chains, grips, _whole_lengths(self.slipping))
             terms.append(self.clutches)

@@ -125,9 +125,8 @@ class IncrementSolver:
         self._system: System | None = None
         self._version = 0
         """Number of the scene's state that the system has led to."""
-        self._search: EquilibriumSearch | None = None
-        self._earlier: TriedPaths | None = None
-        """Rejected paths of the run that this one resumes."""
+        self.tried: TriedPaths | None = None
+        """Paths that cables tried and rejected; None before the first."""
         self._known: tuple[LaidCable, ...] = ()
         """Cables at the last load step."""
 
@@ -145,36 +144,31 @@ class IncrementSolver:
         """Free the potential's memory; `system` makes it again."""
         if self._system is not None:
             self._system.destroy()
-        self._system = self._search = self._earlier = None
+        self._system = self.tried = None
 
     @property
     def search(self) -> EquilibriumSearch:
-        """Search for the equilibrium of each increment, made on first use."""
+        """A search for the equilibrium, which goes on from the paths tried before."""
         system = self.system
-        if self._search is None:
-            tried = self._earlier if self._options.slide else None
-            self._search = EquilibriumSearch(system, self._options.slide, tried)
-        return self._search
+        if not self._options.slide:
+            return EquilibriumSearch(system, None)
+        if self.tried is None and self.scene.cables:
+            from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
-    @property
-    def tried(self) -> TriedPaths | None:
-        """Paths that cables tried and rejected; None before the first."""
-        if self._search is not None and self._search.tried is not None:
-            return self._search.tried
-        return self._earlier
+            self.tried = TriedPaths()
+        return EquilibriumSearch(system, self.tried)
 
     def forget_removed(self) -> None:
         """Drop tried paths of removed cables: a new cable may have the same name."""
-        tried = self.tried
         for cable in self._known:
-            if tried is not None and cable not in self.scene.cables:
-                tried.forget(cable.name)
+            if self.tried is not None and cable not in self.scene.cables:
+                self.tried.forget(cable.name)
         self._known = self.scene.cables
 
     def resume(self, tried: TriedPaths | None) -> None:
         """Continue from the scene's state and the paths tried before."""
         self.release()
-        self._earlier, self._known = tried, self.scene.cables
+        self.tried, self._known = tried, self.scene.cables
 
     def restart_h0(self) -> None:
         """Reset H0, so that the next solve equals that of a resumed run."""
@@ -308,8 +302,7 @@ class IncrementSolver:
     def go_back_to(self, snapshot: SceneState) -> None:
         """Restore a state and the paths tried up to it."""
         self._restore(snapshot)
-        self._search, self._earlier = None, deepcopy(snapshot.tried)
-        self._known = self.scene.cables
+        self.tried, self._known = deepcopy(snapshot.tried), self.scene.cables
 
     def _restore(self, state: SceneState) -> None:
         """Restore a state of the scene."""

@@ -156,7 +156,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.state.law.axial is None:
         return values
-    from crms_fenicsx.cabling.friction.axial import clamped_nodes, gripped_nodes
+    from crms_fenicsx.cabling.friction.axial import gripped_nodes
     from crms_fenicsx.cabling.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.state.law.lateral is not None:
@@ -173,8 +173,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.state.law.axial is not None and len(cable.state.law.axial.spans):
-        clamps = clamped_nodes(cable)
-        nodes = [k for k in gripped_nodes(cable) if k not in clamps]
+        nodes = [k for k in gripped_nodes(cable) if k not in cable.clamped]
         tensions = cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]

@@ -162,8 +162,7 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
     what friction carries."""
     contacts = np.array(cable.contacts())
     places = cable.state.positions[contacts]
-    clamps = () if cable.state.law.parts is None else cable.state.law.parts.nodes
-    held = {*clamps, *cable.blocked}
+    held = {*cable.clamped, *cable.blocked}
     free = [
         i for i, k in enumerate(contacts) if cable.state.nodes[k].kind == "fold" and k not in held
     ]

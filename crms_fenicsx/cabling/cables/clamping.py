@@ -87,11 +87,8 @@ def _share(cable: LaidCable, i: int, t: float) -> float:
     of = cable.parts_of(cable.contacts()[:-1])
     own = of == of[i]
     passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
-    clamps = (
-        floats(cable.state.law.parts.at)
-        if cable.state.law.parts is not None and cable.state.law.parts.nodes
-        else []
-    )
+    parts = cable.state.law.parts
+    clamps = floats(parts.at) if parts is not None and parts.nodes else []
     start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
     return start + passed * (end - start)
 
@@ -171,10 +168,9 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
     found = []
     for clamp in clamps:
         cable = by_name[clamp.cables[0]]
-        if cable.taut and cable.state.law.parts is not None and cable.state.law.parts.nodes:
-            k = cable.state.law.parts.nodes[
-                int(np.argmin(np.abs(cable.state.law.parts.at - clamp.at[0])))
-            ]
+        parts = cable.state.law.parts
+        if cable.taut and parts is not None and parts.nodes:
+            k = parts.nodes[int(np.argmin(np.abs(parts.at - clamp.at[0])))]
             clamp = replace(clamp, place=cable.state.positions[k].copy())
         found.append(clamp)
     return tuple(found)

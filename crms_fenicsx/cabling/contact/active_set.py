@@ -218,8 +218,7 @@ class ActiveSet:
         """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
-            if cable.state.law.parts is not None:
-                clamped[start + np.array(cable.state.law.parts.nodes, dtype=np.int64)] = True
+            clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
         return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:

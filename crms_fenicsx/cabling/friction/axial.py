@@ -62,10 +62,9 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
     """Supports of the nodes with axial friction; negative numbers for clamps."""
     last = len(cable.state.nodes) - 1
     supports: list[Support] = []
-    clamps = clamped_nodes(cable)
-    for k in sorted({*held_nodes(cable), *clamps}):
-        if k in clamps:
-            supports.append((-1 - clamps.index(k),))  # no vertex has such a number
+    for k in sorted({*held_nodes(cable), *cable.clamped}):
+        if k in cable.clamped:
+            supports.append((-1 - cable.clamped.index(k),))  # no vertex has such a number
             continue
         node, anchor = cable.state.nodes[k], {1: 0, last - 1: last}.get(k)
         if (
@@ -81,11 +80,6 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
     return tuple(supports)
 
 
-def clamped_nodes(cable: LaidCable) -> list[int]:
-    """Numbers of the clamped nodes of a cable."""
-    return [] if cable.state.law.parts is None else list(cable.state.law.parts.nodes)
-
-
 def is_aligned(cable: LaidCable) -> bool:
     """Whether the axial state refers to the current nodes with friction."""
     return (
@@ -98,7 +92,7 @@ def is_aligned(cable: LaidCable) -> bool:
 def gripped_nodes(cable: LaidCable) -> list[int]:
     """Node numbers of the axial state, which stay fixed during a minimisation."""
     assert cable.state.law.axial is not None
-    own, clamps = set(cable.state.law.axial.supports), clamped_nodes(cable)
+    own, clamps = set(cable.state.law.axial.supports), cable.clamped
     return sorted(
         k
         for k in {*held_nodes(cable), *clamps}
@@ -158,7 +152,7 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
             edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
-    at_clamps = np.isin(nodes, clamped_nodes(cable))
+    at_clamps = np.isin(nodes, cable.clamped)
     if at_clamps.any():
         assert cable.state.law.parts is not None
         slope[at_clamps] = 0.0
@@ -192,7 +186,7 @@ def store_solution(
     tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
     parts = cable.state.law.parts
     if parts is not None and cable.may_slip:
-        parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), clamped_nodes(cable))])
+        parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), cable.clamped)])
     cable.update(tension=tension, axial=axial, parts=parts)
 
 
@@ -312,6 +306,6 @@ def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
         (n, c, i)
         for n, (c, nodes) in enumerate(gripped_cables(numbering).items())
         for i, k in enumerate(nodes)
-        if k not in clamped_nodes(numbering.cables[c])
+        if k not in numbering.cables[c].clamped
         if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

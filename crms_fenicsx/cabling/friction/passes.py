@@ -19,7 +19,6 @@ from crms_fenicsx.cabling.friction.axial import (
     LEAST_PART,
     RestPlaces,
     between_contacts,
-    clamped_nodes,
     reference_arcs,
 )
 from crms_fenicsx.cabling.friction.slip import (
@@ -255,7 +254,7 @@ class AxialIteration:
             return 0.0
         places, EA = reference_arcs(cable, shape), cable.cable.EA
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
-        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        clamped = np.isin(places.nodes, cable.clamped)
         if clamped.any():
             wrap[clamped] = self._held_ratios(clamped)
         law = self._law(places, wrap, shape)
@@ -316,7 +315,7 @@ class AxialIteration:
         assert grip is not None
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
-        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        clamped = np.isin(places.nodes, cable.clamped)
         if clamped.any():
             full[clamped] = held_by_clamps(cable)[1]
         L0 = cable.L0 + cable.state.law.smoothing_length

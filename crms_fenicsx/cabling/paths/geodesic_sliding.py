@@ -322,13 +322,11 @@ Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """Lifted and other parts of a path between clamps."""
-    if cable.state.law.parts is None:
-        return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
     # clamps by the index of the path's first point after them, except where the cable follows an
     # edge between two of its vertices: these cannot be ends
     at: dict[int, SurfacePoint] = {}
-    for k in cable.state.law.parts.nodes:
+    for k in cable.clamped:
         point, after = cable.state.nodes[k].point, int(np.searchsorted(on_path, k))
         if cable.state.nodes[k].kind != "crossing":
             at[after + 1] = cable.point(k)

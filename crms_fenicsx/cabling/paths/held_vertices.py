@@ -85,9 +85,7 @@ def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, 
     """Taut cables with their nodes, for each clamp on a vertex or at a crossing."""
     at: dict[object, list[tuple[LaidCable, int]]] = defaultdict(list)
     for cable in cables:
-        for k in (
-            () if cable.state.law.parts is None or not cable.taut else cable.state.law.parts.nodes
-        ):
+        for k in cable.clamped if cable.taut else ():
             node = cable.state.nodes[k]
             at[node.support if node.kind == "vertex" else node.crossing].append((cable, k))
     return [held for held in at.values() if len(held) > 1]
@@ -182,8 +180,7 @@ def string_displacements(places: Array, forces: Array) -> Array:
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
     """Rows of consecutive vertices; without clamped vertices, which hold other cables too."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
-    clamps = () if cable.state.law.parts is None else cable.state.law.parts.nodes
-    held_there = [k for k in clamps if cable.state.nodes[k].kind == "vertex"]
+    held_there = [k for k in cable.clamped if cable.state.nodes[k].kind == "vertex"]
     rows: list[list[HeldVertex]] = []
     for one in held:
         first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
@@ -201,9 +198,7 @@ def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[
     near = PRESSED if cable.state.law.lateral is None else GRIPPED
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
     boundary = _along_boundary(nodes, shape)
-    clamped = (
-        () if cable.state.law.parts is None else set(cable.state.law.parts.nodes) - set(others)
-    )
+    clamped = set(cable.clamped) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
     # near an edge's end or beyond it, or not on an edge
     beside = np.flatnonzero(~((near <= fractions) & (fractions <= 1 - near)))

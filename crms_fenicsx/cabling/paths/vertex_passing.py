@@ -181,7 +181,8 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {(c, run.key) for c, run in group}
             group = [(c, run) for c, run in runs if (c, run.key) in known]
-            shape = self._shape(group)
+            vertices = [vertex for _, run in group for vertex in run.vertices]
+            shape = self.change.shape(vertices, rings=2)  # also around the edges beside the runs
             moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
             if moved:
@@ -196,11 +197,6 @@ class VertexTrials:
             return False
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
         return True
-
-    def _shape(self, group: list[Trial]) -> StripShape:
-        """Positions of the vertices around runs and around the edges beside them. Collective."""
-        vertices = [vertex for _, run in group for vertex in run.vertices]
-        return self.change.shape(vertices, rings=2)
 
     def _held(self) -> list[Trial]:
         """Untried runs that hold cables."""
