@@ -171,7 +171,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "held": ("y", "call 1 .*scene, membrane, held"),
     "floor": (-2.0, "call 1 .*scene, floor = -1.0, and now -2.0"),
     "snow": (-2e-3, "call 2 .*scene, loads"),
-    "EA": (9001.0, "call 2 .*scene, net, cables, rough, cable, EA = 9000.0, and now 9001.0"),
+    "EA": (9001.0, "call 2 .*scene, net, cables, rough, law, cable, EA = 9000.0, and now 9001.0"),
     "friction": (0.1, "call 2 .*scene, net, cables, rough, cable, friction, mu = 0.0, and now 0.1"),
     "path": ([(0, 33), (100, 41.001)], "call 2 .*scene, net, cables, rough"),
     "tension": (16.0, "call 2 .*scene, net, cables, rough, (L0|tension)"),
