@@ -26,12 +26,12 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.foundation.meshes import MembraneMesh, Refinement
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.model.tolerances import TOL
 
 COMM = MPI.COMM_WORLD
 R, NU, EA = 25.0, 0.3, 30e3
 RIM, HEIGHT = 20.0, 10.0
 PRESSURE = 0.4
-SMOOTHING = "crms_fenicsx.cabling.cables.element_tables.SMOOTHING"
 RULES = ("facets", "surface", "true")
 
 
@@ -178,7 +178,7 @@ def factor_table() -> None:
     for penalty in (1e-3, 1e-2, 0.1, 1.0):
         show("penalty", penalty, *errors(case, mesh, exact, penalty=penalty))
     for smoothing in (3e-4, 3e-3, 1e-2):
-        with patch(SMOOTHING, smoothing):
+        with patch.dict(vars(TOL), smoothing=smoothing):
             show("smoothing", str(smoothing), *errors(case, mesh, exact))
     show("held path", "", *errors(case, mesh, exact, slide=False))
     for out in (2.5e-4, 5e-4):

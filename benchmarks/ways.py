@@ -44,7 +44,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from fuzzing import scenes
-from fuzzing.runs import HangError, kind_of, limited
+from fuzzing.checks import kind_of
+from fuzzing.runs import HangError, limited
 from fuzzing.scenes import WIDTH, Seeded
 from mpi4py import MPI
 

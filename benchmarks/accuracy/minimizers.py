@@ -13,7 +13,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian
-from crms_fenicsx.energy.minimization.minimizer import COARSE, Minimizer
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
 
@@ -142,7 +142,7 @@ class ScipyLBFGS(Minimizer):
             residual = G.norm()
             if residual <= tolerance:
                 raise StopIteration
-            if interrupt is not None and not looked and residual <= COARSE[0] * scale:
+            if interrupt is not None and not looked and residual <= self.strategy.looks[0] * scale:
                 X.array[:] = x
                 potential.place(X)
                 looked, stopped = True, interrupt(residual, scale, True)

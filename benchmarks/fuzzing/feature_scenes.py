@@ -1,124 +1,22 @@
-"""Random scenes of many features at once, as plain data, and their construction.
-
-Lengths are m, forces kN; a `Frame` puts the same scene elsewhere, turned and in other units.
-"""
+"""Random scenes of many features at once, as plain data. Lengths are m, forces kN."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from fuzzing.scenes import WIDTH, Draws, Seeded, mesh
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "scenes"))
-
 from walled_roof import walled_roof
 
-Choice = TypeVar("Choice")
+from crms_fenicsx.foundation.runtime.arrays import Array
+from fuzzing.scenes import WIDTH, Draws, Event, SceneData, Seeded, mesh, of
 
 SIZE = 10.0
 """Width of the membranes."""
-Event = tuple[str, dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Where a scene is, and in which units: places are ``unit * (turn x + push)``."""
-
-    turn: Array = field(default_factory=lambda: np.eye(3))
-    push: Array = field(default_factory=lambda: np.zeros(3))
-    unit: float = 1.0
-    force: float = 1.0
-
-    def place(self, x: Any) -> Array:
-        """Points (..., 3)."""
-        return self.unit * (np.asarray(x, dtype=float) @ self.turn.T + self.push)
-
-    def way(self, d: Any) -> Array:
-        """Displacements (..., 3)."""
-        return self.unit * (np.asarray(d, dtype=float) @ self.turn.T)
-
-    def pull(self, F: Any) -> Array:
-        """Forces (..., 3)."""
-        return self.force * (np.asarray(F, dtype=float) @ self.turn.T)
-
-    def back(self, x: Array) -> Array:
-        """Points (3, n) as they are in metres."""
-        return self.turn.T @ (x / self.unit - self.push[:, None])
-
-    @property
-    def per_area(self) -> float:
-        """The unit of pressures."""
-        return self.force / self.unit**2
-
-    @property
-    def per_length(self) -> float:
-        """The unit of section forces."""
-        return self.force / self.unit
-
-
-@dataclass(frozen=True)
-class FeatureScene:
-    """A scene with many features.
-
-    Attributes
-    ----------
-    number, kind
-        It follows from its number; the kind of mesh.
-    points, cells
-        The stress-free mesh (m).
-    source
-        "arrays", "dolfinx" or "form".
-    material
-        Class and arguments.
-    held
-        "all" of the boundary, or a "plane" x = constant of symmetry besides.
-    pressure
-        What it is inflated by at first; None if not.
-    features
-        What is put on the scene then, in any order.
-    events
-        What is done to it then, in this order.
-    laws
-        Options of `Scene`.
-    walls
-        How many of the cells, the last ones, are of a wall below the roof.
-    """
-
-    number: int
-    kind: str
-    points: Array
-    cells: Integers
-    source: str
-    material: tuple[str, dict[str, Any]]
-    held: str
-    pressure: float | None
-    features: tuple[Event, ...]
-    events: tuple[Event, ...]
-    laws: dict[str, str] = field(default_factory=dict)
-    walls: int = 0
-
-    @property
-    def names(self) -> set[str]:
-        """Names of its features and events."""
-        return {name for name, _ in self.features + self.events}
-
-    @property
-    def depends_on_way(self) -> bool:
-        """Whether the answer depends on the way to it."""
-        cables = [what for name, what in self.features if name == "cable"]
-        return bool(self.laws) or any(what["friction"] or what["law"] == "step" for what in cables)
-
-
-def of(draws: Draws, values: tuple[Choice, ...]) -> Choice:
-    """One of some values."""
-    return values[draws.integer(0, len(values) - 1)]
+FEATURE_TWINS = (
+    "turned", "mm-N", "tiny", "huge", "order", "resume", "branch", "load", "outputs", "verify",
+    "stopped",
+)  # fmt: skip
+"""Scenes, or scripts, that must have the same answer."""
 
 
 def happens(draws: Draws, chance: float) -> bool:
@@ -131,13 +29,9 @@ def vector(draws: Draws, size: float) -> tuple[float, float, float]:
     return (draws.real(-size, size), draws.real(-size, size), draws.real(-size, size))
 
 
-def feature_scene(number: int) -> FeatureScene:
+def feature_scene(number: int) -> SceneData:
     """The scene with a number."""
-    return drawn(Seeded(number + 10**6), number)
-
-
-def drawn(draws: Draws, number: int = -1) -> FeatureScene:
-    """A scene of random choices."""
+    draws = Seeded(number + 10**6)
     source = of(draws, ("arrays", "arrays", "dolfinx", "form", "walled"))
     kinds = ("structured", "jiggled", "square", "hole", "polygon", "cap", "cap")
     kind = "structured" if source == "form" else of(draws, kinds)
@@ -171,9 +65,11 @@ def drawn(draws: Draws, number: int = -1) -> FeatureScene:
     inflated = source != "form" and (kind == "cap" or happens(draws, 0.5))
     features = tuple(_features(draws, points, kind, source))
     events = tuple(_events(draws, dict(features), inflated, held))
-    return FeatureScene(
-        number, kind, points, cells, source, material, held,
-        draws.real(0.1, 0.6) if inflated else None, features, events, laws, walls,
+    pressure = draws.real(0.1, 0.6) if inflated else None
+    twins = np.random.default_rng(number).choice(FEATURE_TWINS, 2, replace=False)
+    return SceneData(
+        number, kind, points, cells, material, laws, held, pressure, features, events,
+        tuple(twins.tolist()), source, walls, ambiguous=False,
     )  # fmt: skip
 
 
@@ -290,14 +186,3 @@ def _motion(draws: Draws, kind: str, has: dict[str, Any]) -> dict[str, Any]:
         return {"function": vector(draws, 0.04), "steps": of(draws, (1, 2))}
     what = of(draws, ("boundary", "west", "cable", "bar"))
     return {"move": what, "way": vector(draws, 0.08), "of": draws.integer(0, 5)}
-
-
-def across(what: dict[str, Any], rim: Callable[[Array, Array], tuple[float, float]]) -> Array:
-    """Ends of a cable's path in plan, (2, 2), from where a line meets the rim."""
-    along = np.array([np.cos(what["angle"]), np.sin(what["angle"])])
-    centre = what["off"] * np.array([-along[1], along[0]])
-    back, reach = rim(centre, along)
-    share = {"across": 1.0, "inside": 0.6}.get(what["way"], 1.0)
-    more = 1.0 if what["way"] == "anchors" else 0.0
-    return np.array([centre - (share * back + more) * along,
-                     centre + (share * reach + more) * along])  # fmt: skip

@@ -1,6 +1,7 @@
 """Random scenes as plain data: meshes, materials, cables and actions.
 
-A scene follows from its number alone. Sizes are those of a square of 100 cm with E t = 24 kgf/cm.
+A scene follows from its number alone. Here membranes with cables are drawn, in the sizes of a
+square of 100 cm with E t = 24 kgf/cm; `fuzzing.feature_scenes` draws scenes with all else.
 """
 
 from __future__ import annotations
@@ -10,14 +11,16 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from grids import numbered, triangles
 
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 Choice = TypeVar("Choice")
+Event = tuple[str, dict[str, Any]]
 
 WIDTH = 100.0
 TWINS = ("units", "turned", "mirrored", "renumbered", "more steps", "laid later")
-"""Scenes that must have the same answer, and how they differ."""
+"""Scenes that must have the same answer as one of `scene`, and how they differ."""
 
 
 class Draws(Protocol):
@@ -43,44 +46,36 @@ class Seeded:
 
 
 @dataclass(frozen=True)
-class CableData:
-    """A cable to be laid; see `Scene.lay_cable`."""
-
-    path: Array
-    EA: float
-    law: str = "total"
-    friction: dict[str, float] | None = None
-    L0: float | None = None
-    tension: float | None = None
-    sleeve: bool = False
-    layer: int = 0
-
-
-@dataclass(frozen=True)
 class SceneData:
     """A scene and what is done to it.
 
     Attributes
     ----------
+    number, kind
+        It follows from its number; the kind of mesh.
     points, cells
         The stress-free mesh.
-    kind
-        Of mesh, for the table.
     material
         Class and arguments.
     laws
         Options of `Scene`.
     held
-        "all": the boundary. "ends": what lies beyond 40 % of the width from the middle, along
-    axis
-        this direction.
-    floor
-        Height of a floor below; None for none.
+        "all" of the boundary, "ends" along x, beyond 40 % of the width from the middle, or a
+        "plane" x = constant of symmetry besides.
+    pressure
+        What it is inflated by at first; None if not.
+    features
+        What is put on the scene then, in any order: calls of `World.put_...`.
     events
-        In turn: ("lay", CableData) or ("advance", arguments), with cables by number; ("load",
-        force per area).
-    twin
-        Which of `TWINS` is to be compared; empty for none.
+        What is done to it then, in this order: calls of `World`.
+    twins
+        What is to be compared; see `fuzzing.twins`.
+    source
+        "arrays", "dolfinx", "form" or "walled".
+    walls
+        How many of the cells, the last ones, are of a wall below the roof.
+    ambiguous
+        Whether membranes and nets may be slack, so that there are several equilibria.
     """
 
     number: int
@@ -90,20 +85,24 @@ class SceneData:
     material: tuple[str, dict[str, Any]]
     laws: dict[str, str] = field(default_factory=dict)
     held: str = "all"
-    axis: tuple[float, ...] = (1.0, 0.0, 0.0)
-    floor: float | None = None
-    events: tuple[tuple[str, Any], ...] = ()
-    twin: str = ""
+    pressure: float | None = None
+    features: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()
+    twins: tuple[str, ...] = ()
+    source: str = "arrays"
+    walls: int = 0
+    ambiguous: bool = True
 
     @property
-    def cables(self) -> list[CableData]:
+    def cables(self) -> list[dict[str, Any]]:
         """All cables, in the order in which they are laid."""
-        return [what for name, what in self.events if name == "lay"]
+        return [what for name, what in self.features + self.events if name in ("cable", "lay")]
 
     @property
-    def has_friction(self) -> bool:
+    def depends_on_way(self) -> bool:
         """Whether the answer depends on the way to it."""
-        return any(cable.friction is not None or cable.law == "step" for cable in self.cables)
+        own = any(cable["friction"] or cable["law"] == "step" for cable in self.cables)
+        return own or "step" in self.laws.values()
 
 
 def scene(number: int) -> SceneData:
@@ -112,49 +111,51 @@ def scene(number: int) -> SceneData:
 
 
 def drawn(draws: Draws, number: int = 0) -> SceneData:
-    """A scene from random choices."""
-    kind = _of(draws, ("structured", "jiggled", "square", "ellipse", "polygon", "hole", "cap"))
+    """A scene of a membrane with cables from random choices."""
+    kind = of(draws, ("structured", "jiggled", "square", "ellipse", "polygon", "hole", "cap"))
     points, cells = mesh(kind, draws.integer(5, 8), draws.integer(0, 10**6))
-    held = "ends" if kind not in ("hole", "cap") and _happens(draws, 0.08) else "all"
+    held = "ends" if kind not in ("hole", "cap") and _percent(draws, 8) else "all"
     laws: dict[str, str] = {}
-    if _happens(draws, 0.05):
+    if _percent(draws, 5):
         laws["pressure"] = "lagged" if held == "ends" else "step"
     material = _material(draws, held)
-    if not material[1].get("wrinkling", True) and _happens(draws, 0.2):
+    if not material[1].get("wrinkling", True) and _percent(draws, 20):
         laws["strain"] = "step"
-    floor = -draws.real(0.01, 6.0) if kind != "cap" and _happens(draws, 0.15) else None
-    events: list[tuple[str, Any]] = []
+    has_floor = kind != "cap" and _percent(draws, 15)
+    floor = (("floor", {"below": draws.real(0.01, 6.0)}),) if has_floor else ()
+    events: list[Event] = []
     loads = _Loads(draws, held)
-    count = _of(draws, (0, 1, 1, 1, 2, 2, 3))
+    count = of(draws, (0, 1, 1, 1, 2, 2, 3))
     first = draws.integer(0, count)  # laid before anything else, the others after the first step
     for n in range(count):
         if n == first:
             events.append(loads.next(n))
         events.append(("lay", cable(draws, points, cells)))
-    if _happens(draws, 0.3):
+    has_load = _percent(draws, 30)
+    if has_load:
         downward = draws.real(-4e-3, -1e-4)
-        events.append(("load", (draws.real(-1e-3, 1e-3), 0.0, downward)))
-    has_load = events[-1:] != [] and events[-1][0] == "load"
+        events.append(("load", {"F": (draws.real(-1e-3, 1e-3), 0.0, downward)}))
     events += [loads.next(count, has_load) for _ in range(draws.integer(1, 3))]
-    twin = _of(draws, (*TWINS, *[""] * len(TWINS)))
+    twin = of(draws, (*TWINS, *[""] * len(TWINS)))
     return SceneData(
         number, kind, points, cells, material, laws, held,
-        floor=floor, events=tuple(events), twin=twin,
+        features=floor, events=tuple(events), twins=(twin,) if twin else (),
     )  # fmt: skip
 
 
-def _of(draws: Draws, choices: Sequence[Choice]) -> Choice:
+def of(draws: Draws, choices: Sequence[Choice]) -> Choice:
+    """One of some values."""
     return choices[draws.integer(0, len(choices) - 1)]
 
 
-def _happens(draws: Draws, share: float) -> bool:
-    return draws.integer(0, 99) < 100 * share
+def _percent(draws: Draws, chance: int) -> bool:
+    return draws.integer(0, 99) < chance
 
 
 def _material(draws: Draws, held: str) -> tuple[str, dict[str, Any]]:
-    prestress = draws.real(0.05, 0.5) if held == "ends" or _happens(draws, 0.25) else 0.0
-    wrinkling = not _happens(draws, 0.2)
-    if not _happens(draws, 0.3):
+    prestress = draws.real(0.05, 0.5) if held == "ends" or _percent(draws, 25) else 0.0
+    wrinkling = not _percent(draws, 20)
+    if not _percent(draws, 30):
         return "isotropic", {
             "E": 300.0, "nu": draws.real(0.0, 0.45), "thickness": 0.08,
             "prestress": prestress, "wrinkling": wrinkling,
@@ -173,62 +174,63 @@ class _Loads:
     def __init__(self, draws: Draws, held: str) -> None:
         self.draws, self.held = draws, held
 
-    def next(self, cables: int, has_load: bool = False) -> tuple[str, Any]:
+    def next(self, cables: int, has_load: bool = False) -> Event:
         """A load step of a scene with so many cables."""
         draws = self.draws
-        loads: dict[str, Any] = {"steps": _of(draws, (1, 1, 1, 2, 3))}
-        if self.held == "all" and _happens(draws, 0.8):
-            loads["pressure"] = _of(draws, (0.0, 1e-4, 2e-3, 5e-3, 0.01, 0.01, 0.03))
+        loads: dict[str, Any] = {"steps": of(draws, (1, 1, 1, 2, 3))}
+        if self.held == "all" and _percent(draws, 80):
+            loads["pressure"] = of(draws, (0.0, 1e-4, 2e-3, 5e-3, 0.01, 0.01, 0.03))
         if has_load:
-            loads["load"] = _of(draws, (0.0, 0.5, 1.0))
-        if cables and _happens(draws, 0.4):
-            loads["move"] = {
-                (draws.integer(0, cables - 1), _of(draws, ("both", "start", "end"))): tuple(
+            loads["load"] = {"load": of(draws, (0.0, 0.5, 1.0))}
+        if cables and _percent(draws, 40):
+            loads["ends"] = {
+                (draws.integer(0, cables - 1), of(draws, ("both", "start", "end"))): tuple(
                     draws.real(-6.0, 6.0) for _ in range(3)
                 )
             }
-        if cables and _happens(draws, 0.25):
-            loads["L0"] = {draws.integer(0, cables - 1): draws.real(0.97, 1.03)}
-        if _happens(draws, 0.1):
+        if cables and _percent(draws, 25):
+            loads["lengths"] = {draws.integer(0, cables - 1): draws.real(0.97, 1.03)}
+        if _percent(draws, 10):
             loads["boundary"] = tuple(draws.real(-1.0, 1.0) for _ in range(3))
         return "advance", loads
 
 
-def cable(draws: Draws, points: Array, cells: Integers) -> CableData:
+def cable(draws: Draws, points: Array, cells: Integers) -> dict[str, Any]:
     """A random cable over a mesh."""
     path = _path(draws, points, cells)
     span = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     friction: dict[str, float] | None = None
-    if _happens(draws, 0.2):
+    if _percent(draws, 20):
         friction = {"mu": draws.real(0.05, 0.9)}
-        if _happens(draws, 0.3):
-            friction = {"mu": _of(draws, (0.0, 0.4)), "along": draws.real(0.05, 0.5)}
-    law = "step" if friction is None and _happens(draws, 0.04) else "total"
+        if _percent(draws, 30):
+            friction = {"mu": of(draws, (0.0, 0.4)), "along": draws.real(0.05, 0.5)}
+    law = "step" if friction is None and _percent(draws, 4) else "total"
     L0 = tension = None
-    how = _of(draws, ("just taut", "length", "length", "tension"))
+    how = of(draws, ("just taut", "length", "length", "tension"))
     if how == "length":
         L0 = span * draws.real(0.96, 1.08)
     elif how == "tension":
         tension = draws.real(0.1, 60.0)
-    return CableData(
-        path, _of(draws, (1e3, 5e3, 32e3, 32e3, 1e6)), law, friction, L0, tension,
-        _happens(draws, 0.08), draws.integer(0, 1),
-    )  # fmt: skip
+    return {
+        "path": path, "EA": of(draws, (1e3, 5e3, 32e3, 32e3, 1e6)), "law": law,
+        "friction": friction, "L0": L0, "tension": tension,
+        "sleeve": _percent(draws, 8), "layer": draws.integer(0, 1),
+    }  # fmt: skip
 
 
 def _path(draws: Draws, points: Array, cells: Integers) -> Array:
     """A way over a mesh: across it, beyond it, from vertex to vertex, or to places inside."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    way = _of(draws, ("across", "across", "beyond", "beyond", "vertices", "inside", "bent"))
+    way = of(draws, ("across", "across", "beyond", "beyond", "vertices", "inside", "bent"))
     if way == "vertices":
         a = draws.integer(0, len(points) - 1)
         b = (a + draws.integer(1, len(points) - 1)) % len(points)
         return points[[a, b], :2].copy()
-    angle = draws.real(0.0, np.pi) if not _happens(draws, 0.3) else _of(draws, (0.0, np.pi / 2))
+    angle = draws.real(0.0, np.pi) if not _percent(draws, 30) else of(draws, (0.0, np.pi / 2))
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
     centre = (low + high) / 2 + draws.real(-0.35, 0.35) * (high - low).min() * across
-    back, reach = _crossings_of_rim(points, cells, centre, along)
+    back, reach = rim_crossings(points, cells, centre, along)
     if way == "across":
         return np.array([centre - back * along, centre + reach * along])
     if way == "beyond":
@@ -242,7 +244,7 @@ def _path(draws: Draws, points: Array, cells: Integers) -> Array:
     return np.array([centre - back * along, kink, centre + reach * along])
 
 
-def _crossings_of_rim(
+def rim_crossings(
     points: Array, cells: Integers, centre: Array, along: Array
 ) -> tuple[float, float]:
     """How far back and ahead a line from a point meets a mesh's rim in plan for the first time."""
@@ -305,17 +307,13 @@ def _ring(angles: Array) -> Array:
 def _grid(n: int, random: np.random.Generator | None) -> tuple[Array, Integers]:
     line = np.linspace(-0.5, 0.5, n + 1) * WIDTH
     points = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
-    numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]
-    turned = np.zeros(a.shape, dtype=bool)
+    turned: Any = False
     if random is not None:
         points[1:-1, 1:-1] += random.uniform(-0.25, 0.25, (n - 1, n - 1, 2)) * WIDTH / n
-        turned = random.random(a.shape) < 0.5
-    first = np.where(turned[..., None], np.stack([a, b, d], -1), np.stack([a, b, c], -1))
-    second = np.where(turned[..., None], np.stack([b, c, d], -1), np.stack([a, c, d], -1))
-    cells = np.stack([first, second], axis=-2).reshape(-1, 3)
+        turned = random.random((n, n)) < 0.5
     flat = points.reshape(-1, 2)
-    return np.column_stack([flat, np.zeros(len(flat))]), cells
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    return points, triangles(numbered(n + 1, n + 1), turned)
 
 
 def _triangulated(

@@ -12,7 +12,7 @@ import numpy as np
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import STABLE_PENALTY
-from crms_fenicsx.model.tolerances import SMOOTHING
+from crms_fenicsx.model.tolerances import TOL
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (
     COMM,
@@ -87,7 +87,7 @@ def smoothing() -> Iterator[Point]:
 
     @cache
     def smoothed(size: float, y: float, end: float) -> tuple[Solver, LaidCable]:
-        with patch("crms_fenicsx.cabling.cables.element_tables.SMOOTHING", size):
+        with patch.dict(vars(TOL), smoothing=size):
             return crossed(square(n), across(y, end), L0=float(np.hypot(SIDE, end - y)))
 
     @cache
@@ -106,11 +106,13 @@ def smoothing() -> Iterator[Point]:
     def lengths(judge: Judge, size: float, y: float, end: float) -> None:
         solver, cable = smoothed(size, y, end)
         judge.count(solver)
-        usual = smoothed(SMOOTHING, y, end)
+        usual = smoothed(TOL.smoothing, y, end)
         for each in solver, usual[0]:
             judge.must("not finite", bool(np.isfinite(each.scene.energy)))
-        near = sum(min(f, 1 - f) < 2 * max(size, SMOOTHING) for f in cable.state.fractions[1:-1])
-        lengthened = 0.4 * (size + SMOOTHING) * SIDE / n * (near + 1)
+        near = sum(
+            min(f, 1 - f) < 2 * max(size, TOL.smoothing) for f in cable.state.fractions[1:-1]
+        )
+        lengthened = 0.4 * (size + TOL.smoothing) * SIDE / n * (near + 1)
         # A membrane that gives way takes most of what the cable is too long by.
         judge.drift(
             "tension, usual length",

@@ -17,7 +17,7 @@ from crms_fenicsx.energy.minimization.initial_hessian import at_bounds
 from crms_fenicsx.foundation.meshes.triangles import area_vectors
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import polyline_length
-from crms_fenicsx.model.tolerances import SMOOTHING
+from crms_fenicsx.model.tolerances import TOL
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "scenes"))  # its checks of contact
 from contact_checks import deepest, strongest_pull
@@ -102,7 +102,7 @@ def _cables(scene: Scene, lying: bool) -> Iterator[Test]:
     for cable in scene.cables:
         length = polyline_length(cable.line)
         size = np.sqrt(np.linalg.norm(area_vectors(scene.mesh.mesh), axis=1).max() * 2)
-        smoothed = 0.4 * SMOOTHING * size * len(cable.state.nodes)
+        smoothed = 0.4 * TOL.smoothing * size * len(cable.state.nodes)
         yield "tension is negative", max(-cable.tension, 0.0), 0.0
         if not cable.taut:
             yield "slack cable too short", length / cable.L0 - 1, 1e-9

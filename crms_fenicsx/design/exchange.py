@@ -31,6 +31,7 @@ from crms_fenicsx.foundation.runtime.files import (
     new_drawing,
     replaced,
 )
+from crms_fenicsx.model.tolerances import SAME_POINT
 from crms_fenicsx.results.view_data import Surface, whole_shape
 
 SURVEY_FOOT = 1200 / 3937
@@ -45,9 +46,6 @@ UNITS = {
 
 CHORD = 1e-3
 """Largest distance of a curve from its chords, relative to the curve's size."""
-
-MEETING = 1e-6
-"""Largest distance of ends that are one point, relative to the curve's size."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,7 @@ def _contents(document: Any) -> tuple[dict[str, list[Array]], dict[str, list[Any
             places = list[Any]()
             for place in moved.flattening(CHORD * size):
                 # rounding makes two corners where the arcs of a circle meet
-                if not places or place.distance(places[-1]) > MEETING * size:
+                if not places or place.distance(places[-1]) > SAME_POINT * size:
                     places.append(place)
             line = corners[0] + np.array([tuple(place) for place in places])
             curves.setdefault(layer, []).append(line)
@@ -178,14 +176,14 @@ def _size(corners: Array) -> float:
 def _contours(lines: list[Array]) -> tuple[list[Array], list[Array]]:
     """Closed lines, also those put together from lines whose ends meet in pairs, and open ones."""
     closed = [
-        len(a) > 3 and bool(np.linalg.norm(a[0] - a[-1]) <= MEETING * _size(a)) for a in lines
+        len(a) > 3 and bool(np.linalg.norm(a[0] - a[-1]) <= SAME_POINT * _size(a)) for a in lines
     ]
     outlines = [line[:-1] for line, is_closed in zip(lines, closed, strict=True) if is_closed]
     lines = [line for line, is_closed in zip(lines, closed, strict=True) if not is_closed]
     if not lines:
         return outlines, []
     ends = np.array([line[k] for line in lines for k in (0, -1)])  # 2 i and 2 i + 1 of line i
-    reach = MEETING * np.repeat([_size(line) for line in lines], 2)
+    reach = SAME_POINT * np.repeat([_size(line) for line in lines], 2)
     meeting = cKDTree(ends).query_ball_point(ends, reach)
     other = {k: sum(found) - k for k, found in enumerate(meeting) if len(found) == 2}
     left, done = list[int](), set[int]()

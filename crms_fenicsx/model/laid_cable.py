@@ -15,19 +15,11 @@ from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import HOLDS, Cable, Hold
 from crms_fenicsx.model.cable_state import PART_OF, CableNode, CableState, End
-from crms_fenicsx.model.tolerances import BLOCKED, SAME_PLACE
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL, UNSTRAINED
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
 """Remedy for assignments to attributes of laid cables."""
-
-ROUNDED = 1e-12
-"""Strain that a cable needs on its path to count as taut."""
-NEARLY_TAUT = 2e-3
-"""Relative excess length up to which a cable still counts as taut at first."""
-BULGE, MOST_BULGE = 1.2, 0.02
-"""As `NEARLY_TAUT` where folds bulge: factor of the squared mean turn (rad) at nodes, and maximum.
-On meshes with 9 cells along a side, cables keep some tension up to a factor of 1.0."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +127,7 @@ class LaidCable(Handle[CableState]):
     def blocked(self) -> list[int]:
         """Internal: its sliding nodes that have run into a vertex of the mesh."""
         fractions, nodes = self.state.fractions, self.state.nodes
-        close = ((fractions < BLOCKED) | (fractions > 1 - BLOCKED)) & ~self.state.lifted
+        close = ((fractions < TOL.smoothing) | (fractions > 1 - TOL.smoothing)) & ~self.state.lifted
         return [k for k in ints(np.flatnonzero(close)) if self.taut and nodes[k].slides]
 
     @property
@@ -304,7 +296,7 @@ class LaidCable(Handle[CableState]):
         """Internal: whether it is short enough to be taut, or `nearly`, as folds bulge."""
         steps = np.diff(self.state.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
-        too_long = -ROUNDED
+        too_long = -UNSTRAINED
         if nearly:
             apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]
@@ -312,8 +304,8 @@ class LaidCable(Handle[CableState]):
             # node to node alternate between small and large, left and right.
             some = min(4, len(ways) - 1)
             turns = np.linalg.norm(ways[some:] - ways[:-some], axis=1) / some if some else [0.0]
-            bulge = BULGE * float(np.median(turns)) ** 2
-            too_long = max(NEARLY_TAUT, min(bulge, MOST_BULGE))
+            bulge = TOL.bulge * float(np.median(turns)) ** 2
+            too_long = max(TOL.nearly_taut, min(bulge, TOL.most_bulge))
         part = self.parts_of(self.contacts()[:-1])
         lengths = np.bincount(part, sizes, len(self.part_lengths))
         return self.cable.law == "step" or bool(

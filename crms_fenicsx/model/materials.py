@@ -18,6 +18,7 @@ import ufl
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.tolerances import UNSTRAINED
 
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
@@ -26,10 +27,6 @@ LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""
-
-UNSTRAINED = 1e-12
-"""Strain below which a membrane counts as unstrained: its tangent there is that of the taut
-membrane, whatever the sign of rounding errors in the strain."""
 
 
 def check_warp(owner: str, warp: object) -> None:

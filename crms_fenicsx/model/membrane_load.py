@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes.membrane_mesh import cells_of, outer_first
-from crms_fenicsx.foundation.meshes.triangles import cell_normals, double_areas, norm
+from crms_fenicsx.foundation.meshes.triangles import WALL, cell_normals, double_areas, norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Rows
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
@@ -193,10 +193,6 @@ def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -
     return values
 
 
-UPRIGHT = 1e-6
-"""Plan area over surface area above which cells have an upper side."""
-
-
 @dataclass(frozen=True)
 class Pond:
     """Water on a membrane.
@@ -234,7 +230,7 @@ class Pond:
         """Whether water can stand on this rank's cells, (m,)."""
         if self.parts:
             return cells_of(membrane.mesh, self.parts)
-        up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -UPRIGHT
+        up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -WALL
         return up
 
 
@@ -249,19 +245,19 @@ def upper_side(pond: Pond, membrane: Membrane) -> int:
         heights = cell_normals(mesh.mesh)[:, 2]
         up = comm.allreduce(float(heights.max(initial=-1.0)), op=MPI.MAX)
         down = comm.allreduce(float(-heights.min(initial=1.0)), op=MPI.MAX)
-        if max(up, down) <= UPRIGHT:
+        if max(up, down) <= WALL:
             raise none
-        return 1 if up > UPRIGHT else -1
+        return 1 if up > WALL else -1
     on = np.flatnonzero(pond.cells(membrane))
     corners = membrane.positions()[membrane.V.dofmap.list[on]]
     vectors = double_areas(corners)
     areas = np.linalg.norm(vectors, axis=1)
     plan, area = comm.allreduce(np.array([vectors[:, 2].sum(), areas.sum()]), op=MPI.SUM)
-    if abs(plan) <= UPRIGHT * area:
+    if abs(plan) <= WALL * area:
         raise none
     side = 1 if plan > 0.0 else -1
     with raised_together(comm):
-        turned = np.flatnonzero(side * vectors[:, 2] < -UPRIGHT * areas)
+        turned = np.flatnonzero(side * vectors[:, 2] < -WALL * areas)
         if len(turned):
             part = next(name for name in pond.parts if on[turned[0]] in mesh.parts[name])
             raise InputError(

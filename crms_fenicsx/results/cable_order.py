@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,9 +115,9 @@ class Order:
         path = absolute(checks.file("write: filename", filename), self.comm)
         with raised_together(self.comm):
             if self.comm.rank == 0:
-                lines = [",".join(map(str, row)) for row in (self.COLUMNS, *self.rows())]
-                with replaced(path) as file:
-                    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                with replaced(path) as partial, open(partial, "w", encoding="utf-8") as file:
+                    writer = csv.writer(file, lineterminator="\n")  # quotes names with commas
+                    writer.writerows([self.COLUMNS, *self.rows()])
 
 
 @collective

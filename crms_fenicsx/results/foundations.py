@@ -19,6 +19,7 @@ from crms_fenicsx.results.reactions import (
     AT,
     HeldEnd,
     held_ends,
+    held_groups,
     held_lengths,
     hung_bars,
     nodal_forces,
@@ -81,8 +82,8 @@ OTHERS = "other supports"
 """Name for held vertices that belong to no group held as a whole."""
 
 
-def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
-    """Forces on all foundations, by groups of held vertices with ghosts. Collective."""
+def foundations(system: System) -> Foundations:
+    """Forces on all foundations. Collective."""
     scene, forces = system.scene, support_forces(system)
     membrane, comm, n = scene.membrane, scene.comm, len(forces)
     hung = hung_bars(scene)
@@ -92,7 +93,7 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
     lengths = held_lengths(membrane)
     line = forces / np.where(lengths[:n] > 0.0, lengths[:n], np.inf)
     sizes, lines = np.linalg.norm(line, axis=1), []
-    for name, dofs in partition(scene, groups).items():
+    for name, dofs in partition(scene).items():
         own = lengths[dofs].max(axis=1, initial=0.0)
         total = triple(comm.allreduce(forces[dofs].sum(axis=0)))
         if name in membrane.mesh.points and not comm.allreduce(float(own.sum())):
@@ -113,14 +114,15 @@ def foundations(system: System, groups: Mapping[str, Indices]) -> Foundations:
     )  # fmt: skip
 
 
-def partition(scene: Scene, groups: Mapping[str, Indices]) -> dict[str, Indices]:
+def partition(scene: Scene) -> dict[str, Indices]:
     """This rank's owned held vertices, each assigned to its largest group. Collective."""
     n, comm = scene.V.dofmap.index_map.size_local, scene.comm
     left: Booleans = np.any(scene.held[:n], axis=1)
-    counts = {name: comm.allreduce(int(np.count_nonzero(x < n))) for name, x in groups.items()}
+    groups = {name: dofs[dofs < n] for name, (_, dofs) in held_groups(scene.membrane).items()}
+    counts = {name: comm.allreduce(len(own)) for name, own in groups.items()}
     found = dict[str, Indices]()
     for name in sorted(groups, key=lambda one: (-counts[one], one)):
-        own = groups[name][groups[name] < n]
+        own = groups[name]
         own = own[left[own]]
         left[own] = False
         if comm.allreduce(len(own)):

@@ -12,13 +12,11 @@ from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.results.cable_and_bar_results import Force
 from crms_fenicsx.results.view_data import edges_of, surface_piece, whole_surface
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
-
-
-Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,7 +35,7 @@ class Hollow:
         Water volume when full (length cubed), and area of the water surface (length squared).
     """
 
-    at: Place
+    at: Force
     depth: float
     level: float
     volume: float

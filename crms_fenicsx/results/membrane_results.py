@@ -24,7 +24,6 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.places import PlaceResults, find_places
 from crms_fenicsx.results.quantities import (
     QUANTITIES,
-    added_forces,
     cell_tensors,
     names_of,
     shown_briefly,
@@ -301,7 +300,10 @@ def membrane_results(system: System) -> MembraneResults:
     """Evaluate the membrane in the scene's present state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
-    S = cells.forces + added_forces(scene, axes)
+    S = cells.forces.copy()
+    for term in scene.terms:
+        if term.section_forces is not None:
+            S += np.einsum("nai,nij,nbj->nab", axes, term.section_forces, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 

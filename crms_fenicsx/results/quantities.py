@@ -70,15 +70,6 @@ def cell_tensors(system: System) -> _CellTensors:
     return _CellTensors(E, S, frames, axes, images, state, folded)
 
 
-def added_forces(scene: Scene, axes: Array) -> Array:
-    """Section forces of added terms, (n, 2, 2), in the cells' axes (n, 2, 3)."""
-    found = np.zeros((len(axes), 2, 2))
-    for term in scene.terms:
-        if term.section_forces is not None:
-            found += np.einsum("nai,nij,nbj->nab", axes, term.section_forces, axes)
-    return found
-
-
 def _symmetric(a: Array, b: Array, c: Array) -> Array:
     """Matrices (n, 2, 2) with diagonal a, b and off-diagonal c."""
     return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-2)
@@ -98,6 +89,11 @@ class _CellQuantity:
         found = getattr(results, self.attribute)
         values = np.asarray(found() if callable(found) else found, dtype=np.float64)
         return values if self.column < 0 else values[:, self.column]
+
+    @property
+    def scale(self) -> float:
+        """Factor of reports, which show what has no unit in per cent."""
+        return 1.0 if self.unit else 100.0
 
 
 QUANTITIES = {
@@ -125,6 +121,13 @@ weft a material with a warp."""
 
 SHOWN = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
 """Quantities in ParaView files and pyvista, beside directions and states."""
+
+SUMMED_UP = (*SHOWN[:-1], "strain 1", "utilisation")
+"""Quantities in summaries and reports, where known."""
+
+QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
+QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
+"""Quantities by their names as colours of `draw`."""
 
 
 def shown_briefly(names: Collection[str]) -> tuple[str, ...]:
@@ -156,20 +159,15 @@ def summed(space: fem.FunctionSpace, dofs: Integers | Indices, values: Array) ->
     return sums.copy()
 
 
-class HasSystem(Protocol):
-    """Protocol of `Solver`, which is in a higher layer."""
+class Solved(HasStates, Protocol):
+    """Interface of `Solver`, which results must not import."""
 
     comm: MPI.Intracomm
+    base: SceneState | None
 
     @property
     def system(self) -> System:
         """The scene's potential."""
-
-
-class Solved(HasSystem, HasStates, Protocol):
-    """Protocol of `Solver` with the states of load cases."""
-
-    base: SceneState | None
 
 
 def load_label(scene: Scene, name: str) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Joint
-from crms_fenicsx.model.membrane import Marker, Membrane
+from crms_fenicsx.model.membrane import COMPONENTS, Marker, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.quantities import summed
@@ -233,6 +233,20 @@ def nodal_forces(system: System) -> Array:
     unknowns.gather_forces(vector, g)
     vector.destroy()
     return g[: unknowns.n_owned]
+
+
+def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
+    """Directions and local vertices, with ghosts, of groups held as a whole. Collective."""
+    mesh, found = membrane.mesh, {}
+    groups = [(name, 1, members) for name, members in sorted(mesh.edges.items())]
+    groups += [(name, 0, members) for name, members in sorted(mesh.points.items())]
+    for name, dimension, members in groups:
+        dofs = fem.locate_dofs_topological(membrane.V, dimension, members)
+        free = membrane.comm.allreduce(np.count_nonzero(~membrane.held[dofs], axis=0))
+        directions = "".join(letter for letter, k in COMPONENTS.items() if not free[k])
+        if directions:
+            found[name] = directions, dofs
+    return found
 
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
@@ -15,7 +14,6 @@ from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.checks import span
 from crms_fenicsx.foundation.runtime.errors import as_text
-from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.membrane_load import Pond
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.tolerances import SAME_PLACE
@@ -33,11 +31,12 @@ from crms_fenicsx.results.cable_and_bar_results import (
 )
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
     held_ends,
+    held_groups,
     held_lengths,
     held_there,
     support_forces,
@@ -49,11 +48,6 @@ from crms_fenicsx.results.recovered_values import (
     patches,
     reinforced,
 )
-
-SUMMED_UP = (
-    "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
-)  # fmt: skip
-"""Quantities of `results.quantities` in a summary, where known."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -327,20 +321,6 @@ def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool
         own = (float(ranked[k]), tuple(places[k].tolist()))
     value, at = min(comm.allgather(own), key=lambda one: (-one[0], one[1]))
     return Extreme(sign * value, at)
-
-
-def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
-    """Directions and local vertices, with ghosts, of groups held as a whole. Collective."""
-    mesh, found = membrane.mesh, {}
-    groups = [(name, 1, members) for name, members in sorted(mesh.edges.items())]
-    groups += [(name, 0, members) for name, members in sorted(mesh.points.items())]
-    for name, dimension, members in groups:
-        dofs = fem.locate_dofs_topological(membrane.V, dimension, members)
-        free = membrane.comm.allreduce(np.count_nonzero(~membrane.held[dofs], axis=0))
-        directions = "".join(letter for letter, k in COMPONENTS.items() if not free[k])
-        if directions:
-            found[name] = directions, dofs
-    return found
 
 
 def _supports(system: System) -> dict[str, SupportSummary]:

@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 
+from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
@@ -20,6 +21,8 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.results.membrane_results import membrane_results
+from crms_fenicsx.results.quantities import fields_of
 
 
 @dataclass(frozen=True)
@@ -233,6 +236,14 @@ def surface_piece(
     )
 
 
+def current_view(system: System) -> tuple[Surface, list[Line]]:
+    """This rank's piece of the surface with the cell data of files, and the cables and bars.
+    Collective."""
+    scene, results = system.scene, membrane_results(system)
+    piece = surface_piece(scene.membrane, results.surface, fields_of(results))
+    return piece, [*cable_lines(scene.net), *bar_lines(scene.bars)]
+
+
 def whole_shape(scene: Scene) -> Surface | None:
     """The whole current surface on the first rank; None on the others. Collective."""
     piece = surface_piece(scene.membrane, current_surface(scene.net), {})
@@ -325,7 +336,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
     piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
     surface = whole_surface(scene.comm, piece)
     lines = {"cables": cable_lines(scene.net), "bars": bar_lines(scene.bars)}
-    supports, found = _supported(scene), None
+    supports, found = held_places(scene), None
     with raised_together(scene.comm):
         if surface is not None:
             try:
@@ -386,10 +397,10 @@ def _mesh(
     return mesh
 
 
-def _supported(scene: Scene) -> tuple[Array, Booleans]:
-    """Held vertices of all ranks and their directions, on the first rank. Collective."""
+def held_places(scene: Scene) -> tuple[Array, Booleans]:
+    """Places of all ranks' held vertices and their directions, (k, 3) each. Collective."""
     held = scene.held[: scene.V.dofmap.index_map.size_local]
     rows = np.flatnonzero(held.any(axis=1))
-    parts = scene.comm.gather((scene.positions()[rows], held[rows]))
-    places, directions = zip(*parts or [(np.empty((0, 3)), held[:0])], strict=True)
+    parts = scene.comm.allgather((scene.positions()[rows], held[rows]))
+    places, directions = zip(*parts, strict=True)
     return np.concatenate(places), np.concatenate(directions)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -26,8 +27,7 @@ FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0)
 
 def roof(comm: MPI.Intracomm) -> Solver:
     """A sheet under pressure with a cable across it, and a mast beside it."""
-    scene = Scene(meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True), FOIL)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=FOIL, side=8.0)
     scene.add_bar(Bar(EA=1e4), (9.0, 0.0, 0.0), (9.0, 0.0, 4.0), name="mast")
     solver = Solver(scene)
     solver.advance(pressure=0.1)
@@ -340,8 +340,7 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
 def test_steps_name_combinations_and_cables(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """As texts of the files, which VTK gives as field data; the history has both."""
     folder = comm.bcast(tmp_path) / "run"
-    scene = Scene(meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True), FOIL)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=FOIL, side=8.0)
     scene.put_load((0.0, 0.0, -0.05), name="snow")
     solver = Solver(scene, results=folder)
     solver.advance(pressure=0.1)

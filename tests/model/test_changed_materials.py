@@ -10,7 +10,7 @@ from typing import Any
 import dolfinx.fem
 import numpy as np
 import pytest
-from cabled_square import FOIL, LINEAR
+from cabled_square import FOIL, LINEAR, clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -37,9 +37,7 @@ CABLE = Cable(EA=9000.0)
 
 
 def scene_of(comm: MPI.Intracomm, material: Any) -> Scene:
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True), material)
-    scene.fix("boundary")
-    return scene
+    return sheet(comm, 4, material=material)
 
 
 def roof(comm: MPI.Intracomm, material: MembraneMaterial, cable: Cable = CABLE) -> Solver:
@@ -96,8 +94,7 @@ def test_of_some_parts(comm: MPI.Intracomm) -> None:
         )
         parts = {"roof": [0, 1, 4, 5], "wall": [2, 3, 6, 7]}
         mesh = meshes.from_arrays(comm, points, cells, parts=parts)
-        scene = Scene(mesh, {"roof": roof, "wall": wall})
-        scene.fix("boundary")
+        scene = clamped(mesh, {"roof": roof, "wall": wall})
         return Solver(scene)
 
     solver, twin = build(FOIL), build(softer(FOIL))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from cabled_square import clamped
 from mpi4py import MPI
 from taylor import OnMesh, gradient_order, noise, stiffness_error
 
@@ -187,8 +188,7 @@ def test_parts_and_cables(comm: MPI.Intracomm) -> None:
     mesh, fabric = halves(comm), UflMembrane(isotropic)
     with pytest.raises(InputError, match="part 'right' has a UflMembrane"):
         Scene(mesh, {"left": STIFF, "right": fabric}, strain="step")
-    scene = Scene(mesh, {"left": STIFF, "right": fabric})
-    scene.fix("boundary")
+    scene = clamped(mesh, {"left": STIFF, "right": fabric})
     with pytest.raises(PathError, match=r"'across': part 'right' has a UflMembrane.*other parts"):
         scene.lay_cable(Cable(1000.0), [(3.0, 0.0), (97.0, 100.0)], name="across")
     assert scene.cables == ()
@@ -197,8 +197,7 @@ def test_parts_and_cables(comm: MPI.Intracomm) -> None:
     cable = scene.lay_cable(Cable(32000.0), [(20.0, 0.0), (23.0, 100.0)], tension=1.0)
     step = solver.advance(L0={cable: 0.99 * cable.L0})
     assert step.verification is not None and step.verification.passed
-    twin = Scene(mesh, {"left": STIFF, "right": STIFF})
-    twin.fix("boundary")
+    twin = clamped(mesh, {"left": STIFF, "right": STIFF})
     other = Solver(twin)
     other.advance(pressure=0.01)
     rope = twin.lay_cable(Cable(32000.0), [(20.0, 0.0), (23.0, 100.0)], tension=1.0)
@@ -208,8 +207,7 @@ def test_parts_and_cables(comm: MPI.Intracomm) -> None:
 
 def test_a_cable_that_slides_into_such_a_part(comm: MPI.Intracomm) -> None:
     mesh, fabric = halves(comm), UflMembrane(isotropic)
-    scene = Scene(mesh, {"left": STIFF, "right": fabric})
-    scene.fix("boundary")
+    scene = clamped(mesh, {"left": STIFF, "right": fabric})
     solver = Solver(scene)
     solver.advance(pressure=0.01)
     cable = scene.lay_cable(Cable(32000.0), [(30.0, 0.0), (30.0, 100.0)], tension=1.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from dome import HEIGHT, RADIUS, dome
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
@@ -14,8 +15,7 @@ CIRCLE, SQUARE = -2908.73474049, -375.64923
 
 
 def inflated(mesh, **how):
-    scene = Scene(mesh, FABRIC)
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC)
     solver = Solver(scene, **how)
     solver.advance(pressure=0.01)
     return solver
@@ -59,8 +59,7 @@ def test_cable_on_lines_and_across_cells(comm, y):
 def test_cap_with_a_cable(comm):
     """The finest of its levels gives -31.102, with 0.01."""
     material = IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3)
-    scene = Scene(dome(comm, 3.0), material)
-    scene.fix("boundary")
+    scene = clamped(dome(comm, 3.0), material)
     scene.lay_cable(Cable(EA=30e3), nets.great_circle(RADIUS, HEIGHT, 0.3, 0.0))
     solver = Solver(scene)
     solver.advance(pressure=0.4)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.results.foundations import Foundations, foundations, partition
-from crms_fenicsx.results.summary import held_groups
 
 pytestmark = pytest.mark.ranks
 
@@ -16,15 +16,13 @@ SIDE, SNOW = 8.0, 0.2
 
 
 def found_in(solver: Solver) -> Foundations:
-    groups = {name: dofs for name, (_, dofs) in held_groups(solver.scene.membrane).items()}
-    return foundations(solver.system, groups)
+    return foundations(solver.system)
 
 
 def pneu(comm: MPI.Intracomm) -> Solver:
     """A cushion held along its rim, under air, snow and wind, with two cables from one anchor."""
     mesh = meshes.rectangle(comm, SIDE, SIDE, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
     scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
     scene.put_wind(0.2, lambda x, n: np.where(x[0] < 3.0, 0.5, -0.9))
     solver = Solver(scene)
@@ -96,8 +94,7 @@ def test_corners_with_bars_and_guys(comm: MPI.Intracomm) -> None:
 
 def test_a_floor_bears_its_part(comm: MPI.Intracomm) -> None:
     mesh = meshes.rectangle(comm, SIDE, SIDE, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=1.0))
     scene.floor(-0.2)
     scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
     solver = Solver(scene)
@@ -113,6 +110,5 @@ def test_each_held_vertex_is_in_one_group(comm: MPI.Intracomm) -> None:
     for name in ("left", "front"):
         scene.fix(name)
     scene.fix(lambda x: np.linalg.norm(x - np.array([[4.0], [4.0], [0.0]]), axis=0) < 1e-9)
-    groups = {name: dofs for name, (_, dofs) in held_groups(scene.membrane).items()}
-    counts = {name: comm.allreduce(len(own)) for name, own in partition(scene, groups).items()}
+    counts = {name: comm.allreduce(len(own)) for name, own in partition(scene).items()}
     assert counts == {"front": 5, "left": 4, "other supports": 1}

@@ -6,9 +6,10 @@ import heapq
 
 import numpy as np
 import pytest
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.results.hollows import hollows_of
 
@@ -101,8 +102,7 @@ def test_random_surfaces_by_the_slow_twin() -> None:
 def test_the_summary_tells_where_water_stands(comm: MPI.Intracomm) -> None:
     """A flat sheet that sags; with a cable pulled down across it, also along that; a dome none."""
     foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0)
-    scene = Scene(meshes.rectangle(comm, 8.0, 8.0, 1.0, structured=True), foil)
-    scene.fix("boundary")
+    scene = sheet(comm, 8, material=foil, side=8.0)
     scene.put_load((0.0, 0.0, -0.2), name="weight")
     solver = Solver(scene)
     assert solver.summary().hollows == ()
@@ -120,8 +120,7 @@ def test_the_summary_tells_where_water_stands(comm: MPI.Intracomm) -> None:
     solver.advance(move={cable: (0.0, 0.0, -1.5)})
     (deeper,) = solver.summary().hollows
     assert deeper.depth > hollow.depth
-    cap = Scene(meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0), foil)
-    cap.fix("boundary")
+    cap = clamped(meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0), foil)
     domed = Solver(cap)
     domed.advance(pressure=0.5)
     assert domed.summary().hollows == ()

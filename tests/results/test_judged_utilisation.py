@@ -7,6 +7,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, IsotropicMembrane, Scene, Solver, meshes
@@ -119,11 +120,9 @@ def propped(comm: MPI.Intracomm, cells: int, units: tuple[float, float] = (1.0, 
     length, force = units
     mesh = meshes.rectangle(comm, 8 * length, 8 * length, 8 * length / cells, structured=True)
     stress = force / length
-    scene = Scene(
-        mesh,
-        IsotropicMembrane(E=300.0 * stress, nu=0.3, thickness=1.0, prestress=2.0 * stress),
+    scene = clamped(
+        mesh, IsotropicMembrane(E=300.0 * stress, nu=0.3, thickness=1.0, prestress=2.0 * stress)
     )
-    scene.fix("boundary")
     middle = scene.vertex_at((4 * length, 4 * length, 0.0))
     prop = Bar(EA=1e3 * force)
     scene.add_bar(prop, middle, (4 * length, 4 * length, -2 * length), L0=2.4 * length, name="prop")

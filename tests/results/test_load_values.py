@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import InputError, IsotropicMembrane, Solver
 from crms_fenicsx.results.quantities import load_label, load_values
 
 pytestmark = pytest.mark.ranks
 
 
 def test_loads_per_area(comm: MPI.Intracomm) -> None:
-    mesh = meshes.rectangle(comm, 4.0, 4.0, 0.5, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = sheet(comm, 8, material=IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0), side=4.0)
     scene.put_load((0.0, 0.3, -0.4), name="snow", per="plan")
     scene.put_wind(0.5, lambda x, n: np.where(x[0] < 2.0, 0.7, -0.9))
     scene.put_pond(10.0, level=0.1, name="water")

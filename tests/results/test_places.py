@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -117,7 +117,7 @@ def test_lengths_of_held_edges_count_by_direction(comm: MPI.Intracomm) -> None:
 
 
 def folded(comm: MPI.Intracomm) -> Solver:
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 20.0))
+    scene = sheet(comm, 5, "unstructured")
     solver = Solver(scene)
     solver.advance(pressure=0.01)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], name="ridge")
@@ -192,8 +192,7 @@ def saddle(comm: MPI.Intracomm) -> Solver:
     )
     points = np.column_stack([x, y, 0.04 * (y**2 - x**2)])
     mesh = meshes.from_arrays(comm, points, np.concatenate([below, above]))
-    scene = Scene(mesh, IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0, prestress=5.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0, prestress=5.0))
     solver = Solver(scene)
     cable = scene.lay_cable(Cable(1e4), [(-5.0, 0.3), (5.0, 0.3)], name="valley")
     solver.advance(L0={cable: 0.985 * cable.L0})

@@ -8,7 +8,7 @@ from cabled_square import clamped
 from mpi4py import MPI
 from scipy.special import j0
 
-from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import InputError, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.results.rain import NAME
 
@@ -75,8 +75,7 @@ def test_water_that_gathers(comm: MPI.Intracomm) -> None:
 @pytest.mark.ranks
 def test_a_roof_that_sheds_water(comm: MPI.Intracomm) -> None:
     foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
-    scene = Scene(meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0), foil)
-    scene.fix("boundary")
+    scene = clamped(meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0), foil)
     solver = Solver(scene)
     solver.advance(pressure=0.5)
     with solver.branch("storm"):

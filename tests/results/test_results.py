@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -31,9 +32,7 @@ FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 
 def square_scene(material: MembraneMaterial = FOIL, size: float = 25.0) -> Scene:
     mesh = meshes.rectangle(COMM, 100.0, 100.0, size=size, structured=True)
-    scene = Scene(mesh, material)
-    scene.fix("boundary")
-    return scene
+    return clamped(mesh, material)
 
 
 def put(scene: Scene, shape: Callable[[Array], Array]) -> None:
@@ -244,8 +243,7 @@ def test_centre_of_an_inflated_circle() -> None:
     """Where both stretches are equal, second Piola-Kirchhoff and true forces are the same."""
     found = []
     for size in (20.0, 10.0):
-        scene = Scene(meshes.circle(COMM, 100.0, size=size), FOIL)
-        scene.fix("boundary")
+        scene = clamped(meshes.circle(COMM, 100.0, size=size), FOIL)
         solver = Solver(scene)
         solver.advance(pressure=0.01)
         results = solver.results()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -11,7 +12,6 @@ from crms_fenicsx import (
     Cable,
     InputError,
     IsotropicMembrane,
-    Scene,
     Solver,
     meshes,
     nets,
@@ -22,8 +22,7 @@ FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
 
 def crossed(comm: MPI.Intracomm, *, friction: float = 0.0, slide: bool = False) -> Solver:
     """An inflated square under two crossing cables and snow; paths stay."""
-    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, 1.3), FABRIC)
-    scene.fix("boundary")
+    scene = clamped(meshes.rectangle(comm, 10.0, 10.0, 1.3), FABRIC)
     for name, path in (("a", [(0.0, 5.0), (10.0, 5.3)]), ("b", [(4.9, 0.0), (5.3, 10.0)])):
         scene.lay_cable(Cable(1e3, friction=friction), path, tension=5.0, name=name)
     scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
@@ -79,8 +78,7 @@ def test_straight_cable_in_closed_form(comm) -> None:
         np.stack([first, first + 9, first + 10], axis=1),
         np.stack([first, first + 10, first + 1], axis=1),
     ])  # fmt: skip
-    scene = Scene(meshes.from_arrays(comm, x, cells), FABRIC)
-    scene.fix("boundary")
+    scene = clamped(meshes.from_arrays(comm, x, cells), FABRIC)
     cable = scene.lay_cable(Cable(2e3), [(0.3, 0.0, 4.99), (0.3, 6.0, 4.99)], tension=30.0)
     solver = Solver(scene, slide=False)
     solver.advance()
@@ -92,8 +90,7 @@ def test_straight_cable_in_closed_form(comm) -> None:
 
 def test_bars_and_their_lengths(comm) -> None:
     """Four bars that tighten each other at a joint."""
-    scene = Scene(meshes.rectangle(comm, 2.0, 2.0, 1.0), FABRIC)
-    scene.fix("boundary")
+    scene = sheet(comm, 2, "unstructured", FABRIC, side=2.0)
     top = scene.add_joint((5.0, 0.0, 3.0))
     one = scene.add_bar(Bar(EA=1e4), (4.0, 0.0, 0.0), top, L0=3.1)
     two = scene.add_bar(Bar(EA=1e4), (8.0, 1.0, 0.0), top, L0=4.2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, meshes
@@ -15,8 +16,7 @@ pytestmark = pytest.mark.ranks
 def cap(comm: MPI.Intracomm, rise: float) -> Scene:
     """A paraboloid over a square, far from the origin."""
     mesh = meshes.rectangle(comm, 2.0, 2.0, 0.25, structured=True, corner=(-1.0, -1.0))
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
     lift(scene, rise)
     return scene
 

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from scipy.optimize import brentq
 
@@ -40,8 +41,7 @@ def sheet(
     stress = force / unit
     side = 6.0 * unit
     mesh = meshes.rectangle(comm, side, side, size * unit, structured=structured)
-    scene = Scene(mesh, IsotropicMembrane(200.0 * stress, 0.3, 1.0, prestress=2.0 * stress))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(200.0 * stress, 0.3, 1.0, prestress=2.0 * stress))
     solver = Solver(scene, rtol=1e-12)
     solver.advance(pressure=pressure * stress / unit)
     return scene, solver
@@ -206,11 +206,10 @@ def guyed(
     comm: MPI.Intracomm, unit: float, force: float, held: str, spring: float = 0.0
 ) -> tuple[Scene, Joint, PlacedBar, PlacedBar]:
     """A joint between two guys in line, of the stiffnesses 100 and 50 kN/m."""
-    scene = Scene(
+    scene = clamped(
         meshes.rectangle(comm, unit, unit, unit),
         IsotropicMembrane(200.0 * force / unit, 0.3, 1.0, prestress=force / unit),
     )
-    scene.fix("boundary")
     top = scene.add_joint((5.0 * unit, 0.0, 2.0 * unit), held=held)
     a = scene.add_bar(Bar(200.0 * force, tension_only=True), (3.0 * unit, 0.0, 2.0 * unit), top)
     b = scene.add_bar(Bar(150.0 * force, tension_only=True), (8.0 * unit, 0.0, 2.0 * unit), top)

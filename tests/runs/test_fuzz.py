@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzzing import feature_runs, feature_scenes, runs, scenes
+from fuzzing import feature_scenes, runs, scenes, twins
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from mpi4py import MPI
+
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 KNOWN = (
     1,  # a slack cable whose points were not where it said
@@ -60,7 +62,7 @@ def test_scenes_that_have_failed(number: int) -> None:
 )
 def test_scenes_that_were_refused(number: int) -> None:
     """Each for a reason of its own."""
-    result = runs.run(replace(scenes.scene(number), twin=""))
+    result = runs.run(replace(scenes.scene(number), twins=()))
     assert result.outcome == "converged", result.text or result.problems
 
 
@@ -83,15 +85,17 @@ def test_random_scenes(data: st.DataObject) -> None:
 def test_twins_are_the_same_scene(kind: str) -> None:
     """What a twin changes it changes everywhere; its answer is the same."""
     data = scenes.scene(5)
-    other, unit, _ = runs.twin(replace(data, twin=kind))
-    assert other is not None and other.points.shape == data.points.shape
+    found = twins.variant(kind, data)
+    assert found is not None and found[0].points.shape == data.points.shape
 
-    def area(mesh: scenes.SceneData) -> float:
-        a, b, c = mesh.points[mesh.cells].transpose(1, 0, 2)
+    def area(points: Array, cells: Integers) -> float:
+        a, b, c = points[cells].transpose(1, 0, 2)
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
-    assert area(other) == pytest.approx(area(data) * unit**2)
-    result = runs.run(replace(data, twin=kind))
+    other, frame = found
+    whole = area(frame.place(other.points), other.cells)
+    assert whole == pytest.approx(area(data.points, data.cells) * frame.unit**2)
+    result = runs.run(replace(data, twins=(kind,)))
     assert result.outcome == "converged" and not result.notes, result
 
 
@@ -113,16 +117,16 @@ def test_a_scene_follows_from_its_number() -> None:
 )
 def test_scenes_of_many_features(number: int, kind: str) -> None:
     """Bars, air, water, loads, cables and load cases at once, and a twin with the same answer."""
-    data = feature_scenes.feature_scene(number)
-    result = feature_runs.run(data, MPI.COMM_SELF, (kind,))
+    data = replace(feature_scenes.feature_scene(number), twins=(kind,))
+    result = runs.run(data, MPI.COMM_SELF)
     assert result.outcome == "converged", (result.text, result.problems)
     assert len(result.answers) > len(data.events)
 
 
 def test_wind_on_a_cable_with_friction_along_it_ends() -> None:
     """Near the limit of its tension the cable is not let go at the start of each solve."""
-    data = feature_scenes.feature_scene(289)
-    result = feature_runs.run(data, MPI.COMM_SELF, ("branch",))
+    data = replace(feature_scenes.feature_scene(289), twins=("branch",))
+    result = runs.run(data, MPI.COMM_SELF)
     assert result.outcome == "converged", (result.text, result.problems)
     assert [name for name, _ in data.events].count("advance") == 2
     assert sum("advance" in what for what, _ in result.answers) == 2

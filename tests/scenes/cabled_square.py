@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from reference_meshes import square
+from reference_meshes import SIDE, square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene
 from crms_fenicsx.foundation.meshes import MembraneMesh
@@ -28,9 +28,12 @@ def clamped(mesh: MembraneMesh, material: MembraneMaterial = FOIL, **laws: Any) 
     return scene
 
 
-def sheet(comm: MPI.Intracomm, n: int, kind: str = "structured") -> Scene:
-    """The square with n cells a side."""
-    return clamped(square(comm, n, kind))
+def sheet(
+    comm: MPI.Intracomm, n: int, kind: str = "structured", material: MembraneMaterial = FOIL,
+    *, side: float = SIDE, **laws: Any,
+) -> Scene:  # fmt: skip
+    """A flat square with n cells a side, stress-free but for its prestress, held all around."""
+    return clamped(square(comm, n, kind, side), material, **laws)
 
 
 def place(cable: LaidCable, at: float, axis: int = 0) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from cable_edits import put
+from cabled_square import clamped
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
@@ -26,8 +27,7 @@ PATHS = (
 
 def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0) -> System:
     """A dome whose cables are in tension, at the start of a load step."""
-    scene = Scene(irregular_square(comm, lift), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm, lift), ISOTROPIC)
     for path in PATHS:
         scene.lay_cable(Cable(32000.0, friction=friction), path, tension=20.0)
     scene.air.update(pressure=0.01)

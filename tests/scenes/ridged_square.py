@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from cabled_square import clamped
 from mpi4py import MPI
 from term_scene import ISOTROPIC
 
@@ -29,8 +30,7 @@ def ridged(comm: MPI.Intracomm, size: float = 20.0) -> Scene:
         np.concatenate([cells, number[cells][:, ::-1]]),
         edges={"ridge": np.stack([line[:-1], line[1:]], axis=1)},
     )
-    scene = Scene(square, ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(square, ISOTROPIC)
     scene.fix("ridge")
     return scene
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from cabled_square import clamped
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from reference_meshes import square
 
-from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Solver
 from crms_fenicsx.analysis.verification.cable_forces import plain_vertices
 from crms_fenicsx.analysis.verification.report import Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
@@ -63,9 +63,9 @@ def cabled(
 
 def masts(comm: MPI.Intracomm, E: float = 100.0) -> Solver:
     """A sheet that hangs from strong guys at two of its vertices, from weak ones at a third."""
-    mesh = meshes.rectangle(comm, 10.0, 10.0, 1.25, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=E, nu=0.3, thickness=1.0, prestress=1.0))
-    scene.fix("boundary")
+    scene = sheet(
+        comm, 8, material=IsotropicMembrane(E=E, nu=0.3, thickness=1.0, prestress=1.0), side=10.0
+    )
     for x, EA in ((2.5, 1e5), (7.5, 1e5), (5.0, 1e-3)):
         top = scene.add_joint((x, 5.0, 2.0), name=f"top {x}")
         scene.add_bar(Bar(EA), top, scene.vertex_at((x, 5.0, 0.0)), L0=1.98, name=f"hanger {x}")

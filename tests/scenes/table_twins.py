@@ -16,7 +16,7 @@ from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.foundation.surface.points import Edge, EdgePoint
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 Array = npt.NDArray[Any]
 Link = tuple[int, int, int, tuple[int, ...] | None]
@@ -78,7 +78,7 @@ class SlowTables:
         size = float(min(sizes[row] for row in rows))
         if kinds == {"tied"} or (on is None and not kinds & {"fold", "edge slider", "crossing"}):
             return -SAME_PLACE * size
-        return SMOOTHING * size * (1e-3 if "anchor" in kinds else 1.0)
+        return TOL.smoothing * size * (1e-3 if "anchor" in kinds else 1.0)
 
     def _chords(self) -> dict[int, list[list[NodeId]]]:
         """Chords through the inside of this rank's cells, by row: nodes from rim to rim."""

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from cabled_square import clamped
 from mpi4py import MPI
 from scipy.optimize import minimize_scalar, root
 from term_twins import best_angle
@@ -125,8 +126,7 @@ def twisted(
     comm: MPI.Intracomm, n: int, material: MembraneMaterial, angle: float
 ) -> tuple[Scene, Solver, Step, float]:
     """Solve on a mesh; the scene, its solver, the step and the torque on the inner rim."""
-    scene = Scene(annulus(comm, n), material)
-    scene.fix("boundary")
+    scene = clamped(annulus(comm, n), material)
     scene.fix(lambda x: np.full(x.shape[1], True), "z")
     X = scene.V.tabulate_dof_coordinates()
     R = np.linalg.norm(X, axis=1)

@@ -18,21 +18,9 @@ from crms_fenicsx.cabling.contact.active_set import ActiveSet
 from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 logger = logging.getLogger("crms_fenicsx")
-
-MAX_CHANGES = 60
-"""Limit of path changes, and of projections of lifted parts' paths below their spans, in one load
-step."""
-
-PATHS = 1e-3
-"""Residual, relative to the force scale, below which paths are examined. Contacts are updated
-earlier: a wrong contact can be undone, a passed vertex cannot."""
-
-WEAK = 0.1
-"""Residual, relative to the weakest tension, below which contacts are updated: with a larger one
-taut cables would be taken for slack."""
-
 
 Look = Callable[[bool], bool]
 """Called near equilibrium with whether contacts change; returns whether to end the solve."""
@@ -68,10 +56,10 @@ class ContactLoop:
             if looked:
                 return False
             system.write_scene()
-            if residual > self._weakest() * WEAK and not last:
+            if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            if residual > PATHS * scale or (changes and not self._may_join_paths()):
+            if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
             if ends:  # new paths are solved together with new contacts
@@ -129,7 +117,7 @@ class ContactLoop:
             from crms_fenicsx.cabling.paths.crossing_trials import lift_clamps
 
             changes = lift_clamps(self.sliding.change)
-        if self.sliding is not None and not changes and self._projections < MAX_CHANGES:
+        if self.sliding is not None and not changes and self._projections < BUDGET.changes:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
         return changes

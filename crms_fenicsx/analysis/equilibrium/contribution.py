@@ -22,16 +22,12 @@ from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.model.membrane import StepHistory
+from crms_fenicsx.model.tolerances import UNSTRAINED
 
 if TYPE_CHECKING:
     from crms_fenicsx.cabling.cables.element_tables import CableTables, PlainCells
     from crms_fenicsx.energy.terms.paper.step_membrane import StepMembraneEnergy, StepPressure
     from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
-
-
-NOTHING = 1e-12
-"""Strain, of a membrane of the scene's size, with negligible forces; of cables and bars it is
-`NO_STRAIN`."""
 
 
 class Contribution:
@@ -132,7 +128,7 @@ def unloaded_scales(scene: Scene) -> tuple[float, float]:
     axial = [cable.cable.EA for cable in scene.cables if cable.taut]
     axial += [bar.bar.EA for bar in scene.bars]
     weakest = min(axial, default=math.inf)
-    return min(NOTHING * membrane, NO_STRAIN * weakest), min(membrane, weakest)
+    return min(UNSTRAINED * membrane, NO_STRAIN * weakest), min(membrane, weakest)
 
 
 class PressureContribution(Contribution):

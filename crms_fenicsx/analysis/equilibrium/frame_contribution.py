@@ -18,10 +18,6 @@ from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.model.bar import BarEnd, Joint
 
-HARDLY_SLACK = 1e-4
-"""Slack of a guy, relative to its length, up to which it counts as taut: a mast that shortens under
-its load slackens guys without prestress by that much."""
-
 
 class BarContribution(Contribution):
     """Bars, with their joints as further unknowns, all on the first rank.

@@ -70,13 +70,15 @@ class FrictionContribution(Contribution):
             capstan.renew(grip_table(numbering, shape))
 
     def write_scene(self, potential: Potential) -> None:
-        energies = self.scene.energies
-        if "friction" in energies:  # the state knows the stored part; the rest is heat
-            shape = self.scene.net.strip_shape()
+        own = [term for term in (self.stick_slip, self.elements) if term is not None]
+        if own:
+            shape, energies = self.scene.net.strip_shape(), dict(self.scene.energies)
             for cable in self.scene.cables:
                 lateral.note_sliding(cable, shape)
-            stored = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
-            self.scene.record(energies={**energies, "friction": stored})
+            # the state knows the stored part; the rest is heat
+            energies["friction"] += sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
+            energies["friction"] -= sum(term.energy(potential.sums_of(term)) for term in own)
+            self.scene.record(energies=energies)
         if self.cables.capstan is not None:
             self._write_gripped(self.cables.capstan, potential)
 

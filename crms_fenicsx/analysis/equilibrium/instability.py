@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.frame_contribution import HARDLY_SLACK
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.stability import ExactTangent
@@ -24,10 +23,8 @@ from crms_fenicsx.energy.terms.ponding import Ponding
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.bar import SHORTEST, BarEnd, Joint, PlacedBar
+from crms_fenicsx.model.tolerances import TOL
 from crms_fenicsx.model.versions import StateWarning
-
-ROUNDING = 100.0
-"""Error of a bar's lateral stiffness, in roundings of its axial stiffness."""
 
 TOUCH = 1e-9
 """Rise of a given water level, relative to the membrane's size, for the check."""
@@ -56,7 +53,8 @@ class _FrameStability:
         for bar in scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             far = max(float(np.linalg.norm(bar.points, axis=1).max()) / length, 1.0)
-            unsure = ROUNDING * EPSILON * far * bar.bar.EA / bar.L0 + tolerance / length
+            # by rounding of the axial stiffness, and by the tolerance
+            unsure = 100 * EPSILON * far * bar.bar.EA / bar.L0 + tolerance / length
             for end in (bar.start, bar.end):
                 if isinstance(end, Joint):
                     self.least[self._number[end]] += unsure
@@ -88,7 +86,7 @@ class _FrameStability:
         for bar in self.scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             d = (bar.points[1] - bar.points[0]) / length
-            slack = bar.bar.tension_only and length < (1 - HARDLY_SLACK) * bar.L0
+            slack = bar.bar.tension_only and length < (1 - TOL.hardly_slack) * bar.L0
             across = bar.force / length
             block = ((not slack) * bar.bar.EA / bar.L0 - across) * np.outer(d, d)
             block += across * np.eye(3)
@@ -186,7 +184,7 @@ def _by_tangents(
                 level = term.pond.level + TOUCH * system.scene.membrane.size
                 stack.enter_context(_with(term, pond=replace(term.pond, level=level)))
         if system.bars is not None:  # what hardly slack guys restrain hardly moves
-            stack.enter_context(_with(system.bars.energy, loose=HARDLY_SLACK))
+            stack.enter_context(_with(system.bars.energy, loose=TOL.hardly_slack))
         tangent = ExactTangent(potential, h0, springs)
         for term in ponds:
             if tangent.negative == 0:

@@ -17,22 +17,7 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array
-
-KICK = 1.0
-"""Largest displacement of a start, relative to the mean cell size. With less than a half starts
-fall back to where they came from, in a square air cushion of 32 cells a side."""
-
-WRINKLED = 0.5
-"""Share of the area that is wrinkled or slack above which other states are looked for: one or two
-solves more."""
-
-NEAR = 0.1
-"""Largest distance of another state, relative to the membrane's size: folds move by less, and what
-has not snapped through must not do so in the search."""
-
-LESS = 1e-7
-"""Fall of the energy, relative to the sum of all its kinds, that is another state's."""
-
+from crms_fenicsx.model.tolerances import TOL
 
 SCATTER_CHECK = "scatter of the energy"
 """Name of the check in the verification."""
@@ -61,7 +46,7 @@ def may_have_others(system: System) -> bool:
     taut = np.rint(system.membrane.energy.cell_results()[:, 6]) > 1
     areas = scene.membrane.cell_areas
     sums = scene.comm.allreduce(np.array([areas.sum(), areas[~taut].sum()]))
-    return bool(sums[1] > WRINKLED * sums[0])
+    return bool(sums[1] > TOL.wrinkled * sums[0])
 
 
 def lower_state(system: System, at_once: tuple[float, ...]) -> _Scatter:
@@ -79,8 +64,8 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> _Scatter:
         outcome = system.minimize(prestress)
         system.write_scene()
         total = outcome if total is None else total + outcome
-        near = _moved(scene, first)[0] < NEAR * scene.membrane.size
-        if not (outcome.converged and near and scene.energy < energy - LESS * scale):
+        near = _moved(scene, first)[0] < TOL.near_state * scene.membrane.size
+        if not (outcome.converged and near and scene.energy < energy - TOL.lower_energy * scale):
             scene.u.x.array[:] = best
             system.read_scene()
             system.write_scene()
@@ -96,7 +81,9 @@ def _kick(scene: Scene) -> Array:
     places = scene.membrane.stress_free / size
     ways = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])
     noise = np.sin(places @ ways) * 43758.5453
-    kick = KICK * size * (2 * (noise - np.floor(noise)) - 1)
+    # with less than half a cell starts fall back to where they came from, in a square air cushion
+    # of 32 cells a side
+    kick = size * (2 * (noise - np.floor(noise)) - 1)
     return np.where(scene.held, 0.0, kick).ravel()
 
 

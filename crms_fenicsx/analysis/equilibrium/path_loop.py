@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from crms_fenicsx.analysis.equilibrium.contact_loop import MAX_CHANGES, ContactLoop
+from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.cabling.cables.crossings import tangled
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
@@ -18,22 +18,7 @@ from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
-
-CAUGHT, STUCK = 0.05, 0.15
-"""Kinks of a folded edge (rad) above which its cable is laid again, and above which the state is
-rejected if fold points have approached each other.
-
-Fold points on two edges with a common vertex can approach each other away from it: their chord then
-loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound states are
-below 0.01 on meshes of 9 cells a side.
-"""
-
-TENSE = 0.01
-"""Kink (rad) above which fold points of a cable with friction are straightened."""
-
-CLEAR = 1e-7
-"""Fall of the energy, relative to the sum of all its kinds, that another arrangement of crossings
-must bring: rough states of the same arrangement differ by less."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 @dataclass(frozen=True)
@@ -79,7 +64,7 @@ class PathLoop:
                     for c in caught:  # the fold points are put back on straight edges
                         self.scene.cables[c].update(path_is_geodesic=False)
                 else:
-                    if tries < MAX_CHANGES:
+                    if tries < BUDGET.changes:
                         moved = trials.next(best.energy, self._scale())
                         other = not moved and others.next()
                     if not moved and not other and not settled:
@@ -91,7 +76,7 @@ class PathLoop:
                         flips = self._pass_vertices(None)
                         if not flips and not self._straighten_kinks():
                             break
-            if tries == MAX_CHANGES:
+            if tries == BUDGET.changes:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
             tries += 1
@@ -100,7 +85,7 @@ class PathLoop:
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
             excess = new.energy - best.energy if new.outcome.converged else math.inf
-            if excess < (-CLEAR * self._scale() if other else 0.0):
+            if excess < (-TOL.lower_energy * self._scale() if other else 0.0):
                 best, flips, settled = new, new.flips, True
                 if moved or other:
                     laid_again.clear()
@@ -129,7 +114,7 @@ class PathLoop:
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
-        caught = self.system.kinked_cables(STUCK)
+        caught = self.system.kinked_cables(3 * TOL.kink)
         if caught:
             # those whose fold points have approached each other away from vertices
             cables, net = self.scene.cables, self.scene.net
@@ -178,7 +163,7 @@ class PathLoop:
 
         from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
 
-        return straighten_kinks(self.change, self.tried, self.system.kinked_nodes(TENSE))
+        return straighten_kinks(self.change, self.tried, self.system.kinked_nodes(TOL.tense_kink))
 
     def _scale(self) -> float:
         """Sum of the absolute energies of all kinds (force x length)."""
@@ -187,7 +172,7 @@ class PathLoop:
     def _caught(self, known: set[int]) -> tuple[set[int], set[int]]:
         """Numbers of the sliding cables, but the known ones, that kink edges, are tangled or run
         below the membrane; and of all cables that run below it. Collective."""
-        caught, sunken = self.system.kinked_cables(CAUGHT), self._sunk()
+        caught, sunken = self.system.kinked_cables(TOL.kink), self._sunk()
         caught |= tangled(self.scene.net.crossings) | sunken
         return {c for c in caught if leaves_cells(self.scene.cables[c])} - known, sunken
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.energy.minimization.outcome import Outcome
+from crms_fenicsx.model.tolerances import BUDGET
 
 if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
@@ -29,13 +30,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
 logger = logging.getLogger("crms_fenicsx")
-
-MAX_PASSES = 40
-"""Limit of updates of the friction forces."""
-
-PATIENCE = 20
-"""Updates without a smaller change before giving up: where the state responds strongly to a small
-change of force, as at the edge of lifting off, the iteration cycles."""
 
 Solve = Callable[[tuple[float, ...], bool], Outcome]
 """Solves for the equilibrium, or a state near it, with given friction forces."""
@@ -59,7 +53,7 @@ class FrictionLoop:
 
         rough = True
         change, least, waited = 0.0, math.inf, 0
-        for passes in range(1, MAX_PASSES + 1):
+        for passes in range(1, BUDGET.passes + 1):
             outcome = replace(outcome, passes=passes)
             if not outcome.converged:
                 return outcome
@@ -73,7 +67,7 @@ class FrictionLoop:
             change = max(changes)
             logger.debug("pass %d: friction forces change by %.2g", passes, change)
             least, waited = min(change, least), waited + 1 if change >= least else 0
-            given_up = waited == PATIENCE or passes == MAX_PASSES
+            given_up = waited == BUDGET.patience or passes == BUDGET.passes
             if given_up and change > NEARLY:
                 break
             if change > NEARLY and self.tried is not None:
@@ -103,10 +97,6 @@ class FrictionLoop:
 
                 lags.append(AxialIteration(cable))
         return lags
-
-
-MAX_LENGTHS = 30
-"""Limit of repeated solves for the length that smoothing adds to cables."""
 
 
 class EquilibriumSearch:
@@ -159,7 +149,7 @@ class EquilibriumSearch:
         the gradient, which rotates a segment that shrinks to zero at a vertex; the length that it
         adds hardly depends on the state, and is subtracted."""
 
-        for k in range(MAX_LENGTHS):
+        for k in range(BUDGET.lengths):
             if not outcome.converged or not self.system.renew_smoothing_length():
                 return outcome
             if k == 0:

@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.other_states import (
-    LESS,
     SCATTER_CHECK,
     lower_state,
     may_have_others,
@@ -23,7 +22,7 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.loading import Target, has_free_rim
 from crms_fenicsx.analysis.verification.report import Check, Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
-from crms_fenicsx.cabling.contact.lift_off import SUNK, is_foot, size_at
+from crms_fenicsx.cabling.contact.lift_off import is_foot, size_at
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import as_text
@@ -39,6 +38,7 @@ from typing import Any, Literal
 
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def _starting_prestress(
@@ -77,7 +77,7 @@ def _covered_ends(scene: Scene) -> Iterator[StateWarning]:
         node = cable.state.nodes[foot]
         above = cable.state.positions[end] - shape.mean(*node.interpolation())
         gap = float(above @ shape.normal(node.support))
-        if gap < -SUNK * size_at(shape, node.support):
+        if gap < -TOL.sunk * size_at(shape, node.support):
             yield StateWarning(
                 "cable end",
                 f"the {which} of {cable.name!r} at {as_text(cable.state.positions[end])} lies "
@@ -96,9 +96,6 @@ class Increment:
     # of instability, of cable ends under the membrane and of uncertain forces
     warnings: tuple[StateWarning, ...] = ()
 
-
-MAX_FOLLOWER_SOLVES = 50
-"""Limit of solves per increment under wind, or under lagged pressure with free edges."""
 
 SAME_TENSIONS, OTHER_TENSIONS = 1e-6, 1e-4
 """Changes of tensions, relative to the largest, below which a state under lagged pressure counts as
@@ -237,7 +234,7 @@ class IncrementSolver:
         found = lower_state(self.system, at_once)
         apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
         where = apart if found.energy > 0.0 else ""
-        check = Check(SCATTER_CHECK, found.energy, LESS, where, binding=False)
+        check = Check(SCATTER_CHECK, found.energy, TOL.lower_energy, where, binding=False)
         total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
         return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
 
@@ -253,7 +250,7 @@ class IncrementSolver:
     def _iterate_pressure(self, outcome: Outcome) -> Outcome:
         """Solve again under lagged pressure until its forces are normal to the final shape."""
         earlier: list[Array] = []
-        for _ in range(MAX_FOLLOWER_SOLVES):
+        for _ in range(BUDGET.follower_solves):
             self._commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
@@ -269,13 +266,13 @@ class IncrementSolver:
                     "lines beside those edges, and from each other's crossings there"
                 )
                 return replace(outcome, converged=False, reason=reason, takes_turns=True)
-        reason = f"the pressure at free edges still turns after {MAX_FOLLOWER_SOLVES} solves"
+        reason = f"the pressure at free edges still turns after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def _iterate_wind(self, outcome: Outcome) -> Outcome:
         """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
-        for _ in range(MAX_FOLLOWER_SOLVES):
+        for _ in range(BUDGET.follower_solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
@@ -287,7 +284,7 @@ class IncrementSolver:
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
                 return outcome
-        reason = f"the wind still turns with the membrane after {MAX_FOLLOWER_SOLVES} solves"
+        reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def _commit(self) -> None:

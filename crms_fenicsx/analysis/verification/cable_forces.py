@@ -14,14 +14,14 @@ from crms_fenicsx.cabling.contact.contact_force import (
     wrap_angles,
 )
 from crms_fenicsx.cabling.contact.lift_off import is_foot, may_lift, outward_pulls
-from crms_fenicsx.cabling.paths.held_vertices import UNEVEN, Pulls, held_runs
+from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_runs
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE, SMOOTHING
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 
 def plain_vertices(system: System) -> Integers:
@@ -88,7 +88,7 @@ def contacts(
     for k in lifted:
         point, s = cable.state.nodes[k].point, float(cable.state.fractions[k])
         assert point is not None
-        if isinstance(point, EdgePoint) and (on_edge[k] or not INSIDE < s < 1 - INSIDE):
+        if isinstance(point, EdgePoint) and (on_edge[k] or not TOL.inside < s < 1 - TOL.inside):
             continue
         after = int(np.searchsorted(touched, k))
         span = norm(
@@ -119,7 +119,7 @@ def forces(
     if leaves_cells(cable):
         # An edge carries the forces if it is much stiffer than the cable's tension.
         normal, pull = forces_at(cable, _folds(cable), shape)
-        beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
+        beyond = np.maximum(np.abs(pull) - TOL.uneven * np.abs(normal), 0.0)
         values["sideways force without friction"] = float(beyond.sum()) / press
     return values | _friction(cable, shape, least)
 
@@ -128,9 +128,9 @@ def _held(
     cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
 ) -> dict[str, float]:
     """Lateral forces that vertices exert on a cable, relative to its contact force."""
-    # Smoothed lengths keep a cable off the vertices by `SMOOTHING` cells, even where a straight one
+    # Smoothed lengths keep a cable off the vertices by `smoothing` cells, even where a straight one
     # runs through them: it turns by as much at both ends of a run.
-    own = 2 * SMOOTHING * cable.tension
+    own = 2 * TOL.smoothing * cable.tension
     runs = held_runs(cable, shape, others)
     held = [(len(run.vertices), max(run.excess - own, 0.0) / press) for run in runs]
     return {

@@ -60,8 +60,6 @@ SPREAD = 8.0
 """Standard deviations that bound a sum of unbalanced forces with random signs."""
 GEOMETRIC_TERMS = "pressure", "dead load", "pond", "bars"
 """Terms whose forces the balance computes from the geometry."""
-NEGLIGIBLE = 1e-300
-"""Least force (force) that others are divided by."""
 
 
 class Verifier:
@@ -87,7 +85,7 @@ class Verifier:
     def check(self, system: System, outcome: Outcome, more: Sequence[Check] = ()) -> Verification:
         """Check a solved state without changing it; adds checks made before. Collective."""
         began = time.perf_counter()
-        force = max(outcome.scale, NEGLIGIBLE)
+        force = max(outcome.scale, 1e-300)
         checks = [self._finite(system)]
         if not checks[0].passed:  # the other checks would divide by NaN
             return Verification(tuple(checks), time.perf_counter() - began)
@@ -252,7 +250,7 @@ class Verifier:
         limit = BALANCE + unbalanced / all_loads
         modulus = max(m.reference_modulus for m in scene.materials.values())
         section, stored = section_forces(scene), abs(scene.energies.get("membrane", 0.0))
-        own = max(float(np.sqrt(total[16])) or section, NEGLIGIBLE)
+        own = max(float(np.sqrt(total[16])) or section, 1e-300)
         unbalanced_own = float(np.sqrt(total[15]))
         if total[16] == 0.0 and is_unstressed(section, stored, modulus * size, size):
             unbalanced_own = 0.0

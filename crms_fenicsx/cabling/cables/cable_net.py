@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.cabling.cables.clamping import TOUCHING, divide, meetings, named, with_clamps
+from crms_fenicsx.cabling.cables.clamping import divide, meetings, named, with_clamps
 from crms_fenicsx.cabling.cables.crossings import arrange
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
@@ -24,6 +24,7 @@ from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.cable_state import CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import TOL
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ class CableNet:
                     and norm(k.place - one.place) < 2 * one.reach
                     for k in self.crossings
                 )
-                if parted or one.gap > TOUCHING * one.reach:
+                if parted or one.gap > TOL.touching * one.reach:
                     apart.append(
                         f"{a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they cross, at "
                         f"{as_text(one.place)}"

@@ -19,15 +19,7 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.cable import Bonds, Clamp, ClampedParts
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import SAME_PLACE
-
-TOUCHING = 0.05
-"""Gap between crossing cables, relative to their segments there, up to which a clamp closes it:
-before equilibrium cables lie on cells that the others will fold."""
-
-OBLIQUE = 0.1
-"""Sine of the smallest angle of a crossing; below it cables run side by side."""
-
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 TOLERANCE = 1e-3
 """Elastic slip at a clamp, relative to the elongation of the adjacent part under its grip."""
@@ -61,7 +53,7 @@ def meetings(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
         ends = [SAME_PLACE + gap / np.sqrt(dot(way, way)) for way in (u[:, None], v[None])]
     inside = (-ends[0] <= s) & (s <= 1 + ends[0]) & (-ends[1] <= t) & (t <= 1 + ends[1])
     found: list[_CablesMeeting] = []
-    for i, j in np.argwhere(inside & (square > OBLIQUE**2 * sizes)):
+    for i, j in np.argwhere(inside & (square > TOL.oblique**2 * sizes)):
         along = [float(np.clip(share[i, j], 0.0, 1.0)) for share in (s, t)]
         first, second = x[i] + along[0] * u[i], y[j] + along[1] * v[j]
         place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2

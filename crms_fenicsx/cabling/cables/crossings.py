@@ -39,6 +39,7 @@ from crms_fenicsx.foundation.runtime.arrays import (
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, Support
 from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import TOL
 
 
 class _Meeting(NamedTuple):
@@ -153,10 +154,6 @@ def _intersections(ends: Array) -> Array:
     t = np.stack([w[0] * v[1] - w[1] * v[0], w[0] * u[1] - w[1] * u[0]], axis=1) / cross[:, None]
     t[parallel] = 0.5
     return t
-
-
-TANGLED = 8
-"""Cells between two crossings of the same cables up to which these are tangled, not taut."""
 
 
 def arrange(
@@ -294,7 +291,7 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
         upper
         for (_, upper), own in links.items()
         for (a, b), (c, d) in combinations(own, 2)
-        if max(abs(a - c), abs(b - d)) <= TANGLED
+        if max(abs(a - c), abs(b - d)) <= TOL.tangled
     }
 
 

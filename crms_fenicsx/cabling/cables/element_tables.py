@@ -41,7 +41,7 @@ from crms_fenicsx.foundation.surface.polygons import (
 )
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 
 class CutCells:
@@ -184,7 +184,7 @@ def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
     # A tiny move of an anchor off the adjacent held place is resolved exactly. An anchor may also
     # coincide with that place, where no direction is defined or needed.
     near = np.where(one(nodes.kind == ANCHOR), NEAR_ANCHOR, 1.0)
-    return np.where(slides, SMOOTHING * size * near, -SAME_PLACE * size)
+    return np.where(slides, TOL.smoothing * size * near, -SAME_PLACE * size)
 
 
 class _FoldedCellsOf:
@@ -207,7 +207,7 @@ class _FoldedCellsOf:
         lines, blocks = self.numbering.lines(edges[order])
         parts = np.diff(lines) - 1
         start = runs(lines[:-1], parts)
-        smoothing = np.where(parts > 1, SMOOTHING * lengths[first[order]], 0.0)
+        smoothing = np.where(parts > 1, TOL.smoothing * lengths[first[order]], 0.0)
         laws, parameters = membrane.laws(cells)
         return FoldedCells(
             cells=cells,

@@ -18,13 +18,14 @@ from crms_fenicsx.cabling.cables.points_on_edges import NodeTable, fractions_of,
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact import lift_off as contact
 from crms_fenicsx.cabling.contact.free_spans import FreeSpans
-from crms_fenicsx.cabling.contact.lift_off import DEPTH, PULL, Polylines
+from crms_fenicsx.cabling.contact.lift_off import Polylines
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Booleans, flags, floats, ints
 from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.cable_state import Crossing
-from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BUDGET, TOL, UNSTRAINED
 
 
 def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -37,7 +38,7 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     number = nodes.crossing[at]
     at = at[together[number] & (nodes.cable[at] == upper[number])]
     pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
-    return set(ints(nodes.crossing[at[pulls > PULL]]))
+    return set(ints(nodes.crossing[at[pulls > TOL.contact]]))
 
 
 def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
@@ -48,15 +49,12 @@ def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
     lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
     normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
-    deep = gaps(lower, upper, normals) < -DEPTH * norm(lower[:, 1] - lower[:, 0])
+    deep = gaps(lower, upper, normals) < -TOL.contact * norm(lower[:, 1] - lower[:, 0])
     return {apart[n] for n in np.flatnonzero(deep)}
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
-
-MAX_SWITCHES = 6
-"""Switches between slack and taut allowed for each cable in one solve."""
 
 
 class _ContactMemory(Protocol):
@@ -116,7 +114,7 @@ class ActiveSet:
 
     def cycling_cable(self) -> str:
         """Name of a cable that keeps switching between slack and taut; "" if none does."""
-        return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
+        return next((name for name, n in self._switches.items() if n > BUDGET.switches), "")
 
     def _switch(self, shape: StripShape, solved: Polylines | None) -> list[str]:
         """Tighten slack cables that have become too short for their paths, slacken others if the
@@ -138,7 +136,7 @@ class ActiveSet:
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved is not None and cable.taut
             if lengths is not None and judged and cable.state.law.parts is None:
-                taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
+                taut = tight = lengths[c] > cable.L0 * (1 + UNSTRAINED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
             alone = cable.slides_freely and not cable.is_divided
@@ -192,10 +190,10 @@ class ActiveSet:
         places = {}
         if cable.state.lifted.any():
             free.move(c)
-            places = free.captured(c, -DEPTH)
+            places = free.captured(c, -TOL.contact)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not loose and not places:
-                nearly = free.captured(c, contact.NEARLY)
+                nearly = free.captured(c, TOL.touching)
                 # The folds around a vertex do not bulge up to the span where one was released.
                 keys = [key for key in self._released if key[0] == cable.name]
                 parted = {v for _, at in keys if not isinstance(at, str) for v in at}

@@ -25,9 +25,7 @@ from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Integers
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.surface.points import EdgePoint, Support, VertexPoint
 from crms_fenicsx.model.laid_cable import LaidCable
-
-ACROSS = 0.05
-"""Sine of the smallest angle between cable and edge for which their cross product is the normal."""
+from crms_fenicsx.model.tolerances import TOL
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,7 +225,7 @@ def directions(
     if slides.any():
         square = cross(edge_directions(cable, np.asarray(nodes)[slides], shape), along[slides])
         square *= np.where(dot(square, outside[slides]) > 0.0, 1.0, -1.0)[:, None]
-        up[slides] = np.where(norm(square)[:, None] > ACROSS, square, up[slides])
+        up[slides] = np.where(norm(square)[:, None] > TOL.oblique, square, up[slides])
     up /= norm(up)[:, None]
     left = cross(up, along)
     at_vertex = np.array([cable.state.nodes[k].kind == "vertex" for k in nodes])

@@ -32,7 +32,7 @@ from crms_fenicsx.foundation.runtime.arrays import (
 from crms_fenicsx.foundation.surface import lines
 from crms_fenicsx.foundation.surface.points import EdgePoint, Support
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, PAST
+from crms_fenicsx.model.tolerances import TOL
 
 
 class Gap(NamedTuple):
@@ -54,7 +54,6 @@ def under(
     span: tuple[Array, Array],
     shape: StripShape,
     bends: Sequence[Array] = (),
-    reach: float = PAST,
 ) -> Gap:
     """Gap of a free span at an edge, with the points (3,) where other cables fold it, or at a
     vertex."""
@@ -62,7 +61,7 @@ def under(
         shape.at(support[0]), *bends, shape.at(support[-1])
     ]  # fmt: skip
     gap, fraction, place, above, inside, end = lines.passed(
-        np.array(line), *span, shape.normal(support), INSIDE, reach
+        np.array(line), *span, shape.normal(support), TOL.inside, TOL.reach
     )
     return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
 
@@ -78,8 +77,9 @@ class FreeSpans:
         shape: StripShape,
         chosen: Booleans,
         folded: bool = False,
-        reach: float = PAST,
+        reach: float | None = None,
     ) -> None:
+        reach = TOL.reach if reach is None else reach
         self.cables, self.nodes = cables, nodes
         x, self._fractions = positions_of(cables), fractions_of(cables)
         contacts = np.flatnonzero(~nodes.lifted)
@@ -103,7 +103,7 @@ class FreeSpans:
         points[first[:-1]] = shape.current[corners[:, 0]]
         last = corners[np.arange(len(corners)), nodes.size[self.rows] - 1]
         points[first[1:] - 1] = shape.current[last]
-        self.found = lines.passed_by_spans(points, first, self.ends, normals, INSIDE, reach)
+        self.found = lines.passed_by_spans(points, first, self.ends, normals, TOL.inside, reach)
         gaps, along, _, above, self.inside, end = self.found
         over_hole = simplices.owner[on[self.rows]] == NOBODY
         self.heights = np.where(over_hole, np.inf, gaps)  # (m,), along the normals
@@ -114,7 +114,7 @@ class FreeSpans:
         x[self.rows] = above
         self._positions = x
         slides = self.rows[nodes.slides[self.rows]]
-        kept = np.clip(along[nodes.slides[self.rows]], INSIDE, 1 - INSIDE)
+        kept = np.clip(along[nodes.slides[self.rows]], TOL.inside, 1 - TOL.inside)
         self._fractions[slides] = kept  # keeps the path below the span
         self._of = np.searchsorted(self.rows, nodes.starts)  # first of each cable in `rows`
 

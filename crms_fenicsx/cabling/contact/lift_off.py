@@ -21,26 +21,12 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, in
 from crms_fenicsx.foundation.surface import lines
 from crms_fenicsx.foundation.surface.points import CellPoint
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
-
-COLLAPSED = 0.5
-"""Length of a chord, relative to that on unfolded cells, below which its cable is caught."""
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
     """Cell size around a vertex or an edge (length)."""
     return float(shape.normals_and_sizes([support])[1][0])
-
-
-PULL = 1e-6
-"""Outward force, relative to the tension, above which a contact is released."""
-DEPTH = 1e-6
-"""Depth below the membrane, relative to the cell size, at which a cable touches down."""
-NEARLY = 0.05
-"""Height above the membrane, relative to the cell size, up to which a cable may touch it once it
-has folded it, as folds bulge."""
-SUNK = 0.02
-"""Depth below the membrane, relative to the cell size, that exceeds any discretisation error."""
 
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
@@ -94,7 +80,7 @@ class Polylines:
         around = shape.around(nodes.on(shape.strip.simplices)[on])
         beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
         feet = (nodes.size[on] == 3) & beside
-        return on[(self.pulls(on, *around) > PULL) | feet]
+        return on[(self.pulls(on, *around) > TOL.contact) | feet]
 
     def straight_parts(self, cables: Integers, links: Integers) -> Array:
         """Ends (m, 2, 3) of segments of `cables` (m,) after `links` (m,), crossings not counted."""
@@ -119,7 +105,7 @@ class Polylines:
         on_edge = nodes.size[own] == 2
         chords = on_edge[1:] & on_edge[:-1] & (nodes.cable[own[1:]] == nodes.cable[own[:-1]])
         now, flat = (norm(np.diff(x, axis=0)) for x in (self.positions[own], places))
-        return set(ints(nodes.cable[own[1:]][chords & (now < COLLAPSED * flat)]))
+        return set(ints(nodes.cable[own[1:]][chords & (now < TOL.collapsed * flat)]))
 
     def _flat_places(self, shape: StripShape, fractions: Array) -> tuple[Integers, Array]:
         """Rows of the contacts (m,) and their places on unfolded cells (m, 3)."""
@@ -147,10 +133,12 @@ def released(cable: LaidCable, shape: StripShape) -> list[int]:
     return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.state.nodes), dtype=bool)))
 
 
-def captured(cable: LaidCable, shape: StripShape, height: float = -DEPTH) -> dict[int, Gap]:
+def captured(cable: LaidCable, shape: StripShape, height: float | None = None) -> dict[int, Gap]:
     """Nodes where a free span penetrates the membrane, or is lower than a `height` relative to the
     cell size, with the contact points; for a cable alone. Moves the lifted nodes onto their span.
     """
+    if height is None:
+        height = -TOL.contact
     every = np.ones(1, dtype=bool)
     free = FreeSpans([cable], NodeTable.of([cable]), shape, every)
     free.move(0)
@@ -164,11 +152,11 @@ def sunk(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> se
     may = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
     free = FreeSpans(cables, nodes, shape, may, reach=np.inf)
     found = set()
-    for n in np.flatnonzero((free.past >= 0) & (free.heights < -SUNK * free.sizes)):
+    for n in np.flatnonzero((free.past >= 0) & (free.heights < -TOL.sunk * free.sizes)):
         # The span passes the line of a nearly parallel edge far away: check at the vertex.
         first, last = free.ends[n]
         place = under((int(free.past[n]),), (first, last), shape)
-        if place.gap < -SUNK * free.sizes[n]:
+        if place.gap < -TOL.sunk * free.sizes[n]:
             found.add(int(nodes.cable[free.rows[n]]))
     return found
 
@@ -189,7 +177,7 @@ def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
         lifted[k] = False
         positions[k] = place.place
         if cable.state.nodes[k].slides:
-            fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+            fractions[k] = min(max(place.fraction, TOL.inside), 1 - TOL.inside)
     cable.update(lifted=lifted, positions=positions, fractions=fractions)
 
 

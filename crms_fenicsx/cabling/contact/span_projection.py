@@ -26,9 +26,7 @@ from crms_fenicsx.foundation.surface.points import (
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
-
-FARTHEST = 10000
-"""Limit of cells under a span."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 Cell = tuple[int, int, int]
 """Vertices of a cell of the membrane, by id."""
@@ -76,7 +74,7 @@ def project_span(
         return None
     edge, cell = found
     points: list[SurfacePoint] = []
-    for _ in range(FARTHEST):
+    for _ in range(BUDGET.cells_below):
         if goal and goal <= set(cell):
             return points
         a, b = edge
@@ -184,10 +182,6 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
     return points, lifted
 
 
-OUTSIDE = 0.02
-"""Weight by which a crossing must have left its cell to be in another."""
-
-
 def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None:
     """The cell under a position, found from a cell nearby; None beyond the membrane's boundary, and
     above a ridge, where each cell has the position beyond the other."""
@@ -198,7 +192,7 @@ def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None
     while cell not in passed:
         passed.add(cell)
         weights = _weights(shape, cell, place)
-        if weights.min() >= -OUTSIDE:
+        if weights.min() >= -TOL.inside:
             return cell
         corner = cell[int(np.argmin(weights))]
         a, b = (v for v in cell if v != corner)

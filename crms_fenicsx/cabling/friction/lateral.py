@@ -27,7 +27,6 @@ from crms_fenicsx.cabling.contact.contact_force import (
     supports_of,
     turns,
 )
-from crms_fenicsx.cabling.friction.passes import SLIDES
 from crms_fenicsx.cabling.friction.slip import (
     NodeSlips,
     material_curve,
@@ -47,12 +46,7 @@ from crms_fenicsx.model.friction import (
     MaterialCurve,
 )
 from crms_fenicsx.model.laid_cable import LaidCable
-
-LEAST_STRAIN = 1e-4
-"""Least strain for the force by which a cable first sticks."""
-
-LEAST_RISE = 1e-3
-"""Rise of the tension, relative to it, for bounds to grow: an idle cable's smoothing gives less."""
+from crms_fenicsx.model.tolerances import TOL
 
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
@@ -74,9 +68,9 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     # sticks too, its bounds grow in advance with its tension in place: with the last step's bounds
     # it could slide until it is slack, a self-sustaining state without friction.
     expected = _tension_in_place(cable)
-    rises = expected > (1 + LEAST_RISE) * cable.tension
+    rises = expected > (1 + TOL.bound_rise) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
-        force = max(cable.tension, expected, cable.cable.EA * LEAST_STRAIN)
+        force = max(cable.tension, expected, cable.cable.EA * TOL.first_strain)
         cable.update(lateral=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
     elif rises:
         cable.update(lateral=replace(grip, bounds=grip.bounds * (expected / cable.tension)))
@@ -227,7 +221,7 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
         slips = _slips_now(cable, grip, shape)
         most = grip.law(slips.supports, friction.tolerance * slips.size)[2]
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -most, most), strict=True))
-        slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
+        slid = np.sign(slips.slip) * (np.abs(slips.slip) > TOL.sliding * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
     if grip.elements is not None:

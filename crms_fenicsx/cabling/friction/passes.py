@@ -37,6 +37,7 @@ from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import TOL
 
 
 class AitkenRelaxation:
@@ -58,10 +59,6 @@ class AitkenRelaxation:
         self._last = what, change
         return self._part
 
-
-SLIDES = 0.05
-"""Slip in a load step, relative to the cell size, above which a node slides: with less, noise would
-trigger an avalanche where the static coefficient is larger; with much more sliding starts late."""
 
 SETTLED, NEARLY = 1e-3, 0.02
 """Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
@@ -209,7 +206,7 @@ def _bounds(
     moving = grip.moving.copy()
     rows = grip.rows(slips.supports)
     if settled:
-        starts = (np.abs(slips.slip) > SLIDES * slips.size) & (moving[rows] == 0.0)
+        starts = (np.abs(slips.slip) > TOL.sliding * slips.size) & (moving[rows] == 0.0)
         moving[rows] = np.where(starts, np.sign(slips.slip), moving[rows])
     in_motion = (moving[rows] != 0.0) | (slips.moving * slips.slip > 0.0)
     coefficients = np.full(len(grip.supports), friction.at_rest)

@@ -36,13 +36,7 @@ from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.tolerances import SAME_PLACE
-
-ASIDE = 0.1
-"""Lateral movement of an anchor per step, in cell sizes, above which its cable is laid again."""
-
-FARTHEST = 1000
-"""Limit of boundary edges that an end may pass in one load step."""
+from crms_fenicsx.model.tolerances import BUDGET, SAME_PLACE, TOL
 
 
 def renew_ends(change: PathChange) -> bool:
@@ -75,7 +69,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     assert point is not None
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
-    return abs(float(way @ aside)) > ASIDE * size_at(shape, point.support) * length
+    return abs(float(way @ aside)) > TOL.stays * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:
@@ -219,7 +213,7 @@ def _walk(
     start, rest = points[0].support, list(points[1:])
     at = start[0] if len(start) == 1 else start[side]
     behind = start[1 - side] if len(start) == 2 else -1
-    for _ in range(FARTHEST):
+    for _ in range(BUDGET.boundary_edges):
         surface = change.surface([at])
         around = list(surface.ring(at).neighbours)
         if behind < 0:  # from a vertex: one of its two ways

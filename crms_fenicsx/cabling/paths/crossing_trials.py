@@ -23,14 +23,7 @@ import numpy as np
 from crms_fenicsx.cabling.contact.active_set import ContactKey
 from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.cabling.contact.free_spans import Gap
-from crms_fenicsx.cabling.contact.lift_off import (
-    PULL,
-    captured,
-    lift,
-    may_lift,
-    outward_pulls,
-    touch,
-)
+from crms_fenicsx.cabling.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun, clamped_together, held_vertices
 from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells, vertices_near
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
@@ -39,26 +32,7 @@ from crms_fenicsx.foundation.surface.corridor import corridor, why_invalid
 from crms_fenicsx.foundation.surface.points import Edge, VertexPoint
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import BEYOND, PRESSED
-
-FEW = 4
-"""Crossings up to which alternatives are tried. Nets have some at each crossing, each with a change
-of energy far below the mesh error; taking some of them makes tensions jump between loads."""
-
-MOST = 12
-"""Limit of trials in one load step."""
-
-NEAR = 0.05
-"""Fraction of an edge from a vertex within which a sliding cable may pass it on the other side."""
-
-LOW = 0.125
-"""Height above the membrane, relative to the cell size, up to which a cable may touch it."""
-
-LIGHT = 0.04
-"""Turn of the cable (rad) at a contact up to which this may be open instead."""
-
-BENT = 0.1
-"""Turn of a cable within the membrane (rad) above which a kink of an edge holds it."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 @dataclass(frozen=True)
@@ -75,7 +49,7 @@ class CrossingTrials:
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
-        self._left = MOST
+        self._left = BUDGET.crossing_trials
         self._last: tuple[str, WayKey]  # trial to accept or to reject
         self._excess: dict[tuple[str, WayKey], float] = {}  # of rejected trials (force x length)
         self._contacts = set(tried.released), set(tried.settled)
@@ -83,7 +57,7 @@ class CrossingTrials:
     def next(self) -> bool:
         """Move cables to an untried configuration; return whether there is one. Collective."""
         ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
-        if 0 < len(self.net.crossings) <= FEW:
+        if 0 < len(self.net.crossings) <= BUDGET.crossings:
             ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
         for way in ways:
@@ -126,7 +100,8 @@ class CrossingTrials:
             if not all(map(leaves_cells, own)):
                 continue
             places = [set(cable.state.nodes[k].support) for cable, k in held]
-            beside = set.intersection(*places, *(vertices_near(cable, PRESSED) for cable in own))
+            near = (vertices_near(cable, TOL.pressed) for cable in own)
+            beside = set.intersection(*places, *near)
             if beside:
                 holding = (
                     {v.vertex for v in held_vertices(c, shape) if v.excess > 0.0} for c in own
@@ -144,10 +119,10 @@ class CrossingTrials:
             fractions = np.where(cable.state.lifted, np.nan, cable.state.fractions)
             away = np.minimum(fractions, 1 - fractions)
             nearest: dict[int, float] = {}
-            for k in np.flatnonzero(away < NEAR):
+            for k in np.flatnonzero(away < TOL.beside_vertex):
                 if cable.state.nodes[k].slides:
                     vertex = cable.state.nodes[k].support[int(fractions[k] > 0.5)]
-                    nearest[vertex] = min(nearest.get(vertex, NEAR), float(away[k]))
+                    nearest[vertex] = min(nearest.get(vertex, TOL.beside_vertex), float(away[k]))
             found += [(near, c, vertex) for vertex, near in nearest.items()]
         for _, c, vertex in sorted(found):
             yield Way(c, ("side", "", (vertex,), False), partial(self._pass, c, vertex))
@@ -161,7 +136,7 @@ class CrossingTrials:
         """Shared edges beside a crossing, both points swapped, which moves it over the edge."""
         for crossing, edge, nodes in self._shared_edges():
             first, second = (float(cable.state.fractions[k]) for cable, k in nodes)
-            apart = BEYOND / 2 if first > second else -BEYOND / 2
+            apart = TOL.beyond / 2 if first > second else -TOL.beyond / 2
             middle = (first + second) / 2
             take = partial(self._put, nodes, edge, (middle - apart, middle + apart))
             yield Way(crossing.lower, ("exchange", nodes[1][0].name, edge, first > second), take)
@@ -172,10 +147,10 @@ class CrossingTrials:
         shape = self.net.strip_shape()
         for crossing, edge, nodes in self._shared_edges():
             first, second = (float(cable.state.fractions[k]) for cable, k in nodes)
-            if crossing.clamp is None or abs(first - second) > NEAR:
+            if crossing.clamp is None or abs(first - second) > TOL.beside_vertex:
                 continue
             pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
-            if all(abs(lateral) > BENT * tension for lateral, tension in pulls):
+            if all(abs(lateral) > TOL.kink * tension for lateral, tension in pulls):
                 take = partial(self._put, nodes, edge, [self._straight(edge, *n) for n in nodes])
                 yield Way(crossing.lower, ("apart", nodes[1][0].name, edge, first > second), take)
 
@@ -199,7 +174,7 @@ class CrossingTrials:
         sides = cable.state.positions[[k - 1, k + 1]] - first
         s = sides @ along / (along @ along)
         away = np.linalg.norm(sides - s[:, None] * along, axis=1)
-        return float(np.clip(s @ away[::-1] / away.sum(), NEAR, 1 - NEAR))
+        return float(np.clip(s @ away[::-1] / away.sum(), TOL.beside_vertex, 1 - TOL.beside_vertex))
 
     def _put(
         self, nodes: Sequence[tuple[LaidCable, int]], edge: Edge, places: Sequence[float]
@@ -226,7 +201,7 @@ class CrossingTrials:
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]
-            if press < LIGHT:
+            if press < TOL.kink:
                 key = cable.name, cable.state.nodes[k].support
                 yield Way(c, ("open", *key, False), partial(self._lift, cable, k, key))
 
@@ -244,7 +219,7 @@ class CrossingTrials:
             off = cable.state.lifted
             if not off.any():
                 continue
-            for k, gap in captured(cable, shape, LOW).items():
+            for k, gap in captured(cable, shape, TOL.reach).items():
                 if not (off[k - 1] and off[k + 1]):
                     found.append((gap.gap, c, k, gap))
         for _, c, k, gap in sorted(found, key=lambda one: one[:3]):
@@ -277,7 +252,7 @@ def lift_clamps(change: PathChange) -> list[str]:
             continue
         pulls = np.sum([pull_of(cable, k) for cable, k in held], axis=0)
         normals, _ = shape.normals_and_sizes([on])
-        if pulls @ normals[0] <= PULL * sum(cable.tension for cable, _ in held):
+        if pulls @ normals[0] <= TOL.contact * sum(cable.tension for cable, _ in held):
             continue
         for cable, node in zip((cable for cable, _ in held), nodes, strict=True):
             # on an edge, the cable along it leaves the edge's ends

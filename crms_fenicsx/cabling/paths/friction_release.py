@@ -21,14 +21,7 @@ from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import adopt, straighten, way_past
 from crms_fenicsx.foundation.runtime.arrays import ints
 from crms_fenicsx.model.laid_cable import LaidCable
-
-THERE_AND_BACK = 3
-"""Passes allowed to either side of a vertex in a load step: the friction bounds on each side may
-favour the other one."""
-
-PULLED = 0.5
-"""Lateral pull of a fold point beyond the friction force, relative to its bound, that only a bent
-edge can carry. From 0.2 to 1 the choice does not count on 20 meshes of a cylinder."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
@@ -121,7 +114,7 @@ def _pulled(cable: LaidCable, shape: StripShape) -> list[int]:
     nodes = np.array(held_nodes(cable), dtype=np.int64)
     carried = friction_forces(cable, shape)
     excess = contact_forces(cable, shape).lateral[nodes] - carried
-    far = np.abs(excess) > PULLED * cable.state.law.lateral.bounds
+    far = np.abs(excess) > TOL.bent_pull * cable.state.law.lateral.bounds
     return [k for k in ints(nodes[far]) if cable.state.nodes[k].slides]
 
 
@@ -134,7 +127,7 @@ def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: VertexRu
     """Move a cable with friction past a vertex, if allowed; return the number passed."""
     here = (cable.name, run.vertices[0], run.to_left)
     back = (cable.name, run.vertices[0], not run.to_left)
-    if min(tried.passes[here], tried.passes[back]) >= THERE_AND_BACK:
+    if min(tried.passes[here], tried.passes[back]) >= BUDGET.there_and_back:
         return 0
     found = way_past(change, cable, run)
     if found is None:

@@ -41,16 +41,9 @@ from crms_fenicsx.foundation.surface.flip_geodesic import FlippedPath, shorten
 from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.model.tolerances import LEAST_WEIGHT, TOL
 
 Result = TypeVar("Result")
-
-CLAMP_INSIDE = 1e-6
-"""Least weight of a corner of a clamp's cell."""
-
-GRIP = 0.05
-"""Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
-has pressed a crease into the membrane."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +245,7 @@ class GeodesicSliding:
         if is_crossed(cable) and not fresh:
             visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
             left = {v for _, *vertices in self.tried.left.get(cable.name, ()) for v in vertices}
-            held_at = visited | vertices_near(cable, BEYOND) - left
+            held_at = visited | vertices_near(cable, TOL.beyond) - left
         pulled: dict[range, Callable[[], Sequence[SurfacePoint]]] = {}
         passed = 0
         followed: list[tuple[Corridor, bool]] = []
@@ -278,7 +271,7 @@ class GeodesicSliding:
                     if pulls:  # otherwise it flips over no vertex
                         result = shorten(
                             string, joined, refused=refused, max_flips=max_flips,
-                            grip=GRIP if fresh else 0.0, held_at=held_at,
+                            grip=TOL.kink if fresh else 0.0, held_at=held_at,
                             checked=given in self._followed,
                         )  # fmt: skip
                         passed += len(result.flips)
@@ -347,6 +340,6 @@ def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, ran
 def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
     """The point of a cell nearest to a position (3,)."""
     corners = np.array([shape.at(vertex) for vertex in point.cell])
-    weights = np.maximum(closest(corners[None], position)[0][0], CLAMP_INSIDE)
+    weights = np.maximum(closest(corners[None], position)[0][0], LEAST_WEIGHT)
     a, b, c = (weights / weights.sum()).tolist()
     return CellPoint(point.cell, (a, b, c))

@@ -26,18 +26,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.surface.points import edge_of
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
-
-SLACK, TINY = 0.05, 1e-5
-"""Excess of a pull over friction, relative to the bound and to the tension, that counts."""
-UNEVEN = 0.02
-"""Lateral pull of a run without friction, relative to the normal force, that is not counted:
-different cells on both sides cause such forces, which vanish with the cell size, and edges that the
-penalty straightens hold fold points slightly."""
-ROUNDING = 1e-9
-"""Displacement of a string, relative to the largest, attributed to rounding."""
-APART = 2
-"""Distance of consecutive vertices in a row, in points of the path."""
+from crms_fenicsx.model.tolerances import TOL
 
 
 @dataclass(frozen=True)
@@ -131,8 +120,9 @@ def held_vertices(
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    uneven = UNEVEN * np.abs(down) if cable.state.law.lateral is None else SLACK * most
-    allowed = TINY * cable.tension + uneven
+    rubs = cable.state.law.lateral is not None
+    uneven = TOL.friction_excess * most if rubs else TOL.uneven * np.abs(down)
+    allowed = TOL.contact * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
@@ -163,7 +153,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     moved = np.array([one.pull for one in row])
     if cable.state.law.lateral is None:
         moved = string_displacements(places, moved)
-        moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's ends
+        moved[np.abs(moved) < 1e-9 * np.abs(moved).max()] = 0.0  # rounding at the string's ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
     return [list(row[a:b]) for a, b in pairwise(starts)]
 
@@ -185,7 +175,8 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     for one in held:
         first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
         parted = any(before <= k <= first for k in held_there)
-        if rows and at[first] - at[before] <= APART and not parted:
+        # consecutive, or with one point of the path between them
+        if rows and at[first] - at[before] <= 2 and not parted:
             rows[-1].append(one)
         else:
             rows.append([one])
@@ -195,7 +186,7 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
     which it can only slide, and at clamps, unless all of their cables can slide."""
-    near = PRESSED if cable.state.law.lateral is None else GRIPPED
+    near = TOL.pressed if cable.state.law.lateral is None else TOL.gripped
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
     boundary = _along_boundary(nodes, shape)
     clamped = set(cable.clamped) - set(others)

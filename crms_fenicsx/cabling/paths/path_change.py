@@ -28,7 +28,7 @@ from crms_fenicsx.foundation.surface.points import (
 )
 from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE, STAYS
+from crms_fenicsx.model.tolerances import TOL
 
 
 def nodes_of(
@@ -228,7 +228,7 @@ class PathChange:
         vertex: their points must stay distinct there, with the same order all around."""
         if not isinstance(point, EdgePoint):
             return point
-        least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
+        least = TOL.inside * (1 + 0.02 * self.net.cables.index(cable))
         return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
 
 
@@ -271,4 +271,4 @@ def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
         return True
     fraction = float(cable.state.fractions[old])
     moved = 0.0 if cable.slides_freely else abs(fraction - node.point.fraction)
-    return moved <= STAYS and INSIDE <= fraction <= 1 - INSIDE
+    return moved <= TOL.stays and TOL.inside <= fraction <= 1 - TOL.inside

@@ -14,16 +14,10 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.surface.corridor import Corridor
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.laid_cable import LaidCable
-
-MISLED, MISLED_AT_CROSSINGS = 2, 1
-"""Geodesics of higher energy in a load step after which only the forces at vertices propose paths;
-and the same for crossed cables, for which geodesics are less reliable."""
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 WayKey = tuple[str, str, Support, bool]
 """Key of a trial at a crossing: kind, other cable if any, vertex or edge, one of two orders."""
-
-STILL = 1e-4
-"""Movement, relative to a cable's length, within which rejected paths stay rejected."""
 
 
 @dataclass
@@ -94,7 +88,7 @@ class TriedPaths:
         before, x = self.at.get(cable.name), cable.state.positions
         if before is None or before.shape != x.shape:
             return True
-        return bool(np.abs(before - x).max() > STILL * cable.length)
+        return bool(np.abs(before - x).max() > TOL.still * cable.length)
 
     def has_rested(self, cable: LaidCable) -> bool:
         """Whether a cable has not changed since the last load step."""
@@ -102,4 +96,4 @@ class TriedPaths:
 
     def uses_geodesic(self, cable: LaidCable) -> bool:
         """Whether geodesics may still propose paths of a cable in this load step."""
-        return self.misled < (MISLED_AT_CROSSINGS if is_crossed(cable) else MISLED)
+        return self.misled < (BUDGET.misled_at_crossings if is_crossed(cable) else BUDGET.misled)

@@ -27,7 +27,7 @@ from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, other_side
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.model.tolerances import BUDGET, TOL
 
 
 def pass_run(
@@ -97,7 +97,7 @@ def adopt(change: PathChange, cable: LaidCable, way: _WayPast) -> None:
     old = {cable.state.nodes[k].support: k for k in on_path}
     taken = [v for support in supports if support not in old for v in support]
     surface = CreasedSurface(shape, change.folds_near(taken))
-    least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
+    least = TOL.beyond * (1 + 0.02 * change.net.cables.index(cable))
 
     first, last = on_path[0] > 0, on_path[-1] < len(cable.state.nodes) - 1  # anchors
     edges = [*[None] * first, *supports, *[None] * last]
@@ -137,20 +137,12 @@ def straighten(
     positions, fractions = cable.state.positions.copy(), cable.state.fractions.copy()
     for k, point in zip(part[1:-1], string[1:-1], strict=True):
         if cable.state.nodes[k].slides and isinstance(point, EdgePoint):
-            fraction = min(max(point.fraction, BEYOND), 1 - BEYOND)
+            fraction = min(max(point.fraction, TOL.beyond), 1 - TOL.beyond)
             fractions[k] = fraction
             positions[k] = surface.place(point.edge, fraction)
     cable.update(positions=positions, fractions=fractions)
     return True
 
-
-HALVINGS = 2
-"""Times that a rejected set of runs is halved."""
-
-GAIN = 1e-5
-"""Gain of energy, relative to the sum of all kinds, that a round must bring for another one. Meshes
-of 64 cells a side have a hundred times that error. On a roof of 30 000 unknowns under 28 cables the
-rounds below this take a quarter of a load step, for 3e-5 of its energy."""
 
 Trial = tuple[int, VertexRun]
 """A cable, by number, and the run of vertices to pass."""
@@ -173,7 +165,7 @@ class VertexTrials:
         if no trial is left. Collective. Units: energy (force x length)."""
         while runs := self._held():
             if not self._groups:
-                if self._energy - energy < GAIN * scale:
+                if self._energy - energy < TOL.round_gain * scale:
                     self._note(runs)  # so that repeating the load starts no other round
                     break
                 self._energy = energy
@@ -192,7 +184,7 @@ class VertexTrials:
     def halve(self, moved: list[Trial]) -> bool:
         """Schedule the halves of a rejected trial and return True, or reject it finally."""
         half = len(moved) // 2
-        if half == 0 or self._halved == HALVINGS:
+        if half == 0 or self._halved == BUDGET.halvings:
             self._note(moved)
             return False
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]

@@ -11,7 +11,7 @@ from string import ascii_uppercase
 import numpy as np
 
 from crms_fenicsx.cabling.paths.routes import shortened, traced, traced_over_holes
-from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
+from crms_fenicsx.design.nets.whole_surface import WholeSurface
 from crms_fenicsx.foundation.meshes.smooth_surface import arc_lengths_on
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -19,6 +19,7 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.model.cable import Net, NetCrossing, NetLine
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_POINT
 
 APART = 0.01
 """Least distance of a line's points, relative to the cell size."""

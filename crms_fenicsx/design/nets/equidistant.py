@@ -17,7 +17,7 @@ import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.design.nets.assembly import assembled
-from crms_fenicsx.design.nets.whole_surface import SAME_POINT, WholeSurface
+from crms_fenicsx.design.nets.whole_surface import WholeSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -29,6 +29,7 @@ from crms_fenicsx.foundation.runtime.errors import (
     collective,
 )
 from crms_fenicsx.model.cable import Net
+from crms_fenicsx.model.tolerances import SAME_POINT
 
 Node = tuple[int, int]
 

@@ -26,12 +26,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface, feet_of, places_in_plan
 from crms_fenicsx.model.membrane import Membrane
-
-ON_CELL = 1e-9
-"""Distance outside a triangle, relative to its size, within which a point counts as inside."""
-
-SAME_POINT = 1e-6
-"""Distance, relative to the step, below which two points are the same."""
+from crms_fenicsx.model.tolerances import SAME_PLACE, SAME_POINT
 
 
 @dataclass(frozen=True)
@@ -143,7 +138,7 @@ class WholeSurface:
             y = middle + foot + sign * root[:, None] * line
             opposite = cross(x[:, [1, 2, 0]] - y[:, None], x[:, [2, 0, 1]] - y[:, None])
             weights = dot(opposite, normals[:, None]) / dot(normals, normals)[:, None]
-            for point in y[np.all(weights >= -ON_CELL, axis=1) & (left >= 0.0)]:
+            for point in y[np.all(weights >= -SAME_PLACE, axis=1) & (left >= 0.0)]:
                 if all(norm(point - other) > SAME_POINT * reach for other in kept):
                     kept.append(point)
         return np.array(kept).reshape(-1, 3)
@@ -169,8 +164,9 @@ class WholeSurface:
         meets = (left >= 0.0) & (a > 0.0)
         starts, sides, a, b, left = (v[meets] for v in (starts, sides, a, b, left))
         roots = [(-b + sign * np.sqrt(left)) / a for sign in (-1.0, 1.0)]
+        low, high = -SAME_PLACE, 1 + SAME_PLACE
         found = np.concatenate(
-            [(starts + s[:, None] * sides)[(-ON_CELL <= s) & (s <= 1 + ON_CELL)] for s in roots]
+            [(starts + s[:, None] * sides)[(low <= s) & (s <= high)] for s in roots]
         )
         ahead = dot(found - point, way)
         return found[np.argmax(ahead)] if np.any(ahead > 0.0) else None
@@ -185,7 +181,7 @@ class WholeSurface:
         """First crossing of the rim straight ahead, within reach; None if there is none."""
         found = crossed(self.rim, dot(self.rim - point, cross(self.normal(point), way)))
         away = norm(found - point)
-        ahead = (dot(found - point, way) > SAME_POINT * reach) & (away <= reach * (1 + ON_CELL))
+        ahead = (dot(found - point, way) > SAME_POINT * reach) & (away <= reach * (1 + SAME_PLACE))
         return found[ahead][np.argmin(away[ahead])] if ahead.any() else None
 
     def to_rim(self, line: list[Array], length: float) -> list[Array]:

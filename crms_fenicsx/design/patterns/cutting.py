@@ -25,9 +25,8 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+from crms_fenicsx.model.tolerances import SAME_POINT
 
-SAME = 1e-6
-"""Crossings of an edge by two seams closer than this fraction of the edge are one point."""
 NEAR = 0.2
 """Fraction of an edge within which a vertex is moved to a seam's crossing of the edge. The smallest
 angle of random cells falls from 26 to 11 degrees, and to 1.4 without moving."""
@@ -105,7 +104,7 @@ class _CutNodes:
         a, b = p.support
         there, t = self.on.setdefault((a, b), []), p.weights[1]
         for other, node in there:
-            if abs(other - t) <= SAME:
+            if abs(other - t) <= SAME_POINT:
                 return node
         node = len(self.places)
         self.places.append(self.surface.places((p,))[0])

@@ -27,11 +27,10 @@ from crms_fenicsx.foundation.surface.points import (
     edge_of,
 )
 from crms_fenicsx.foundation.surface.vertex_flip import Ring, ring_of
+from crms_fenicsx.model.tolerances import LEAST_WEIGHT
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""
-ASIDE = 1e-6
-"""Fraction of an edge by which a line that hits a vertex passes beside it."""
 
 
 def edges_of(keys: Integers) -> list[Edge]:
@@ -289,7 +288,7 @@ def _exit(
             t = (at + s * along - surface.points[a]) @ side / (side @ side)
             found.append((max(-t, t - 1.0, 0.0) + (s < 0.0), (a, b), t))
     _, edge, t = min(found, key=lambda one: one[0])
-    return edge, float(np.clip(t, ASIDE, 1.0 - ASIDE))
+    return edge, float(np.clip(t, LEAST_WEIGHT, 1.0 - LEAST_WEIGHT))
 
 
 def _unfolded(

@@ -22,11 +22,9 @@ from crms_fenicsx.foundation.runtime.errors import (
     raised_together,
 )
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
+from crms_fenicsx.model.tolerances import UNSTRAINED
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.solver import Solver
-
-SLOPE = 1e-12
-"""Prestress of a `UflMembrane`, relative to its reference modulus, that counts as none."""
 
 
 @collective
@@ -64,7 +62,7 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     given = pattern.material if material is None else material
     for one in given.values() if isinstance(given, Mapping) else [given]:
         if isinstance(one, UflMembrane) and (
-            np.abs(one.prestress_vector).max() > SLOPE * one.reference_modulus
+            np.abs(one.prestress_vector).max() > UNSTRAINED * one.reference_modulus
         ):
             raise InputError(
                 f"sew: the density of {one!r} has the slope {one.prestress_vector} at zero strain, "

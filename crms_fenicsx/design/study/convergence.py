@@ -32,6 +32,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import DoubtWarning
+from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.output.figures.plots import draw_convergence
 from crms_fenicsx.solver import Solver
 
@@ -46,8 +47,7 @@ NEAR, SAFE, SAFER = 0.3, 1.25, 3.0
 """Distance from order 2 up to which the first of the two safety factors applies."""
 FAR = 0.3
 """Relative difference above which the first level is too coarse."""
-SAME = 1e-7
-"""Differences, relative to the largest value, due to the solver's tolerance."""
+
 SCATTER = 3.0
 """Error bar of scattered values relative to their range: with it, a fourth value of a normal
 distribution lies in the bar about one of three with 95 %."""
@@ -98,7 +98,7 @@ def extrapolated(values: Sequence[float], size: float = 0.0, scattered: bool = F
 
     differences = [b - a for a, b in pairwise(values)]
     d, finest, scale = differences[-1], values[-1], max(size, *map(abs, values))
-    least = SAME * scale
+    least = SAME_VALUE * scale
     if max(map(abs, differences)) <= least:
         return found(finest, least, math.nan, True, "the same on all levels")
     limit = finest + d / (2**ORDER - 1)

@@ -24,6 +24,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -34,12 +35,6 @@ INDEFINITE = 76, 81
 """PETSc's error codes when an external factorisation finds K indefinite."""
 WORKSPACE = 100
 """Extra memory for MUMPS beyond its estimate (per cent)."""
-DIRECT = 1_000_000
-"""Unknowns up to which K is factorised without cables; with cables it always is, as multigrid does
-not resolve the stiff springs that tie cable points to soft fabric. Relative to multigrid a load
-step takes 0.4 to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 1.2 with 1e6."""
-ACCURACY = 1e-2
-"""Relative residual of conjugate gradients on H0; a looser one costs BLMVM more iterations."""
 SHIFT = 1e-9
 """Shift of a stiffness's diagonal, relative to the sum of its block's trace and the geometric mean
 of all traces. The largest trace, of a cable segment much shorter than a cell, would slow down the
@@ -135,8 +130,8 @@ class InitialHessian:
     `slackened`: whether it counts nearly taut cables as slack.
     """
 
-    def __init__(self, potential: Potential, prefix: str) -> None:
-        self.potential = potential
+    def __init__(self, potential: Potential, prefix: str, strategy: Strategy = STRATEGY) -> None:
+        self.potential, self.strategy = potential, strategy
         unknowns = potential.unknowns
         self._stiffness = StiffnessMatrix(unknowns, potential.patterns())
         self.matrix = self._stiffness.petsc
@@ -144,7 +139,7 @@ class InitialHessian:
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
         cables = any(term.of_cables for term in potential.terms)
-        if cables or 3 * unknowns.n_global <= DIRECT:
+        if cables or 3 * unknowns.n_global <= strategy.direct:
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
             self.pc.setFactorSolverType(direct_solver(unknowns.comm))
         else:
@@ -329,7 +324,7 @@ class InitialHessian:
         ksp.setOperators(operator)
         ksp.setOptionsPrefix(self.pc.getOptionsPrefix())
         ksp.setType(PETSc.KSP.Type.CG)
-        ksp.setTolerances(rtol=ACCURACY)
+        ksp.setTolerances(rtol=self.strategy.cg_accuracy)
         ksp.setFromOptions()
         ksp.getPC().setType(PETSc.PC.Type.PYTHON)
         ksp.getPC().setPythonContext(Preconditioner(self.precondition))

@@ -23,13 +23,11 @@ from scipy.sparse.csgraph import connected_components
 from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout, ClusterMatrix
 from crms_fenicsx.energy.minimization.damping import Damping
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import Strategy
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
-
-LARGEST = 400
-"""Blocks beyond which a cluster is left to the global minimiser."""
 
 SPRINGS = -1
 """Term number of the damping springs."""
@@ -122,15 +120,16 @@ class Clusters:
         return type(tables[0]).joined(tables) if tables else ()
 
 
-def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
-    """Gather the clusters that this rank solves; moves, shared (n_local,). Collective."""
+def gather(potential: Potential, moves: Booleans, shared: Booleans, largest: int) -> Clusters:
+    """Gather the clusters that this rank solves, of up to `largest` blocks; moves, shared
+    (n_local,). Collective."""
     unknowns, comm = potential.unknowns, potential.comm
     blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
-    if comm.size == 1 and len(blocks) <= LARGEST:
+    if comm.size == 1 and len(blocks) <= largest:
         return Clusters.of(potential, blocks, tables)
     elements = [table.element_blocks for k, table in tables if k != SPRINGS]
     layout = ClusterLayout(unknowns, blocks, elements)
-    rank = _solvers(layout, shared)[layout.cluster]
+    rank = _solvers(layout, shared, largest)[layout.cluster]
     parts = {}
     for solver in {comm.rank, *map(int, rank[rank >= 0])}:
         own = np.sort(layout.blocks[rank == solver])
@@ -153,14 +152,15 @@ def _elements(potential: Potential, moves: Booleans) -> Tables:
     return [(k, table) for k, table in tables if table is not None]
 
 
-def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
-    """Rank that solves each cluster, -1 if it is too large; shared (n_local,). Collective."""
+def _solvers(layout: ClusterLayout, shared: Booleans, largest: int) -> Integers:
+    """Rank that solves each cluster, -1 if it has more than `largest` blocks; shared (n_local,).
+    Collective."""
     unknowns = layout.whole
     assert isinstance(unknowns, Unknowns)
     comm = unknowns.comm
     own = layout.cluster[layout.blocks < unknowns.n_owned]
     sizes = np.bincount(own, minlength=layout.n_clusters)
-    solvers = np.where(sizes > LARGEST, -1, comm.rank)
+    solvers = np.where(sizes > largest, -1, comm.rank)
     if comm.size == 1:
         return solvers
     known = shared[layout.blocks]
@@ -178,7 +178,7 @@ def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
     shares = np.zeros((int(cluster.max(initial=-1)) + 1, comm.size), dtype=np.int64)
     ranks = np.repeat(np.arange(comm.size), counts)
     np.add.at(shares, (cluster, ranks), np.concatenate([part[2] for part in told]))
-    most = np.where(shares.sum(axis=1) > LARGEST, -1, shares.argmax(axis=1))
+    most = np.where(shares.sum(axis=1) > largest, -1, shares.argmax(axis=1))
     solvers[seen] = most[cluster[starts[comm.rank] : starts[comm.rank + 1]]]
     return solvers
 
@@ -213,13 +213,6 @@ def exchange(comm: MPI.Intracomm, messages: Mapping[int, Message]) -> list[Messa
     return [message for message in received if message is not None]
 
 
-DESCENT, SHORTEST = 1e-4, 1e-6
-"""Fraction of the predicted descent that a step must achieve (Armijo), and the shortest step."""
-
-SHORT, TWICE = 0.3, 2
-"""Length, relative to Newton's, below which a step by the exact second derivatives is short, and
-the number of short steps after which H0 replaces them for as many steps."""
-
 STEADY = 1e-11
 """Energy change, relative to its parts, below which the trapezoidal rule avoids rounding."""
 
@@ -235,7 +228,8 @@ class LocalPotential:
     (n_clusters,): cluster energies (force x length); `steps`: Newton steps made.
     """
 
-    def __init__(self, whole: Potential, clusters: Clusters) -> None:
+    def __init__(self, whole: Potential, clusters: Clusters, strategy: Strategy) -> None:
+        self.strategy = strategy
         kinds = range(len(whole.terms))
         tables = [(k, table) for k in kinds for table in clusters.elements_of(k)]
         elements = [table.element_blocks for _, table in tables]
@@ -312,11 +306,11 @@ class LocalPotential:
             todo = able & (self.residuals() > least)
             if not todo.any():
                 break
-            exact = todo & (short < TWICE) & (step > 0)
+            exact = todo & (short < self.strategy.twice) & (step > 0)
             lengths = self._step(todo, exact)
             able &= ~todo | (lengths > 0.0)
-            short[exact] = np.where(lengths < SHORT, short + 1, 0)[exact]
-            short -= todo & ~exact & (short >= TWICE)
+            short[exact] = np.where(lengths < self.strategy.short, short + 1, 0)[exact]
+            short -= todo & ~exact & (short >= self.strategy.twice)
         return np.asarray((self.residuals() > least)[self.layout.cluster])
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
@@ -335,7 +329,7 @@ class LocalPotential:
             steady = np.abs(change) <= STEADY * self._sizes
             rule = 0.5 * lengths * (slopes + self._sum(np.sum(d * self.g, axis=1)))
             change = np.where(steady, rule, change)
-            pending &= ~(change <= DESCENT * lengths * slopes)
+            pending &= ~(change <= self.strategy.descent * lengths * slopes)
             if not pending.any():
                 self.steps += int(np.count_nonzero(lengths))
                 return lengths
@@ -343,7 +337,7 @@ class LocalPotential:
             with np.errstate(invalid="ignore", divide="ignore"):
                 best = np.where(curved > 0.0, -slopes * lengths**2 / (2 * curved), 0.5 * lengths)
             shorter = np.clip(np.nan_to_num(best, nan=0.0), 0.1 * lengths, 0.5 * lengths)
-            shorter[shorter < SHORTEST] = 0.0
+            shorter[shorter < self.strategy.shortest_local] = 0.0
             lengths = np.where(pending, shorter, lengths)
             pending &= lengths > 0.0
 

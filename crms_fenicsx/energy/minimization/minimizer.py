@@ -31,7 +31,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization import outcome as endings
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_bounds
-from crms_fenicsx.energy.minimization.newton import PATIENCE, NewtonMethod
+from crms_fenicsx.energy.minimization.newton import NewtonMethod
 from crms_fenicsx.energy.minimization.outcome import (
     REASONS,
     SEARCH_FAILED,
@@ -40,42 +40,18 @@ from crms_fenicsx.energy.minimization.outcome import (
     is_unstressed,
 )
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.energy.terms.kinematics import FLOOR, Stiffening
 from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 
 if TYPE_CHECKING:
     from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
-STAGE_LENGTHS = (3, 6, 10, 20)
-"""Iterations after which rebuilding H0 is considered; the last value repeats."""
-
-UNSETTLED = 10.0
-"""Factor of (residual / force scale)^2 in the stiffness, relative to the taut one, of wrinkled
-cells from the third H0 on: many turn taut, and tangent steps are far too long for that."""
-
-REBUILD = 8
-"""Iterations, or line search evaluations, that cost as much as a new H0."""
-
-FRESH = 0.15
-"""Reduction of the residual per iteration with a new H0."""
-
-CLOSE, NEAR = 1e-6, 100
-"""Residual below which energy is measured from the stage's start: relative to the force scale, or
-to a tolerance set by rounding or `atol`. Farther away the rule's error would matter."""
-
-LONGEST = 15
-"""Evaluations of a line search; longer ones almost always fail."""
-
 ROUNDED = 1e-6
-"""Residual, relative to the force scale, up to which one of pure rounding is accepted, and to which
-a solve without H0 goes: the last digits would take it a hundred times as many iterations."""
-
-COARSE, LOOKS = (1e-5,), (1e-2, 1e-3, 1e-4)
-"""Residuals, relative to the force scale, at which `solve` asks whether to go on; the second where
-cable points are relaxed, since these no longer dominate the residual."""
-
-TINY = 1e-300
-"""Replaces zero in logarithms and quotients."""
+"""Residual, relative to the force scale, below which energy is measured from the stage's start, as
+also below a hundred tolerances where these are set by rounding or `atol`; farther away the rule's
+error would matter. Up to it a residual of pure rounding is accepted, and to it a solve without H0
+goes: the last digits would take it a hundred times as many iterations."""
 
 Interrupt = Callable[[float, float, bool], bool]
 """Whether to stop, given residual and force scale (force), and whether it is the last call."""
@@ -99,8 +75,9 @@ class Minimizer:
         rtol: float = 1e-9,
         atol: float = 0.0,
         max_stages: int = 1000,
+        strategy: Strategy = STRATEGY,
     ) -> None:
-        self.potential = potential
+        self.potential, self.strategy = potential, strategy
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
         self.stiffness = self.size = 0.0
         """Of the unloaded structure, as in `is_unstressed` (force, length)."""
@@ -108,14 +85,14 @@ class Minimizer:
         """Whether Newton's method may take over from slow stages, and how far vertices may be from
         their stress-free positions (length)."""
         comm = potential.comm
-        self.h0 = InitialHessian(potential, prefix + "h0_")
+        self.h0 = InitialHessian(potential, prefix + "h0_", strategy)
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
         self._trial = self._x, self._g, self._step
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
-        self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
+        self._evaluations0, self._length = 0, strategy.stage_lengths[0]
         self._relaxation: LocalRelaxation | None = None
         self._h0_is_outdated, self._most_h0_iterations = True, math.inf
         self._interrupt: Interrupt | None = None
@@ -134,7 +111,8 @@ class Minimizer:
             self._bounds = (self._x.duplicate(), self._x.duplicate())
             self.tao.setVariableBounds(*self._bounds)
         options = PETSc.Options(prefix)
-        for name, value in (("tao_blmvm_mat_lmvm_hist_size", 20), ("tao_ls_max_funcs", LONGEST)):
+        defaults = {"tao_blmvm_mat_lmvm_hist_size": 20, "tao_ls_max_funcs": strategy.longest_search}
+        for name, value in defaults.items():
             if not options.hasName(name):
                 options[name] = value
         self.tao.setFromOptions()
@@ -149,9 +127,9 @@ class Minimizer:
         if self._uses_h0 and any(term.of_cables for term in potential.terms):
             from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
-            self._relaxation = LocalRelaxation.of(potential)
-        self._stalling = Stalling()
-        self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
+            self._relaxation = LocalRelaxation.of(potential, strategy)
+        self._stalling = Stalling(strategy)
+        self._newton_method = NewtonMethod(potential, self.h0, self._relaxation, strategy)
         self._h0_set = False
 
     def destroy(self) -> None:
@@ -201,16 +179,16 @@ class Minimizer:
             return False
         searches = self.potential.evaluations - self._evaluations0 - iterations
         slow = iterations >= self._length and self._is_slow(iterations, residual)
-        self._h0_is_outdated = self._uses_h0 and (slow or searches >= REBUILD)
+        self._h0_is_outdated = self._uses_h0 and (slow or searches >= self.strategy.rebuild)
         return self._h0_is_outdated or (not self._close and residual <= self._near)
 
     def _is_slow(self, iterations: int, residual: float) -> bool:
         """Whether finishing takes longer than rebuilding H0 and going on with that."""
         if residual <= self._tolerance:
             return False
-        left = math.log(residual) - math.log(max(self._tolerance, TINY))
+        left = math.log(residual) - math.log(max(self._tolerance, 1e-300))
         rate = (math.log(self._residual0) - math.log(residual)) / iterations
-        return left > rate * (REBUILD - left / math.log(FRESH))
+        return left > rate * (self.strategy.rebuild - left / math.log(self.strategy.fresh))
 
     def _run(self, residual: float) -> int:
         """Run TAO from this residual to the end of a stage and return its reason."""
@@ -243,13 +221,14 @@ class Minimizer:
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
-            least = UNSETTLED * (self._residual0 / max(self._scale, TINY)) ** 2
+            least = self.strategy.unsettled * (self._residual0 / max(self._scale, 1e-300)) ** 2
         for stiffening in self._stiffenings():
             stiffening.set(prestress, failures, least)
             if self._newton_method.active:
                 stiffening.floor.value = self._newton_method.wrinkle_stiffness
-        self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
-        self._most_h0_iterations = 2 * REBUILD if least > FLOOR else math.inf
+        lengths = self.strategy.stage_lengths
+        self._length = lengths[min(renewals, len(lengths) - 1)]
+        self._most_h0_iterations = 2 * self.strategy.rebuild if least > FLOOR else math.inf
         exact = prestress == 0.0 and failures == 0
         exact = exact and self._newton_method.wants_exact(self._residual0, self._scale)
         if not self.h0.rebuild(exact) and not self.h0.rebuild():
@@ -266,9 +245,10 @@ class Minimizer:
     def _begin(self, interrupt: Interrupt | None) -> None:
         """Begin a solve at the potential's current state."""
         self._interrupt, self._interrupted, self._error = interrupt, False, None
-        self._looks = COARSE if self._relaxation is None else LOOKS
+        strategy = self.strategy
+        self._looks = strategy.looks if self._relaxation is None else strategy.looks_relaxed
         self._newton_method.begin()
-        self._stalling = Stalling()
+        self._stalling = Stalling(strategy)
         if self._bounds is not None and (bounds := self.potential.unknowns.bounds) is not None:
             n = self.potential.unknowns.n_owned
             for vector, bound in zip(self._bounds, bounds, strict=True):
@@ -299,7 +279,7 @@ class Minimizer:
         local = 0 if self._relaxation is None else self._relaxation.steps
         # H0 holds the components in contact with a floor.
         self._h0_is_outdated |= h0_prestress[0] != 0.0 or self._bounds is not None
-        self._length = STAGE_LENGTHS[0]
+        self._length = self.strategy.stage_lengths[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
             if self._relaxation is not None and self._relaxation.before_step(
@@ -366,7 +346,7 @@ class Minimizer:
         tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
         if is_unstressed(self._scale, self._energy0, self.stiffness, self.size):
             tolerance = max(tolerance, self._scale)
-        self._near = max(CLOSE * self._scale, NEAR * tolerance)
+        self._near = max(ROUNDED * self._scale, 100 * tolerance)
         return self.residual(), tolerance, rounding
 
     def _end(self, residual: float, tolerance: float, stages: float) -> str:
@@ -391,5 +371,5 @@ class Minimizer:
             self._h0_is_outdated = True
         elif newton.active:
             newton.check_progress(residual)
-        elif possible and self._h0_is_outdated and stages >= PATIENCE:
+        elif possible and self._h0_is_outdated and stages >= self.strategy.patience:
             newton.take_over(residual, self._residual0, self._scale)

@@ -20,40 +20,16 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import Strategy
 from crms_fenicsx.energy.terms.kinematics import FLOOR
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 
 if TYPE_CHECKING:
     from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
 
-STUBBORN, PATIENCE = 0.1, 8
-"""Reduction of the residual by a stage above which Newton's method takes over, and the stages
-before that: cables that pass vertices take a few, which no Newton step speeds up."""
-
-WRINKLE_STIFFNESS = 1e-2
-"""Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual/force scale)."""
-
-NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
-"""Residual, relative to the force scale, down to which steps use the second derivatives where cable
-points can be relaxed; and the required reduction within how many such steps."""
-
-EXACT, SLOW = 1e-2, 0.7
-"""Residual, relative to the force scale, below which H0 is the second derivatives; and reduction of
-the residual by a quick step with another H0 above which the next step tries them earlier."""
-
-NEWTON_STAGES = 20
-"""Newton iterations within which the residual must fall by the factor `STUBBORN`."""
-
 STEADY, RISE = 1e-10, 1e-11
 """Relative fall of the energy below which Newton's method uses the trapezoidal rule, and relative
 rise up to which it does: both are rounding."""
-
-DESCENT, SHORTEST = 1e-4, 1e-3
-"""Fraction of the predicted descent that a step must achieve (Armijo), and the shortest step."""
-
-FULL_ROUNDS, GAINS = 6, 0.9
-"""Most relaxations of the points after a full step, and change of the energy by the step, relative
-to that before a relaxation, above which there are no more."""
 
 Stopped = tuple[Indices, Array]
 """Blocks of stopped points (m,), and the correction of each, (m, 3) (length)."""
@@ -68,14 +44,19 @@ class NewtonMethod:
     """
 
     def __init__(
-        self, potential: Potential, h0: InitialHessian, relaxation: LocalRelaxation | None
+        self,
+        potential: Potential,
+        h0: InitialHessian,
+        relaxation: LocalRelaxation | None,
+        strategy: Strategy,
     ) -> None:
         self.potential, self.h0, self.relaxation = potential, h0, relaxation
+        self.strategy = strategy
         self.begin()
 
     def begin(self) -> None:
         """Begin a solve, inactive."""
-        self.active, self.wrinkle_stiffness = False, WRINKLE_STIFFNESS
+        self.active, self.wrinkle_stiffness = False, self.strategy.wrinkle_stiffness
         self.trusts_exact = self._tries_early = self.relaxation is not None
         self._quick, self._failed = False, 0
         self._exact = self._is_early = False
@@ -86,13 +67,13 @@ class NewtonMethod:
         near the minimum, unless that fails or makes no progress. Units: residual (force)."""
         if self.trusts_exact and self._quick:
             self._count += 1
-            if self._count == QUICK_STEPS:
-                self._count, slow = 0, residual > QUICK * self._mark
+            if self._count == self.strategy.quick_steps:
+                self._count, slow = 0, residual > self.strategy.quick * self._mark
                 self._mark = residual
                 self.trusts_exact = not slow
         self.trusts_exact &= self._failed < 2
-        afar = 0.0 if self.relaxation is None else self.relaxation.afar
-        if self.trusts_exact and NEAR * scale < residual < afar * scale:
+        afar = 0.0 if self.relaxation is None else self.strategy.afar
+        if self.trusts_exact and self.strategy.quick_to * scale < residual < afar * scale:
             if not self._quick:
                 self._count, self._mark, self._last = 0, residual, np.inf
             self.active = self._quick = True
@@ -104,8 +85,8 @@ class NewtonMethod:
     def wants_exact(self, residual: float, scale: float) -> bool:
         """Whether the next H0 is to be the second derivatives: near the minimum, and earlier where
         a quick step with another H0 made little progress. Units: residual (force)."""
-        near = residual < EXACT * scale
-        slow = self._quick and not self._exact and residual > SLOW * self._last
+        near = residual < self.strategy.exact * scale
+        slow = self._quick and not self._exact and residual > self.strategy.slow * self._last
         self._last = residual
         self._exact = self.trusts_exact and (near or (slow and self._tries_early))
         self._is_early = self._exact and not near
@@ -113,14 +94,16 @@ class NewtonMethod:
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
-        self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
-        self.wrinkle_stiffness = WRINKLE_STIFFNESS * (residual / max(scale, residual)) ** 0.5
+        self.active = residual > self.strategy.stubborn * reduced
+        self._count, self._mark = 0, residual
+        part = (residual / max(scale, residual)) ** 0.5
+        self.wrinkle_stiffness = self.strategy.wrinkle_stiffness * part
 
     def check_progress(self, residual: float) -> None:
-        """Give up if the residual has not fallen enough in `NEWTON_STAGES` iterations."""
+        """Give up if the residual has not fallen enough in `newton_stages` iterations."""
         self._count += 1
-        if self._count == NEWTON_STAGES:
-            self.active = residual <= STUBBORN * self._mark
+        if self._count == self.strategy.newton_stages:
+            self.active = residual <= self.strategy.stubborn * self._mark
             if not self.active and self.relaxation is not None:
                 # H0 does no better than the second derivatives: use these until a step fails again.
                 self.trusts_exact, self._failed = True, 1
@@ -134,7 +117,7 @@ class NewtonMethod:
         part, kept, fallen = 2.0, 0.0, False
         self.h0.solve(g0, d)
         slope = -g0.dot(d)
-        while not fallen and part >= SHORTEST:
+        while not fallen and part >= self.strategy.shortest:
             part *= 0.5
             x.waxpy(-part, d, x0)
             stopped = self._stop_points(x0, x)
@@ -143,12 +126,12 @@ class NewtonMethod:
             change = energy - energy0
             if -STEADY * abs(energy) <= change <= RISE * abs(energy):
                 change = 0.5 * (work - part * g.dot(d) + self._work(g, stopped))
-            fallen = change <= DESCENT * work < 0.0
+            fallen = change <= self.strategy.descent * work < 0.0
             if not fallen and self.h0.slackened:
                 break  # relaxed or shortened, it ends where cables just turn taut: count these so
             if not fallen and self.relaxation is not None:
-                change = self._relax(change, energy0, DESCENT * work, part)
-                fallen = change <= DESCENT * work < 0.0
+                change = self._relax(change, energy0, self.strategy.descent * work, part)
+                fallen = change <= self.strategy.descent * work < 0.0
             kept = change / (part * (1 - part / 2) * slope)  # relative to H0's prediction
         if not fallen:
             factor = 10.0
@@ -168,11 +151,11 @@ class NewtonMethod:
         """Relax the points after a trial step that has changed the energy by `change` from energy0,
         until it has changed by `needed` or falls no more; return its change (force x length)."""
         assert self.relaxation is not None
-        for _ in range(FULL_ROUNDS if part == 1.0 else 1):
+        for _ in range(self.strategy.full_rounds if part == 1.0 else 1):
             if not self.relaxation.relax_points(0.0):
                 break
             last, change = change, self.potential.energy() - energy0
-            if change <= needed or change > GAINS * last:
+            if change <= needed or change > self.strategy.gains * last:
                 break
         return change
 

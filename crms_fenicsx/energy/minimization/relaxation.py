@@ -16,27 +16,10 @@ from mpi4py import MPI
 
 from crms_fenicsx.energy.minimization.local_potential import LocalPotential, gather, give_back
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import GhostFlags
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
-
-POINT_PART, POINT_RINGS = 0.1, 2
-PATCH_PART, PATCH_RINGS = 0.02, 3
-"""Force, relative to the largest, above which a point, or a block of a patch, is relaxed, and the
-number of rings of blocks around it."""
-
-MOST = 0.5
-"""Fraction of blocks relaxed at once; beyond it all points are relaxed together, no patches."""
-
-RATIO, BALANCED = 0.25, 0.3
-"""Residual of the points, relative to that of the vertices, above which they are relaxed, and the
-fraction of that bound to reach."""
-
-PATCHED, SETTLED = 1e-4, 1e-6
-"""Residuals, relative to the force scale, above which patches are relaxed, and to reach."""
-
-ROUNDS, STEPS = 2, 12
-"""Selections of blocks, and Newton steps for each."""
 
 RISE = 1e-12
 """Rise of the energy, relative to the sum of its terms' sizes, attributed to rounding."""
@@ -51,12 +34,8 @@ class LocalRelaxation:
     Attributes: `steps`: Newton steps made, on all ranks.
     """
 
-    afar = 0.2
-    """Residual, relative to the force scale, above which nothing is relaxed: on a still flat roof
-    cables would slide to worse paths."""
-
-    def __init__(self, potential: Potential) -> None:
-        self.potential, self.steps = potential, 0
+    def __init__(self, potential: Potential, strategy: Strategy = STRATEGY) -> None:
+        self.potential, self.strategy, self.steps = potential, strategy, 0
         unknowns = potential.unknowns
         own = unknowns.n_owned
         self._flags = GhostFlags(unknowns)
@@ -78,13 +57,14 @@ class LocalRelaxation:
         self._links = links[free[links].all(axis=1)]
 
     @classmethod
-    def of(cls, potential: Potential) -> LocalRelaxation | None:
+    def of(cls, potential: Potential, strategy: Strategy) -> LocalRelaxation | None:
         """Create one if a potential has cable points that can be relaxed alone."""
         cables = [term for term in potential.terms if term.of_cables]
         parts = all(type(term).elements_on is not EnergyTerm.elements_on for term in cables)
         history = any(term.has_history for term in potential.terms)
         bounds = potential.unknowns.bounds is not None
-        return cls(potential) if cables and parts and not history and not bounds else None
+        possible = cables and parts and not history and not bounds
+        return cls(potential, strategy) if possible else None
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -99,23 +79,24 @@ class LocalRelaxation:
             return stressed and self.relax_patch(scale)
         of_vertices = self._residuals(self._points)[1]
         # One point alone may set the scale; on a flat sheet that is no reason to relax.
-        settled = (of_vertices if stressed else residual) < self.afar * scale
-        return settled and residual > SETTLED * scale and self.relax_points(tolerance)
+        settled = (of_vertices if stressed else residual) < self.strategy.afar * scale
+        return settled and residual > self.strategy.settled * scale and self.relax_points(tolerance)
 
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective. Units:
         tolerance (force). Returns whether the state, then evaluated, has changed."""
-        chosen, aim = np.zeros_like(self._points), 0.0
+        s, chosen, aim = self.strategy, np.zeros_like(self._points), 0.0
         self._stuck[:] = False
-        for turn in range(ROUNDS):
+        for turn in range(s.rounds):
             of_points, of_vertices = self._residuals(self._points)
-            goal = max(RATIO * of_vertices, tolerance, aim)
+            goal = max(s.ratio * of_vertices, tolerance, aim)
             if not of_points > goal:
                 return turn > 0
-            aim = BALANCED * goal
+            aim = s.balanced * goal
             least = aim / max(self._n_points, 1) ** 0.5
-            chosen |= self._around(self._points, self._point_links, POINT_PART, POINT_RINGS, least)
-            if self._count(chosen) > MOST * self._n_points:
+            links = self._point_links
+            chosen |= self._around(self._points, links, s.point_part, s.point_rings, least)
+            if self._count(chosen) > s.most_relaxed * self._n_points:
                 chosen = self._points.copy()
             if not self._relax(chosen, 0.5 * aim, vertices=False):
                 return True
@@ -124,16 +105,16 @@ class LocalRelaxation:
     def relax_patch(self, scale: float) -> bool:
         """Relax points and vertices around the blocks out of balance. Collective. Returns whether
         the state, then evaluated, has changed."""
-        chosen = np.zeros_like(self._all)
+        s, chosen = self.strategy, np.zeros_like(self._all)
         self._stuck[:] = False
-        for turn in range(ROUNDS):
-            more = chosen | self._around(self._all, self._links, PATCH_PART, PATCH_RINGS, 0.0)
+        for turn in range(s.rounds):
+            more = chosen | self._around(self._all, self._links, s.patch_part, s.patch_rings, 0.0)
             inside, outside = self._residuals(more)
-            least = PATCHED if turn == 0 else SETTLED
-            if self._count(more) > MOST * self._n_all or inside < max(outside, least * scale):
+            least = (s.patched if turn == 0 else s.settled) * scale
+            if self._count(more) > s.most_relaxed * self._n_all or inside < max(outside, least):
                 return turn > 0
             chosen = more
-            least = max(0.1 * outside, 0.1 * SETTLED * scale)
+            least = max(0.1 * outside, 0.1 * s.settled * scale)
             if not self._relax(chosen, least, vertices=True):
                 return True
         return True
@@ -145,9 +126,9 @@ class LocalRelaxation:
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)
         moves = self._flags.of_owners(chosen & ~self._stuck)
-        clusters = gather(potential, moves, self._flags.shared)
-        local = LocalPotential(potential, clusters)
-        late = local.relax(tolerance, STEPS)
+        clusters = gather(potential, moves, self._flags.shared, self.strategy.largest_cluster)
+        local = LocalPotential(potential, clusters, self.strategy)
+        late = local.relax(tolerance, self.strategy.local_steps)
         self.steps += potential.comm.allreduce(local.steps)
         self._stuck |= give_back(potential, clusters, local.blocks, late)
         potential.place()

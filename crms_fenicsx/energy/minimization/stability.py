@@ -23,9 +23,6 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 FALL = 0.01
 """Fall of the slope, relative to the largest one, above which the energy is not convex."""
 
-PLACES = (0.0, 1 / 3, 2 / 3, 1.0)
-"""Fractions of the way at which the slope is evaluated; the last one is the state itself."""
-
 
 def is_convex_from(potential: Potential, start: Array) -> bool:
     """Whether the energy is convex on the way from `start` (n_local, 3) (length) to the potential's
@@ -33,9 +30,9 @@ def is_convex_from(potential: Potential, start: Array) -> bool:
     n, end = potential.unknowns.n_owned, potential.x.copy()
     way = end - start
     free = np.where(potential.unknowns.held[:n], 0.0, way[:n])
-    slopes = np.zeros(len(PLACES))
-    for k, part in enumerate(PLACES):
-        potential.x[:] = end if part == 1.0 else start + part * way
+    slopes = np.zeros(4)  # at the start, at a third and two thirds of the way, at the state
+    for k in range(4):
+        potential.x[:] = end if k == 3 else start + k / 3 * way
         potential.place()
         potential.evaluate()
         slopes[k] = np.vdot(potential.g[:n], free)

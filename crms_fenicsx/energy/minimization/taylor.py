@@ -31,8 +31,7 @@ SHAKEN = 0.1
 """Amplitude of the displacements at which terms are tested, relative to the cell size."""
 SLACK = 0.2
 """Allowed deficit of a fitted order."""
-ROUNDED = 1e3 * EPSILON
-"""Remainder attributed to rounding, relative to the energies and works subtracted."""
+
 SYMMETRIC = 1e-9
 """Largest relative asymmetry of a stiffness."""
 
@@ -148,7 +147,8 @@ def _order(
     for h in steps:
         value = f.value(x + h * d)[0]
         remainder = abs(value - energy - h * slope - h**2 / 2 * curvature)
-        if remainder > ROUNDED * max(abs(value), abs(energy), abs(h * slope)):
+        # less is rounding of the energies and works subtracted
+        if remainder > 1e3 * EPSILON * max(abs(value), abs(energy), abs(h * slope)):
             seen.append((h, remainder))
     return fitted_order(*zip(*seen, strict=True)) if len(seen) > 2 else math.inf
 

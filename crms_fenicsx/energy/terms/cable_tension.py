@@ -23,7 +23,7 @@ from crms_fenicsx.foundation.dofs.block_patterns import (
 from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices, Integers
 from crms_fenicsx.model.cable_state import StepStart
-from crms_fenicsx.model.laid_cable import NEARLY_TAUT
+from crms_fenicsx.model.tolerances import TOL
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class CableTension(EnergyTerm):
     def stiffnesses(self, sums: Array, exact: bool = False) -> Array:
         """Axial stiffness EA/L0 of taut cables, else 0 (force/length). Unless `exact`, nearly taut
         ones count as taut, which a step may make them."""
-        taut = sums > (self.L0 if exact else (1 - NEARLY_TAUT) * self.L0)
+        taut = sums > (self.L0 if exact else (1 - TOL.nearly_taut) * self.L0)
         if exact and self.kept is not None:
             taut = self.kept
         return np.where(taut, self.EA / self.L0, 0.0)

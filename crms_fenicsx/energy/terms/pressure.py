@@ -33,6 +33,7 @@ from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 
 def volume_pattern(corners: Indices) -> BlockPattern:
@@ -112,10 +113,6 @@ class FollowerPressure(EnergyTerm):
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
 
-PLANE = 1e-9
-"""Largest distance of a plane edge's vertices from their plane, relative to the membrane's size."""
-
-
 @dataclass(frozen=True)
 class _Rim:
     """This rank's part of the rim."""
@@ -135,7 +132,7 @@ def rim_of(membrane: Membrane) -> _Rim:
     places, size = membrane.positions(), membrane.size
     pairs, senses = edges.vertices, edges.senses
     both = held[pairs].all(axis=1)
-    level = np.abs(places[pairs[:, 0]] - places[pairs[:, 1]]) <= PLANE * size
+    level = np.abs(places[pairs[:, 0]] - places[pairs[:, 1]]) <= SAME_PLACE * size
     closed: npt.NDArray[np.bool_] = np.all(both, axis=1)
     plane = np.where(
         closed, -2, np.where(np.any(both & level, axis=1), np.argmax(both & level, axis=1), -1)

@@ -38,12 +38,12 @@ from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
     TENSION_FIELD,
-    UNSTRAINED,
     LawTerms,
     symmetric,
     taut_stiffness,
     voigt,
 )
+from crms_fenicsx.model.tolerances import UNSTRAINED
 
 MOST_STEPS = 50
 """Limit of Newton steps for a direction; 4 are needed on average, at most 10."""

@@ -12,7 +12,6 @@ code. See `Solver.save` and `Solver.load`. `journal` checkpoints all calls of `S
 scripts that are started again.
 """
 
-from crms_fenicsx.results.checkpoint.contents import Run
-from crms_fenicsx.results.checkpoint.saving import load, save
+from crms_fenicsx.results.checkpoint.saving import Run, load, save
 
 __all__ = ["Run", "load", "save"]

@@ -85,12 +85,6 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
         raise
 
 
-def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
-    """Number of rows of the previous ranks, and of all ranks. Collective."""
-    before = comm.exscan(count)
-    return (0 if before is None else int(before)), int(comm.allreduce(count))
-
-
 Rows = npt.NDArray[Any]
 
 

@@ -1,9 +1,14 @@
-"""Checkpoints of all calls of `Solver.advance` in a run, and fingerprints of these calls.
+"""Checkpoints of all calls of `Solver.advance` in a run, and records of these calls.
 
 Each call has a folder, numbered from 1, with the checkpoint of its last load step and the call's
 arguments. A script that is started again makes the same calls. Completed calls are restored from
 their folders instead of being computed, so that code between them finds the scene as it was; the
 interrupted call continues from its last load step.
+
+By the record of a call a resumed script is compared with the one that was interrupted. It is
+derived from the whole state of the scene and from its model, so that whatever becomes part of them
+is compared, too. Arrays on the mesh are recorded by weighted sums and functions by their values on
+the mesh: the same on any number of processes, to rounding.
 """
 
 from __future__ import annotations
@@ -13,28 +18,43 @@ import os
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, Rows
 from crms_fenicsx.foundation.runtime.checks import LONGEST
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.checkpoint.checkpoint_files import ASIDE, complete
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import Run, refuse_history, scene_record
-from crms_fenicsx.results.checkpoint.saving import STATE, read, reading, restore, save
-
-ROUNDING = 1e-7
-"""Difference of numbers, relative to the largest beside them, that is attributed to rounding on
-another number of processes."""
+from crms_fenicsx.results.checkpoint.saving import (
+    STATE,
+    Run,
+    cell_ids,
+    described,
+    edge_vertices,
+    fingerprint,
+    mixed,
+    read,
+    reading,
+    refuse_history,
+    restore,
+    save,
+)
+from crms_fenicsx.results.quantities import summed
 
 
 def _name(key: object) -> str:
@@ -57,7 +77,7 @@ def difference(was: object, now: object) -> str | None:
     if _numeric(was) and _numeric(now):
         a, b = np.atleast_1d(was), np.atleast_1d(now)  # type: ignore[call-overload]
         size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        if a.shape == b.shape and np.all(np.abs(a - b) <= ROUNDING * size):
+        if a.shape == b.shape and np.all(np.abs(a - b) <= SAME_VALUE * size):
             return None
     elif was == now:
         return None
@@ -77,6 +97,104 @@ def _numeric(value: object) -> bool:
     """Whether the value is a rounded number, or a list of such."""
     values: list[Any] = value if isinstance(value, list) and value else [value]
     return all(isinstance(one, float) for one in values)
+
+
+WAY = ("nodes", "positions", "fractions", "lifted", "reference_positions")
+"""Fields of a cable's state that are recorded by the moments of its way: its points depend on
+rounding where it meets vertices."""
+
+
+def scene_record(scene: Scene) -> Plain:
+    """A scene as numbers and texts, independent of the number of ranks to rounding. Collective."""
+    storage = _RecordStorage(scene)
+    mesh, cells = scene.mesh, cell_ids(scene)[0]
+    pressed = scene.membrane.pressed[: len(cells)].astype(np.int64)
+    edges = np.sort(edge_vertices(scene), axis=1)
+    groups = {
+        "parts": {name: mixed(scene, cells[_own(rows, len(cells)), None])
+                  for name, rows in sorted(mesh.parts.items())},
+        "edges": {name: mixed(scene, edges[_own(rows, storage.own_edges)])
+                  for name, rows in sorted(mesh.edges.items())},
+        "points": {
+            name: mixed(scene, storage.ids[_own(rows, storage.own), None])
+            for name in sorted(mesh.points)
+            for rows in [fem.locate_dofs_topological(scene.V, 0, mesh.points[name])]
+        },
+    }  # fmt: skip
+    return {
+        **fingerprint(scene),
+        "groups of the mesh (mixed to one number each)": groups,
+        "pressure_on (cells, mixed to one number)": mixed(scene, np.stack([cells, pressed], 1)),
+        "section forces of added terms": [
+            None if term.section_forces is None
+            else storage.write("", Rows.CELLS, term.section_forces)
+            for term in scene.terms
+        ],
+        **encode(scene.state, storage),
+    }  # fmt: skip
+
+
+def _own(rows: Indices, count: int) -> Indices:
+    return rows[rows < count]
+
+
+class _RecordStorage:
+    """Replaces the arrays of a scene's state by sums that do not depend on the ranks."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.ids = scene, scene.membrane.vertex_ids
+        self.own = scene.V.dofmap.index_map.size_local
+        self.own_edges = scene.mesh.mesh.topology.index_map(1).size_local
+
+    def reduce(self, value: Any) -> Any:
+        """A material as numbers, a cable by its way; a strip belongs to the mesh."""
+        if isinstance(value, Strip):
+            return None
+        if isinstance(value, MembraneMaterial):
+            return described(value)
+        if isinstance(value, CableState):
+            found = {one.name: getattr(value, one.name) for one in fields(value)}
+            kept = {name: one for name, one in found.items() if name not in WAY}
+            return kept | {"way": way(value)}
+        return value
+
+    def write(self, path: str, rows: Rows, values: Array) -> Any:
+        """Weighted sums over all ranks and the largest component; Booleans as one number.
+        Collective."""
+        if rows is Rows.EDGES:
+            pairs = np.sort(edge_vertices(self.scene)[: self.own_edges], axis=1)
+            return mixed(self.scene, pairs[values[: self.own_edges]])
+        if rows is Rows.SHARES:
+            values = summed(self.scene.V, np.arange(len(values)), values)
+        ids: Integers = cell_ids(self.scene)[0] if rows is Rows.CELLS else self.ids[: self.own]
+        columns = values[: len(ids)].reshape(len(ids), -1)
+        if columns.dtype == bool:
+            return mixed(self.scene, np.column_stack([ids, columns.astype(np.int64)]))
+        weights = 0.5 + (0.6180339887498949 * ids) % 1.0
+        sums: Array = self.scene.comm.allreduce(weights @ columns)
+        largest = self.scene.comm.allreduce(float(np.abs(columns).max(initial=0.0)), op=MPI.MAX)
+        return [*map(float, sums), largest]
+
+    def read(self, *arguments: Any) -> Any:
+        """Nothing is read from a record."""
+        raise NotImplementedError
+
+    restore = unsaved = read
+
+
+def way(state: CableState) -> Plain:
+    """Ends, middle and second moments of a cable's polyline."""
+    points = state.positions[~state.lifted]
+    spans = np.diff(points, axis=0)
+    lengths, middles = np.linalg.norm(spans, axis=1), (points[1:] + points[:-1]) / 2
+    length = max(float(lengths.sum()), np.finfo(float).tiny)
+    places = [lengths @ middles / length, points[0], points[-1]]
+    square = np.einsum("s,si,sj->ij", lengths, middles, middles)
+    square += np.einsum("s,si,sj->ij", lengths, spans, spans) / 12
+    return {
+        "ends and middle": [float(x) for place in places for x in place],
+        "moments": (square / length).ravel().tolist(),
+    }
 
 
 logger = logging.getLogger("crms_fenicsx")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,12 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.steps.load_step import Step
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
+from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.energy.terms.kinematics import warp_field
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Booleans, Integers, Rows
@@ -28,28 +32,44 @@ from crms_fenicsx.foundation.runtime.handle import Handle
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.results.checkpoint.checkpoint_files import (
     complete,
-    first_row,
+    digest,
     read_rows,
     replaced_folder,
     write_rows,
 )
 from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.results.checkpoint.contents import (
-    Contents,
-    Run,
-    cell_ids,
-    check_same,
-    edge_vertices,
-    fingerprint,
-)
 
 STATE = "state.json"
 POSITIONS = "positions"
 """File name of the stress-free vertices."""
 FORMAT = "crms_fenicsx checkpoint 11"
 """Format mark of a checkpoint; its number grows with each change of the content."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A solver's record of its load steps."""
+
+    steps: list[Step]  # accepted load steps
+    rows: list[Mapping[str, int | float | str]]  # rows of the history
+    tried: TriedPaths | None  # paths tried and rejected; None before the first
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Contents of a checkpoint except the arrays on the mesh."""
+
+    scene: Plain  # identifies the scene, see `fingerprint`
+    positions: Plain  # description of the file of stress-free vertices
+    state: Plain  # a `SceneState`
+    state_version: int  # of the scene's versions
+    in_equilibrium: bool  # whether the scene was unchanged since the last load step
+    run: Run
+    # call of `Solver.advance` that the checkpoint belongs to, if any
+    call: Plain | None
 
 
 def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
@@ -120,7 +140,7 @@ class _SceneStorage:
         if rows is Rows.EDGES:
             own = self.scene.mesh.mesh.topology.index_map(1).size_local
             values = edge_vertices(self.scene)[:own][values[:own]]
-            first, total = first_row(len(values), self.comm)
+            first, total = self.comm.exscan(len(values)) or 0, self.comm.allreduce(len(values))
             ids: Integers = first + np.arange(len(values))
         elif rows is Rows.CELLS:
             ids, total = cell_ids(self.scene)
@@ -134,8 +154,6 @@ class _SceneStorage:
         self, path: str, rows: Rows, dtype: np.dtype[Any], shape: tuple[int, ...], data: Any
     ) -> np.ndarray[Any, Any]:
         """Read this rank's rows, (n, *shape); shared values go to their owner. Collective."""
-        if not isinstance(data, dict) or data.keys() != {"digest", "rows"}:
-            raise ValueError(f"expected a file {path}.npy, found {data!r}")
         file, due = self.folder / f"{path}.npy", str(data["digest"])
         if rows is Rows.EDGES:
             pairs = read_rows(file, self.comm, None, np.int64, (int(data["rows"]), 2), due)
@@ -163,6 +181,101 @@ class _SceneStorage:
                     f"load: the checkpoint is of another mesh: its vertex {self._ids[k]} is at "
                     f"{X[k]}, and here at {here[k]}; build the mesh as it was when it was saved"
                 )
+
+
+def fingerprint(scene: Scene) -> dict[str, Any]:
+    """What a script must rebuild identically, as numbers and texts by name. Collective."""
+    refuse_history(scene)
+    mesh = scene.mesh.mesh
+    cells = cell_vertex_ids(mesh)
+    first = scene.membrane.first_materials
+    tags = np.zeros((len(cells), 1), dtype=np.int64)
+    if scene.membrane.cell_tags is not None:
+        tags[:, 0] = scene.membrane.cell_tags.values
+    frames, shapes = scene.membrane.frames, None
+    if frames is not None:
+        rounded = np.rint(1e8 * frames.reshape(-1, 6)).astype(np.int64)
+        shapes = mixed(scene, np.hstack([cells, rounded]))
+    warps = None
+    if frames is None and any(callable(one.warp) for one in first.values()):
+        ways = np.zeros((len(cells), 3))
+        for tag, one in first.items():
+            if callable(one.warp):
+                own = np.flatnonzero(tags[:, 0] == tag).astype(np.int32)
+                ways[own] = warp_field(mesh, one, own).x.array.reshape(-1, 3)[own]
+        warps = mixed(scene, np.hstack([cells, np.rint(1e8 * ways).astype(np.int64)]))
+    return {
+        "number of vertices": mesh.topology.index_map(0).size_global,
+        "number of cells": mesh.topology.index_map(2).size_global,
+        "cells (their vertices, mixed to one number)": mixed(scene, cells),
+        "materials": [described(one) for one in first.values()],
+        "warp (directions in the cells, mixed to one number)": warps,
+        "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
+        "stress-free shapes of the cells (mixed to one number)": shapes,
+        "strain": scene.strain_law,
+        "pressure": scene.pressure_law,
+        "penalty": scene.penalty,
+        "literal_penalty": scene.literal_penalty,
+        "added terms": [term.name for term in scene.terms],
+    }
+
+
+def refuse_history(scene: Scene) -> None:
+    """Refuse to checkpoint a scene whose terms have a history that would be lost."""
+    for term in scene.terms:
+        if term.has_history:
+            raise InputError(
+                f"the term {term.name!r} has a history, which checkpoints do not keep; do without "
+                "checkpoints (resume=None), or without the term"
+            )
+
+
+def check_same(saved: dict[str, Any], scene: Scene) -> None:
+    """Refuse a scene that does not match a saved fingerprint. Collective."""
+    for name, value in fingerprint(scene).items():
+        was = saved.get(name)
+        if not _same(was, value):
+            raise InputError(
+                f"load: the checkpoint is of another scene: {name} {was!r}, and here {value!r}; "
+                "build the mesh and the scene as they were when it was saved"
+            )
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two values agree, numbers up to rounding."""
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-12)
+    return a == b
+
+
+def described(material: MembraneMaterial) -> list[Any]:
+    """A material as numbers and texts."""
+    warp = material.warp
+    direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
+    values = [*encode(numbers(material)).values()]
+    if isinstance(material, UflMembrane):
+        values += material.samples
+    return [type(material).__name__, values, direction]
+
+
+def mixed(scene: Scene, rows: Integers) -> str:
+    """Hash of all ranks' integer rows, independent of their order. Collective."""
+    return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)
+
+
+def cell_ids(scene: Scene) -> tuple[Integers, int]:
+    """Numbers of this rank's cells in the mesh as given, and their global count."""
+    topology = scene.mesh.mesh.topology
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
+
+
+def edge_vertices(scene: Scene) -> Integers:
+    """End ids of this rank's edges, (m, 2)."""
+    mesh = scene.mesh.mesh
+    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
 
 
 def signed(data: Plain) -> str:
@@ -216,21 +329,13 @@ def _read(file: Path) -> Plain:
     with readable(file, "pass the folder of a checkpoint"):
         text = read_text(file)
     with reading(file):
-        found = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        found = json.loads(text)
         if found["format"] != FORMAT:
             raise ValueError(f"expected the format {FORMAT!r}, found {found['format']!r}")
         data: Plain = found["content"]
         if _digest(json.dumps(data)) != found["digest"]:
             raise ValueError("its content is not what was written")
     return data
-
-
-def _finite(text: str) -> float:
-    """A finite number of a JSON text, where Python also accepts NaN and infinity."""
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"it has the number {text[:20]}")
-    return number
 
 
 @contextmanager

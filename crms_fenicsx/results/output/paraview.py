@@ -35,17 +35,8 @@ from crms_fenicsx.foundation.runtime.files import (
     read_text,
     replaced,
 )
-from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.results.quantities import Solved, fields_of
-from crms_fenicsx.results.view_data import (
-    Line,
-    Surface,
-    bar_lines,
-    cable_lines,
-    joined,
-    surface_piece,
-    whole_surface,
-)
+from crms_fenicsx.results.quantities import Solved
+from crms_fenicsx.results.view_data import Line, Surface, current_view, joined, whole_surface
 
 Arrays = dict[str, NDArray[Any]]
 Texts = dict[str, list[str]]
@@ -151,13 +142,9 @@ def _write_vtu(path: Path, grid: Grid) -> None:
     head = BEGIN.format(_field_data(grid.texts), len(geometry["Points"]), cells, tags)
     with replaced(path) as partial, open(partial, "wb") as file:
         file.write(head.encode())
-        file.writelines(_sized(x) for arrays in sections.values() for x in arrays.values())
+        for values in (x for arrays in sections.values() for x in arrays.values()):
+            file.write(np.array([values.nbytes], dtype="<u8").tobytes() + values.tobytes())
         file.write(END)
-
-
-def _sized(values: NDArray[Any]) -> bytes:
-    """An array after its size in bytes."""
-    return np.array([values.nbytes], dtype="<u8").tobytes() + values.tobytes()
 
 
 def _field_data(texts: Texts) -> str:
@@ -385,10 +372,8 @@ def write_vtkhdf(
         for name in states or [""]:
             if states:
                 solver.restore(states[name].snapshot)
-            results = membrane_results(solver.system)
-            piece = surface_piece(scene.membrane, results.surface, fields_of(results))
+            piece, lines = current_view(solver.system)
             whole = whole_surface(comm, piece)
-            lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
             if whole is not None:
                 grids.append(_grid_of(whole, lines, {"case": [name] if name else []}))
     with raised_together(comm):

@@ -23,9 +23,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import explained, make_writable
 from crms_fenicsx.results.error_estimate import ErrorEstimator
-from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.history import History, Value
-from crms_fenicsx.results.quantities import fields_of
 
 if TYPE_CHECKING:
     from crms_fenicsx.results.output.paraview import Series
@@ -122,12 +120,9 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
-            from crms_fenicsx.results.view_data import bar_lines, cable_lines, surface_piece
+            from crms_fenicsx.results.view_data import current_view
 
-            scene, results = self.scene, membrane_results(system)
-            surface = surface_piece(scene.membrane, results.surface, fields_of(results))
-            lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
-            self.series.write(step.number, surface, lines, case)
+            self.series.write(step.number, *current_view(system), case)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Continue after the steps of an earlier run, in its files if they match. Collective."""

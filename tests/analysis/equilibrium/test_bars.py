@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 
 from crms_fenicsx import (
     Bar,
@@ -32,9 +33,7 @@ A, H, EA = 4.0, 1.0, 1000.0
 
 def sheet(comm, size=2.0):
     """A clamped square beside which bars stand."""
-    scene = Scene(meshes.rectangle(comm, 4.0, 4.0, size, structured=True), FOIL)
-    scene.fix("boundary")
-    return scene
+    return clamped(meshes.rectangle(comm, 4.0, 4.0, size, structured=True), FOIL)
 
 
 def test_strength_and_buckling_of_bars(comm):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -95,8 +96,7 @@ def solved(kind: str, variant: Variant) -> tuple[Scene, LaidCable, Solver]:
         FREE: IsotropicMembrane(300.0 * stress, 0.25, t),
         LINE: OrthotropicMembrane(900.0 * stress, 300.0 * stress, 90.0 * stress, 0.2, t, warp),
     }
-    scene = Scene(mesh, materials[kind])
-    scene.fix("boundary")
+    scene = clamped(mesh, materials[kind])
     cable = scene.lay_cable(
         Cable(32000.0 * variant.force), variant.place(PATHS[kind]), L0=102.5 * variant.length
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from dome import STADIUM_HEIGHT, STADIUM_RADIUS, stadium
 from mpi4py import MPI
 
@@ -14,8 +15,7 @@ from crms_fenicsx.cabling.contact.active_set import ActiveSet
 
 def roof(comm: MPI.Comm) -> Scene:
     """A flat roof under two families of cables, some of which lift off as it is inflated."""
-    scene = Scene(stadium(comm, size=5.1), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
+    scene = clamped(stadium(comm, size=5.1), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
     for angle in np.radians([45.0, -45.0]):
         for offset in 8.5 * np.arange(-6.5, 7.0):
             path = nets.great_circle(STADIUM_RADIUS, STADIUM_HEIGHT, angle, offset)

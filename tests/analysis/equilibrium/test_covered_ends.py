@@ -5,17 +5,17 @@ from __future__ import annotations
 import warnings
 
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Solver, meshes
 
 pytestmark = pytest.mark.ranks
 
 
 def test_an_end_that_the_membrane_rises_above_is_told(comm: MPI.Intracomm) -> None:
     mesh = meshes.spherical_cap(comm, 10.0, 4.0, 1.5)
-    scene = Scene(mesh, IsotropicMembrane(E=100.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=100.0, nu=0.3, thickness=1.0))
     solver = Solver(scene)
     solver.advance(pressure=0.1)
     top = comm.allreduce(float(scene.positions()[:, 2].max(initial=0.0)), op=MPI.MAX)

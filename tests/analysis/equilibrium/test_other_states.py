@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
@@ -67,8 +68,7 @@ def test_it_is_not_looked_for_in_vain(comm: MPI.Intracomm) -> None:
     """In a taut sheet, or under a cable, whose friction and contacts depend on the history."""
     mesh = meshes.rectangle(comm, 1.0, 1.0, 0.25)
     for prestress, cable in ((1.0, False), (0.0, True)):
-        scene = Scene(mesh, IsotropicMembrane(1e3, 0.3, 1.0, prestress=prestress))
-        scene.fix("boundary")
+        scene = clamped(mesh, IsotropicMembrane(1e3, 0.3, 1.0, prestress=prestress))
         solver = Solver(scene)
         if cable:
             scene.lay_cable(Cable(EA=10.0), [(-0.4, 0.1, 0.0), (0.4, 0.1, 0.0)])

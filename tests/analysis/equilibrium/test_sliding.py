@@ -12,7 +12,7 @@ import pytest
 from cabled_square import CABLE, KINDS, PRESSURE, clamped, order, place, sheet
 from reference_meshes import rotated_lattice, square
 
-from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
 
 ENDS = [(0.0, 30.0), (100.0, 30.0)]
@@ -66,8 +66,7 @@ def test_a_dragged_cable_also_passes_a_vertex_off_which_it_has_lifted(comm) -> N
     """Pressed against the vertex its energy was .1 % higher; laid there it passes it at once."""
 
     def laid(y: float) -> tuple[Solver, LaidCable]:
-        mesh = meshes.rectangle(comm, 100.0, 100.0, 100 / 12, structured=True)
-        scene = clamped(mesh)
+        scene = sheet(comm, 12)
         cable = scene.lay_cable(CABLE, [(0.0, y), (100.0, 20.0)], L0=100.0)
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
@@ -154,8 +153,7 @@ def test_looking_for_a_better_path_costs_nothing_where_there_is_none(comm) -> No
 def dragged(comm, steps: int, law: str = "total", **laws: str) -> tuple[float, int]:
     """Tension of a cable dragged aside over the square, at small strain, and vertices passed."""
     sheet_ = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
-    scene = Scene(square(comm, 9, "unstructured"), sheet_, **laws)
-    scene.fix("boundary")
+    scene = clamped(square(comm, 9, "unstructured"), sheet_, **laws)
     solver = Solver(scene)
     solver.advance(pressure=1e-4, steps=steps)
     path = [(-5, 30, 0.65), (105, 30, 0.65)]

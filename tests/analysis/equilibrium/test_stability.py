@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -19,16 +20,13 @@ from crms_fenicsx import (
     Scene,
     Solver,
     Step,
-    meshes,
 )
 
 FABRIC = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=1.0)
 
 
-def sheet(comm: MPI.Intracomm, size: float = 1.0) -> Scene:
-    scene = Scene(meshes.rectangle(comm, 4.0, 4.0, size, structured=True), FABRIC)
-    scene.fix("boundary")
-    return scene
+def square(comm: MPI.Intracomm) -> Scene:
+    return sheet(comm, 4, material=FABRIC, side=4.0)
 
 
 def mast(scene: Scene, guys: int = 0, slack: float = 0.0, weight: float = 50.0) -> Joint:
@@ -56,7 +54,7 @@ def advanced(solver: Solver, kind: type[Warning] = InstabilityWarning, **loads: 
 
 @pytest.mark.ranks
 def test_a_mast_without_guys(comm: MPI.Intracomm) -> None:
-    scene = sheet(comm)
+    scene = square(comm)
     mast(scene)
     solver = Solver(scene)
     assert "nothing holds 'top' in the direction" in advanced(solver, load=0.0).warnings[0].text
@@ -71,13 +69,13 @@ def test_a_mast_without_guys(comm: MPI.Intracomm) -> None:
 
 def test_masts_that_hang_or_have_guys_are_stable(comm: MPI.Intracomm) -> None:
     """Guys just taut hold, and the shortening of the mast does not matter."""
-    scene = sheet(comm)
+    scene = square(comm)
     mast(scene)
     solver = Solver(scene)
     solver.advance(load=-1.0)
     for guys in (3, 4, 5):
         for slack in (0.0, -1e-3):
-            scene = sheet(comm)
+            scene = square(comm)
             mast(scene, guys, slack, weight=10.0)
             solver = Solver(scene)
             solver.advance()
@@ -86,7 +84,7 @@ def test_masts_that_hang_or_have_guys_are_stable(comm: MPI.Intracomm) -> None:
 
 
 def test_slack_guys_are_named(comm: MPI.Intracomm) -> None:
-    scene = sheet(comm)
+    scene = square(comm)
     mast(scene, 4, 1e-2)
     step = advanced(Solver(scene), load=1.0)
     assert "tighten 'guy 1', 'guy 2', 'guy 3', 'guy 4'" in step.warnings[0].text
@@ -95,7 +93,7 @@ def test_slack_guys_are_named(comm: MPI.Intracomm) -> None:
 def test_struts_in_a_line(comm: MPI.Intracomm) -> None:
     """Also where one ends at the membrane, so that all second derivatives are needed."""
     for foot in ((20.0, 0.0, 0.0), (2.0, 2.0, 0.0)):
-        scene = sheet(comm)
+        scene = square(comm)
         end = foot if foot[0] > 4.0 else scene.vertex_at(foot)
         joint = scene.add_joint((foot[0], foot[1], 2.0), name="knee")
         bars = [
@@ -107,7 +105,7 @@ def test_struts_in_a_line(comm: MPI.Intracomm) -> None:
 
 
 def test_refused_or_ignored(comm: MPI.Intracomm) -> None:
-    scene = sheet(comm)
+    scene = square(comm)
     mast(scene)
     solver = Solver(scene, stability="refuse")
     with pytest.raises(ConvergenceError, match=r"'mast', under a compression of .*, gives way"):
@@ -123,8 +121,7 @@ def test_refused_or_ignored(comm: MPI.Intracomm) -> None:
 def test_a_prop_under_a_sheet(comm: MPI.Intracomm) -> None:
     """It stands while the sheet holds its head: N / l is less than the stiffness sideways."""
     soft = IsotropicMembrane(E=1e-3, nu=0.3, thickness=1.0, prestress=1.0, wrinkling=False)
-    scene = Scene(meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True), soft)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=soft, side=4.0)
     scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
     head = scene.vertex_at((2.0, 2.0, 0.0))
     prop = scene.add_bar(Bar(1e5), (2.0, 2.0, -1.0), head, name="prop")
@@ -140,7 +137,7 @@ def test_a_prop_under_a_sheet(comm: MPI.Intracomm) -> None:
 def test_water_at_the_level_of_a_flat_roof(comm: MPI.Intracomm) -> None:
     """Dry, but the least sag draws water; a hair below the roof it does not."""
     for level, kind in ((0.0, PondWarning), (-1e-3, None)):
-        scene = sheet(comm)
+        scene = square(comm)
         scene.put_pond(10.0, level=level, name="puddle")
         solver = Solver(scene)
         if kind is None:
@@ -157,7 +154,7 @@ def test_scenes_without_bars_and_ponds_are_not_looked_at(
 ) -> None:
     """Nor are frames without compression factorised."""
     monkeypatch.setattr("crms_fenicsx.analysis.equilibrium.instability.ExactTangent", None)
-    scene = sheet(comm)
+    scene = square(comm)
     solver = Solver(scene)
     solver.advance(pressure=0.1)
     top = scene.add_joint((2.0, 2.0, 3.0))

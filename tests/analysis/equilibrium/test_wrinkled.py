@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
@@ -94,9 +95,7 @@ def test_first_inflation_of_a_flat_square(
     comm: MPI.Intracomm, n: int, factorizations: int, evaluations: int
 ) -> None:
     """Cells that turn from wrinkled to taut ask for few new H0, also on fine meshes."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, 100.0 / n, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, n)
     solver = Solver(scene)
     first = solver.advance(pressure=0.008).outcome
     assert first.factorizations <= factorizations

@@ -11,10 +11,10 @@ from typing import Any
 import dolfinx.fem
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, Scene, Solver, meshes
+from crms_fenicsx import Cable, Scene, Solver
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
@@ -83,7 +83,7 @@ class Participant:
 
 def roof(comm: MPI.Intracomm) -> Solver:
     """Inflated, under a cable with friction."""
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True))
+    scene = sheet(comm, 4)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
     scene.lay_cable(Cable(9000.0, friction=0.3), [(0.0, 47.0), (100.0, 52.0)], name="ridge")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from octant import ET, NU, RADIUS, octant, stretch
 from scipy.optimize import brentq
@@ -77,7 +77,7 @@ def test_a_sealed_sphere(
 
 def dome(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None = None) -> Solver:
     """An inflated square under a cable, with wind."""
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 20.0))
+    scene = sheet(comm, 5, "unstructured")
     solver = Solver(scene, results=folder, resume=resume)
     solver.advance(pressure=0.02)
     scene.lay_cable(Cable(32000.0), [(0.0, 41.0), (100.0, 55.0)], tension=20.0, name="ridge")
@@ -121,7 +121,7 @@ def test_a_cable_over_sealed_air(comm: MPI.Intracomm) -> None:
 
 
 def test_combinations_of_sealed_air(comm: MPI.Intracomm) -> None:
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0))
+    scene = sheet(comm, 4, "unstructured")
     scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
     solver = Solver(scene)
     solver.advance(pressure=0.02)
@@ -167,7 +167,7 @@ def test_sealed_air_goes_on(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 def test_fans_follow_a_load(comm: MPI.Intracomm) -> None:
     """In increments, from the pressure before, in a call of its own and in combinations."""
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0))
+    scene = sheet(comm, 4, "unstructured")
     scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
     solver = Solver(scene)
     solver.advance(pressure=0.02)
@@ -196,7 +196,7 @@ def refused(scene: Scene) -> list[tuple[str, object]]:
 
 @pytest.mark.ranks
 def test_bad_input(comm: MPI.Intracomm) -> None:
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 50.0))
+    scene = sheet(comm, 2, "unstructured")
     for message, call in refused(scene):
         with pytest.raises(InputError, match=message):
             call()
@@ -215,7 +215,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
             solver.advance(**arguments)
     with pytest.raises(InputError, match="sealed already"):
         scene.seal(volume=1.0)
-    paper = clamped(meshes.rectangle(comm, 100.0, 100.0, 50.0), pressure="step")
+    paper = sheet(comm, 2, "unstructured", pressure="step")
     with pytest.raises(InputError, match="exact follower pressure"):
         paper.seal(volume=1.0)
     for message, factors, pressures in (

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Rotation, Scene, Solver, meshes
 from crms_fenicsx.analysis.steps.movements import Motion
@@ -14,8 +15,7 @@ TURN = Rotation((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), np.pi / 6)
 def drum(comm, folder=None, resume=None):
     """A flat, prestressed disc."""
     mesh = meshes.circle(comm, radius=2.0, size=1.0)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=0.1, prestress=2.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=0.1, prestress=2.0))
     return Solver(scene, results=folder, resume=resume)
 
 

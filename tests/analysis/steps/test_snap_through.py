@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, SnapThroughWarning, Solver, meshes
@@ -21,8 +22,7 @@ def dome(comm: MPI.Intracomm, size: float, unit: float = 1.0, folder: Path | Non
     """An air dome with snow, inflated; `unit` is that of length."""
     mesh = meshes.spherical_cap(comm, RADIUS * unit, HEIGHT * unit, size * unit)
     fabric = IsotropicMembrane(E=STIFFNESS / unit, nu=NU, thickness=unit)
-    scene = Scene(mesh, fabric)
-    scene.fix("boundary")
+    scene = clamped(mesh, fabric)
     solver = Solver(scene, results=folder)
     solver.advance(pressure=PRESSURE / unit)
     scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
@@ -100,9 +100,9 @@ def test_it_lies_on_a_floor(comm: MPI.Intracomm) -> None:
 @pytest.mark.parametrize("steps", [1, 3])
 def test_a_flat_sheet_goes_through_stable_states(comm: MPI.Intracomm, steps: int) -> None:
     """From above its rim to below it, and where its flat state is next to unstable."""
-    mesh = meshes.rectangle(comm, 10.0, 10.0, 1.25, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=1.0))
-    scene.fix("boundary")
+    scene = sheet(
+        comm, 8, material=IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=1.0), side=10.0
+    )
     solver = Solver(scene)
     solver.advance(pressure=0.5)
     solver.advance(pressure=-0.5, steps=steps)

@@ -535,8 +535,7 @@ def test_two_materials_equal_their_own_strips(comm) -> None:
 def test_a_prestressed_sheet_stands_under_its_own_stress(free_mesh: meshes.MembraneMesh) -> None:
     """Uniform prestress is in equilibrium; moved out of plane the sheet pulls back."""
     material = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.5)
-    scene = Scene(free_mesh, material)
-    scene.fix("boundary")
+    scene = clamped(free_mesh, material)
     solver = Solver(scene)
     assert solver.advance().outcome.iterations == 0
     assert np.abs(scene.u.x.array).max() < 1e-12 and abs(scene.energy) < 1e-9
@@ -715,8 +714,7 @@ def test_small_loads_are_solved_as_exactly_as_large_ones(square, share: float) -
     def scaled(share: float) -> float:
         stress, pressure = share * 24.0, 1e-2 * share**1.5 * 0.24
         material = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=stress)
-        scene = Scene(square, material)
-        scene.fix("boundary")
+        scene = clamped(square, material)
         Solver(scene).advance(pressure=pressure)
         return scene.energy * stress / pressure**2
 

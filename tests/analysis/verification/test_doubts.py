@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cable_edits import put
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, DoubtWarning, IsotropicMembrane, Scene, Solver, meshes
@@ -37,11 +38,9 @@ def heard(comm: MPI.Intracomm) -> Iterator[list[str]]:
 
 def sheet(comm: MPI.Intracomm, n: int = 6) -> Scene:
     """An inflated disk."""
-    scene = Scene(
+    return clamped(
         meshes.circle(comm, 30.0, 30.0 / n), IsotropicMembrane(E=300.0, nu=0.25, thickness=0.05)
     )
-    scene.fix("boundary")
-    return scene
 
 
 def zigzag(scene: Scene, solver: Solver) -> LaidCable:
@@ -165,8 +164,7 @@ def test_the_range_contains_the_tension_on_fine_cells(comm: MPI.Intracomm, case:
         else:
             straight = case == "structured"
             mesh = meshes.rectangle(comm, 100.0, 100.0, 100.0 / cells, structured=straight)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        scene.fix("boundary")
+        scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
         solver = Solver(scene)
         solver.advance(pressure=0.02)
         ends = [(-49.9, 0.0), (47.0, -16.0)] if case == "dome" else [(0.0, 37.0), (100.0, 52.0)]
@@ -188,8 +186,7 @@ def test_a_range_contains_that_of_ends_farther_up_the_slope(comm: MPI.Intracomm)
     lengths, ranges = [0.0], []
     for size, EA in ((1.0, 1e-4), (1.75, 200.0), (0.7, 200.0), (3.5, 20.0)):
         mesh = meshes.spherical_cap(comm, 10.0, 4.5, size=size)
-        scene = Scene(mesh, IsotropicMembrane(E=200.0, nu=0.3, thickness=1.0, wrinkling=False))
-        scene.fix("boundary")
+        scene = clamped(mesh, IsotropicMembrane(E=200.0, nu=0.3, thickness=1.0, wrinkling=False))
         solver = Solver(scene)
         solver.advance(pressure=1.0)
         L0 = 0.995 * lengths[0] if lengths[0] else None

@@ -83,8 +83,7 @@ def test_hardly_loaded_prestressed_sheets_are_verified(
     mesh = meshes.rectangle(comm, width=6.0, depth=4.0, size=0.5)
     material = IsotropicMembrane(E=Et, nu=0.3, thickness=1.0, prestress=2.0)
     for pressure in (1e-9, 1e-8, 1e-7, 1e-6, 1e-4, 1e-2):
-        scene = Scene(mesh, material)
-        scene.fix("boundary")
+        scene = clamped(mesh, material)
         solver = Solver(scene, max_halvings=0)
         step = solver.advance(pressure=pressure)
         assert step.verification is not None and step.verification["virtual work"].limit < 2e-3
@@ -104,8 +103,7 @@ def test_hardly_loaded_prestressed_sheets_are_verified(
 def test_a_soft_prestressed_sheet_at_rest_is_in_equilibrium(comm: MPI.Intracomm) -> None:
     """Its nodal forces are nothing but the rounding of the prestress."""
     material = IsotropicMembrane(E=1e-6, nu=0.3, thickness=1.0, prestress=2.0)
-    scene = Scene(meshes.rectangle(comm, width=6.0, depth=4.0, size=0.5), material)
-    scene.fix("boundary")
+    scene = clamped(meshes.rectangle(comm, width=6.0, depth=4.0, size=0.5), material)
     assert Solver(scene, max_halvings=0).advance().outcome.evaluations < 5
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from cable_edits import put
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from polygon_twins import split_polygon
 from scipy.spatial import Delaunay
@@ -344,9 +345,7 @@ def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
 
 def test_arranging_again_keeps_what_a_solve_has_found(comm: MPI.Intracomm) -> None:
     """Of a state that is taken up again, as from a checkpoint, too."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, 20.0)
-    scene = Scene(mesh, ISOTROPIC)
-    scene.fix("boundary")
+    scene = sheet(comm, 5, "unstructured", ISOTROPIC)
     for path in ([(0.0, 47.0), (100.0, 52.0)], [(47.0, 0.0), (52.0, 100.0)]):
         scene.lay_cable(Cable(EA=32000.0), path)
     Solver(scene).advance(pressure=1e-4)
@@ -481,8 +480,7 @@ def crossed_square(
     comm: MPI.Intracomm, factor: float = 0.97, **levels: int
 ) -> tuple[Scene, list[LaidCable], Solver]:
     """An inflated square under two cables that cross off its middle, the second the tighter."""
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 20.0), ISOTROPIC)
-    scene.fix("boundary")
+    scene = sheet(comm, 5, "unstructured", ISOTROPIC)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
     routes = {"first": [(0.0, 43.0), (100.0, 48.0)], "second": [(57.0, 0.0), (52.0, 100.0)]}
@@ -616,8 +614,7 @@ def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane(comm
 @pytest.mark.ranks
 def test_all_pairs_of_many_cables_are_found(comm) -> None:
     """A net of three by two, laid at once."""
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 20.0), ISOTROPIC)
-    scene.fix("boundary")
+    scene = sheet(comm, 5, "unstructured", ISOTROPIC)
     for y in (22.0, 51.0, 77.0):
         scene.lay_cable(Cable(32000.0), [(0.0, y), (100.0, y + 3.0)], tension=10.0)
     for x in (33.0, 68.0):
@@ -652,8 +649,7 @@ def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:
         b, d, e = a + 1, a + n + 1, a + n + 2
         cells += [(a, b, e), (a, e, d)] if (i + j) % 2 else [(a, b, d), (b, e, d)]
     mesh = meshes.from_arrays(comm, points, np.array(cells))
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     ends = [(-5.0, rng.uniform(20, 80), 0.0), (105.0, rng.uniform(20, 80), 0.0)]
     others = [(rng.uniform(20, 80), -5.0, 0.0), (rng.uniform(20, 80), 105.0, 0.0)]
     L0 = [rng.uniform(108, 113) for _ in range(2)]

@@ -7,13 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 from cable_edits import put
+from cabled_square import clamped
 from mpi4py import MPI
 from polygon_twins import facets_of
 from ridged_square import OBLIQUE, ridged
 from table_twins import SlowTables, cells_around, meetings, sides_of
 from term_scene import ISOTROPIC, cable_square
 
-from crms_fenicsx import Cable, Scene, meshes
+from crms_fenicsx import Cable, meshes
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.cables.crossings import Meetings
 from crms_fenicsx.cabling.cables.element_tables import CableTables, damping
@@ -40,8 +41,7 @@ def with_edge_sliders(comm: MPI.Intracomm) -> System:
 
 def net(comm: MPI.Intracomm) -> System:
     """Two families of cables that cross, of which one ends inside the sheet."""
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 15.0), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 15.0), ISOTROPIC)
     for at in (22.0, 31.0, 43.0, 48.0, 77.0):
         end = 52.0 if at == 43.0 else 100.0
         scene.lay_cable(Cable(32000.0), [(0.0, at), (end, at + 7.0)], tension=20.0)

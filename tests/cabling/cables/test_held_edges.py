@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from cable_edits import put
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from ridged_square import OBLIQUE, ridged
 from scipy.optimize import minimize_scalar
@@ -30,8 +31,7 @@ def oblique(
     comm: MPI.Intracomm, shorter: float = 0.01, *, slide: bool = True
 ) -> tuple[Scene, LaidCable, Solver]:
     """An inflated square under a cable that is anchored off it on both sides."""
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 25.0), ISOTROPIC)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, "unstructured", ISOTROPIC)
     solver = Solver(scene, slide=slide)
     solver.advance(pressure=0.01)
     cable = scene.lay_cable(CABLE, OBLIQUE)
@@ -196,8 +196,7 @@ def test_supports_carry_what_the_cable_hands_on(comm) -> None:
 
 def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
     """All terms, with edge sliders, tied points and folds, on a floor."""
-    scene = Scene(irregular_square(comm), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm), ISOTROPIC)
     scene.floor(-1.0)
     scene.lay_cable(CABLE, OBLIQUE, tension=20.0)
     scene.lay_cable(Cable(20000.0), [(22, 52, 0), (130, 83, -4)], tension=20.0)
@@ -340,8 +339,7 @@ def test_nothing_but_edge_sliders_is_free() -> None:
     """A cable over one triangle that is held around: no force but across the edge sliders."""
     corners = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
     mesh = meshes.from_arrays(MPI.COMM_SELF, corners, np.array([[0, 1, 2]]))
-    scene = Scene(mesh, ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(mesh, ISOTROPIC)
     path = [(-4.0, 2.0, -3.0), (12.0, 5.0, -2.0)]
     cable = scene.lay_cable(CABLE, path, tension=3000.0)
     assert kinds(cable) == "a--a"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from form_meshes import SIDES
 from mpi4py import MPI
 from taylor import gradient_order, stiffness_error
@@ -40,9 +41,7 @@ def square(
 ) -> Scene:
     """A sheet, by default a stress-free foil, held all around."""
     mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / n, structured=structured)
-    scene = Scene(mesh, sheet)
-    scene.fix("boundary")
-    return scene
+    return clamped(mesh, sheet)
 
 
 def inflated(scene: Scene, pressure: float = 0.01) -> Solver:
@@ -146,8 +145,7 @@ def test_cables_turn_slack_on_a_nearly_flat_sheet(
     energies = []
     for with_cable in (True, False):
         mesh = meshes.rectangle(comm, 7.3 * unit, 5.1 * unit, 0.7 * unit)
-        scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 1.0, prestress=1.0))
-        scene.fix("boundary")
+        scene = clamped(mesh, IsotropicMembrane(300.0, 0.25, 1.0, prestress=1.0))
         if with_cable:
             ends = [(0.0, 2.3 * unit), (7.3 * unit, 2.9 * unit)]
             L0 = 1.0005 * unit * float(np.hypot(7.3, 0.6))

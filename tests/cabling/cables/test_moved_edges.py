@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -17,7 +18,6 @@ from crms_fenicsx import (
     PathError,
     PathWarning,
     Rotation,
-    Scene,
     Solver,
     meshes,
 )
@@ -44,8 +44,7 @@ def belted(
     It passes no vertex nearly, where the smoothing of its lengths would count."""
     stress = force / unit
     mesh = meshes.rectangle(comm, 8.0 * unit, 5.0 * unit, size * unit)
-    scene = Scene(mesh, IsotropicMembrane(400.0 * stress, 0.3, 1.0, prestress=1.5 * stress))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(400.0 * stress, 0.3, 1.0, prestress=1.5 * stress))
     ends = [(0.0, 0.7 * unit), (7.1 * unit, 5.0 * unit)]
     cable = scene.lay_cable(Cable(EA * force), ends, hold=hold, tension=PULL * force)
     solver = Solver(scene, rtol=1e-11)

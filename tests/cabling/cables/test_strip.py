@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from table_twins import cells_around
 from term_scene import ISOTROPIC, irregular_square
@@ -16,8 +17,7 @@ from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 def scene_of(comm: MPI.Intracomm) -> Scene:
     """A dome that is held around and stands a little beside its stress-free place."""
-    scene = Scene(irregular_square(comm, 20.0), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm, 20.0), ISOTROPIC)
     X = scene.V.tabulate_dof_coordinates()
     scene.u.x.array.reshape(-1, 3)[:] = 0.01 * X[:, [1, 2, 0]]
     return scene

@@ -20,7 +20,6 @@ from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.active_set import joining, parting
 from crms_fenicsx.cabling.contact.free_spans import Gap, under
 from crms_fenicsx.cabling.contact.lift_off import (
-    DEPTH,
     Polylines,
     captured,
     drape,
@@ -37,7 +36,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
-from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -248,7 +247,7 @@ def slow_under(
     span: tuple[Array, Array],
     shape: StripShape,
     bends: Sequence[Array] = (),
-    reach: float = PAST,
+    reach: float = TOL.reach,
 ) -> Gap:
     """The place of the membrane on a node's edge or vertex that a free span passes."""
     assert node.point is not None
@@ -267,7 +266,8 @@ def slow_under(
     for (a, b), size in zip(pairwise(line), sizes, strict=True):
         s, t = slow_crossing(a, b, start, end, normal)
         first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
-        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
+        inside = (s > -TOL.inside or not first) and (s < 1 + TOL.inside or not last)
+        inside = inside and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
         past = -1
         if 0.0 < t < 1.0 and not inside:
@@ -371,9 +371,9 @@ def test_a_span_above_a_valley_does_not_touch_it() -> None:
     np.testing.assert_allclose(cable.state.positions[:, 0], [0.0, 0.52, 1.0, 1.48, 2.0])
 
 
-@pytest.mark.parametrize(("depth", "touches"), [(0.5 * DEPTH, False), (2 * DEPTH, True)])
+@pytest.mark.parametrize(("depth", "touches"), [(0.5, False), (2.0, True)])
 def test_rounding_does_not_touch(depth: float, touches: bool) -> None:
-    shape = roof([0.0, depth, 0.0])
+    shape = roof([0.0, depth * TOL.contact, 0.0])
     cable, at = along(shape)
     set_lifted(cable, [1, 2, 3])
     assert (at[1.0] in captured(cable, shape)) == touches
@@ -394,7 +394,7 @@ def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
     put(cable, "positions", (-1, 1), 0.001)
     set_lifted(cable, [1, 2, 3])
     touch(cable, captured(cable, shape))
-    assert cable.state.fractions[at[1.0]] == INSIDE
+    assert cable.state.fractions[at[1.0]] == TOL.inside
 
 
 # ---- draping -----------------------------------------------------------------------------------
@@ -450,7 +450,7 @@ def test_drape_depends_on_no_state() -> None:
         )
         drape(cable, shape)
         found = [polyline_length(c.state.positions[c.contacts()]) for c in (cable, first)]
-        assert found[0] == pytest.approx(found[1], rel=1e-6)  # DEPTH
+        assert found[0] == pytest.approx(found[1], rel=1e-6)  # TOL.contact
         before = cable.state.lifted.copy()
         drape(cable, shape)
         np.testing.assert_array_equal(cable.state.lifted, before)

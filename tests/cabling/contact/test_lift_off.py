@@ -14,7 +14,6 @@ from contact_checks import deepest, strongest_pull
 from crms_fenicsx import Solver
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
 from crms_fenicsx.cabling.contact.lift_off import (
-    PULL,
     Polylines,
     is_foot,
     may_lift,
@@ -22,6 +21,7 @@ from crms_fenicsx.cabling.contact.lift_off import (
     released,
 )
 from crms_fenicsx.foundation.runtime.errors import PathError
+from crms_fenicsx.model.tolerances import TOL
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
 T_EXACT, W_EXACT, Z_EXACT = 148.667, -335.00, 8.6635
@@ -176,7 +176,7 @@ def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
         for k in may_lift(cable):
             if not lifted[k]:
                 normal, size = shape.normals_and_sizes([cable.state.nodes[k].support])
-                if outward_pulls(cable, [k], normal, size)[0] > PULL or is_foot(cable, k):
+                if outward_pulls(cable, [k], normal, size)[0] > TOL.contact or is_foot(cable, k):
                     slow.append(k)
         assert released(cable, shape) == slow
         found += len(slow)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import order, sheet
+from cabled_square import clamped, order, sheet
 from mpi4py import MPI
 from roped_drum import AROUND, EA, FREE, WRAP, exact_tensions, places, roped
 from taylor import OnMesh, dense, gradient_order, is_semidefinite
@@ -287,8 +287,7 @@ def test_step_law_knows_no_friction_along() -> None:
 
 def gripped(comm: MPI.Intracomm, bound: float = 3.0, eps: float = 0.05, seed: int = 0) -> System:
     """The irregular square with two cables that friction holds along, and one without."""
-    scene = Scene(irregular_square(comm), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm), ISOTROPIC)
     rough, rng = Friction(0.0, along=0.3), np.random.default_rng(seed)
     scene.lay_cable(Cable(3200.0, friction=rough), [(0, 31), (100, 52)], tension=20.0)
     scene.lay_cable(Cable(2000.0), [(22, 72), (78, 82)], tension=20.0)
@@ -359,8 +358,7 @@ def test_segments_as_short_as_rounding_are_not_stiff(comm) -> None:
 
 def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
     """It divides the span into segments, which share one elongation: only tensions hold it."""
-    scene = Scene(irregular_square(comm), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm), ISOTROPIC)
     rough = Friction(0.0, along=0.3)
     for path in [(0, 31), (100, 52)], [(22, 100), (38, 0)]:
         cable = scene.lay_cable(Cable(3200.0, friction=rough), path, tension=20.0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import PRESSURE, place, sheet
+from cabled_square import PRESSURE, clamped, place, sheet
 from friction_scene import friction_dome
 from reference_meshes import rotated_lattice
 
@@ -31,6 +31,7 @@ from crms_fenicsx.analysis.equilibrium import search
 from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
 from crms_fenicsx.cabling.paths.path_change import PathChange
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.model.tolerances import BUDGET
 
 MODEL_3 = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(0.0, 1.0, 0.0)
@@ -229,8 +230,7 @@ def test_crossing_cables(comm) -> None:
 def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) -> list[float]:
     """Tension and energies of a cable dragged over a lattice, units of force and length smaller."""
     mesh = meshes.from_arrays(comm, x * unit, cells)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
     solver = Solver(scene)
     solver.advance(pressure=PRESSURE / unit)
     path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * unit
@@ -310,7 +310,7 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.state.law.lateral, scene.energy, cable.state.positions.copy()
-    monkeypatch.setattr(search, "MAX_PASSES", 1)
+    monkeypatch.setitem(vars(BUDGET), "passes", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.state.law.lateral is before[0]
@@ -446,4 +446,4 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     with told if comm.rank == 0 else nullcontext():
         step = solver.advance(L0={cable: 0.985 * cable.length})
     assert step.outcome.unsettled == change
-    assert step.outcome.passes == search.PATIENCE + 1
+    assert step.outcome.passes == BUDGET.patience + 1

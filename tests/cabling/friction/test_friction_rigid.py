@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from processes import run
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
@@ -259,8 +260,7 @@ def vault(comm, friction, below=0.05):
     cells = np.concatenate(
         [np.stack([first, right, right + 1], 1), np.stack([first, right + 1, first + 1], 1)]
     )
-    scene = Scene(meshes.from_arrays(comm, points, cells), STIFF)
-    scene.fix("boundary")
+    scene = clamped(meshes.from_arrays(comm, points, cells), STIFF)
     scene.fix(lambda x: np.full(x.shape[1], True))
     end = np.array(
         [np.sin(half) + 0.3 * np.cos(half), 0.33, np.cos(half) - 0.3 * np.sin(half) - below]

@@ -25,6 +25,7 @@ from crms_fenicsx.model.friction import (
     MaterialCurve,
 )
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import TOL
 
 NOWHERE = MaterialCurve(
     np.zeros((1, 3)), np.zeros(1), np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1)
@@ -248,7 +249,7 @@ def test_end_of_a_step():
         assert not cable.state.law.lateral.moving.any()
         after = node_slips(cable, cable.state.law.lateral.curve, shape)
         np.testing.assert_allclose(after.slip, np.clip(before.slip, -eps, eps), atol=1e-12)
-        far = np.abs(before.slip) > iteration.SLIDES * before.size
+        far = np.abs(before.slip) > TOL.sliding * before.size
         assert far.any() and not far.all()
         np.testing.assert_array_equal(after.moving, np.sign(before.slip) * far)
         again = energies(cable, shape)
@@ -273,7 +274,7 @@ def test_kinetic_coefficient_where_it_slides():
     scene, shape = slid_dome(Friction(0.4, static=0.6), size=0.15)
     cable = scene.cables[0]
     slips = node_slips(cable, cable.state.law.lateral.curve, shape)
-    far = np.abs(slips.slip) > iteration.SLIDES * slips.size
+    far = np.abs(slips.slip) > TOL.sliding * slips.size
     assert far.any() and not far.all()
     rows = [cable.state.law.lateral.row_of[s] for s in slips.supports]
     bearing = contact_forces(cable, shape).bearing[slips.nodes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cable_edits import put
-from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
+from cabled_square import CABLE, KINDS, PRESSURE, clamped, place, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
@@ -143,8 +143,7 @@ def test_an_end_that_comes_to_lie_over_the_membrane_does_not_go_round_by_its_edg
 ) -> None:
     """A just taut cable over a flat sheet stays without tension, and comes back to its edge."""
     foil = IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0, prestress=2.0)
-    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, 2.5, structured=True), foil)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=foil, side=10.0)
     cable = scene.lay_cable(Cable(5000.0), [(0.0, 4.0), (10.0, 5.5)])
     solver = Solver(scene)
     solver.advance()
@@ -164,8 +163,7 @@ def test_an_end_that_comes_to_lie_under_the_membrane_goes_round_by_its_edge(comm
     mesh = meshes.rectangle(comm, 10.0, 10.0, 1.25, structured=True)
     found = []
     for steps in (1, 4):
-        scene = Scene(mesh, foil)
-        scene.fix("boundary")
+        scene = clamped(mesh, foil)
         solver = Solver(scene)
         solver.advance(pressure=2.0)
         cable = scene.lay_cable(Cable(500.0), [(0.0, 4.3), (10.0, 6.1)])

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cabling.paths import crossing_trials
+from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials, Way
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.model.tolerances import BUDGET
 
 
 def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,8 +38,7 @@ def loaded(comm: MPI.Intracomm, number: int, over: bool) -> Solver:
     inner = (np.abs(points[:, :2] - 50) < 49).all(axis=1)
     points[inner, :2] += draws.uniform(-1, 1, (inner.sum(), 2)) * 20 / n
     membrane = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
-    scene = Scene(meshes.from_arrays(comm, points, cells), membrane)
-    scene.fix("boundary")
+    scene = clamped(meshes.from_arrays(comm, points, cells), membrane)
     along, across = draws.uniform(20, 80, (2, 2))
     paths = [[(-5.0, along[0], 0.0), (105.0, along[1], 0.0)]]
     paths += [[(across[0], -5.0, 0.0), (across[1], 105.0, 0.0)]]
@@ -74,7 +74,7 @@ def test_ways_of_crossing_cables_do_not_depend_on_the_loads_before(number: int, 
 def test_repeating_a_load_starts_none_of_the_trials_beyond_the_limit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(crossing_trials, "MOST", 1)
+    monkeypatch.setitem(vars(BUDGET), "crossing_trials", 1)
     solver = loaded(MPI.COMM_SELF, 505, over=False)
     energy = solver.scene.energy
     outcome = solver.advance(pressure=0.01).outcome

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped, sheet
 from dome import HEIGHT, RADIUS
 from dome import dome as cap
 from numpy.testing import assert_allclose
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes, nets
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, nets
 
 EA = 30e3
 TENSION = 13.743
@@ -17,9 +18,7 @@ TENSION = 13.743
 
 def dome(comm, size: float) -> Scene:
     """The cap of demos/cable_net.py."""
-    scene = Scene(cap(comm, size), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
-    return scene
+    return clamped(cap(comm, size), IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 
 
 def over(scene: Scene, **how):
@@ -64,9 +63,7 @@ def test_tension_given(comm) -> None:
 
 
 def test_flat_membranes_have_one_length(comm) -> None:
-    mesh = meshes.rectangle(comm, 10.0, 10.0, 2.0)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, 5, "unstructured", side=10.0)
     lengths = [
         scene.lay_cable(Cable(EA), [(0.0, 4.3), (10.0, 6.1)], measured_on=where).L0
         for where in ("facets", "surface")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from term_scene import ISOTROPIC, irregular_square
 
@@ -33,8 +34,7 @@ def scene_of(comm: MPI.Intracomm, deformed: bool, seed: int) -> Scene:
     points, cells = whole_mesh()
     rng = np.random.default_rng(seed)
     ranks = rng.integers(comm.size, size=len(cells)) if seed else None
-    scene = Scene(from_arrays(comm, points, rng.permutation(cells), ranks=ranks), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(from_arrays(comm, points, rng.permutation(cells), ranks=ranks), ISOTROPIC)
     if deformed:
         bump = np.random.default_rng(7).normal(size=points.shape) * (0.3, 0.3, 1.0)
         scene.u.x.array[:] = bump[scene.membrane.vertex_ids].ravel()

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, PRESSURE, order, place, sheet
+from cabled_square import CABLE, PRESSURE, clamped, order, place, sheet
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.doubts import tension_range
@@ -34,8 +34,7 @@ def route(start, end, aside: float, h: float) -> list[tuple[float, float]]:
 
 def laid(comm, mesh, path, L0: float, way: str, friction: float = 0.0):
     """The cable, laid and inflated in one of several ways; returns its scene and the solver."""
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     solver = Solver(scene)
     cable = Cable(32000.0, friction=friction)
     if way == "after":
@@ -210,12 +209,10 @@ def polar_dome(comm, rings: int, angle: float):
         for k in range(around):
             a, b = 1 + i * around + k, 1 + i * around + (k + 1) % around
             cells += [(a, a + around, b), (b, a + around, b + around)]
-    scene = Scene(
+    return clamped(
         meshes.from_arrays(comm, np.array(points), np.array(cells)),
         IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3),
     )
-    scene.fix("boundary")
-    return scene
 
 
 def test_meridians_of_a_dome(comm) -> None:

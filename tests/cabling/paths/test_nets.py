@@ -20,7 +20,7 @@ from crms_fenicsx.cabling.paths.held_vertices import VertexRun
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.model.tolerances import TOL
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 
@@ -174,7 +174,7 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
     def of(self, cable, *args):
         near.clear()
         for node, fraction in zip(cable.state.nodes, cable.state.fractions.tolist(), strict=True):
-            if node.slides and min(fraction, 1 - fraction) < BEYOND:
+            if node.slides and min(fraction, 1 - fraction) < TOL.beyond:
                 near.add(node.support[int(fraction > 0.5)])
         return pull_cable(self, cable, *args)
 

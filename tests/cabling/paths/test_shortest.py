@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from dome import HEIGHT, RADIUS
 from dome import dome as cap
 
@@ -16,9 +17,7 @@ CIRCLE = nets.great_circle(RADIUS, HEIGHT, 0.3, 9.0)
 
 def dome(comm, size: float) -> Scene:
     """A cap on which a straight path in plan is longer than the great circle."""
-    scene = Scene(cap(comm, size), IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
-    return scene
+    return clamped(cap(comm, size), IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
 
 
 def off_circle(cable) -> float:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import InputError, IsotropicMembrane, Solver
 from crms_fenicsx.design.codes import asce7, asce7_16, asce7_22, combinations, en1990
 
 
@@ -105,9 +106,12 @@ def test_the_combinations_of_a_building_code() -> None:
 
 @pytest.mark.ranks
 def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
-    mesh = meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0))
-    scene.fix("boundary")
+    scene = sheet(
+        comm,
+        4,
+        material=IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0),
+        side=4.0,
+    )
     scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
     scene.put_load((0.0, 0.0, -0.2), name="snow", per="plan")
     solver = Solver(scene)

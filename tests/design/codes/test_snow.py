@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import InputError, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.design.codes import (
     CylindricalSnow,
     DriftedSnow,
@@ -85,8 +86,7 @@ def test_drift_beside_a_taller_building() -> None:
 def test_snow_on_a_cap_is_carried(comm: MPI.Intracomm) -> None:
     """Slopes below 30 degrees: the reaction is 0.8 s_k times the plan, with C_e and C_t."""
     mesh = meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0)
-    scene = Scene(mesh, FOIL)
-    scene.fix("boundary")
+    scene = clamped(mesh, FOIL)
     solver = Solver(scene)
     solver.advance(pressure=0.05)
     corners = scene.positions()[scene.V.dofmap.list[: mesh.mesh.topology.index_map(2).size_local]]

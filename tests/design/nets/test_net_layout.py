@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from curved_surfaces import unstructured
 from dome import dome
 from mpi4py import MPI
@@ -33,9 +34,7 @@ R = 10.0
 
 
 def scene_of(mesh: meshes.MembraneMesh) -> Scene:
-    scene = Scene(mesh, FABRIC)
-    scene.fix("boundary")
-    return scene
+    return clamped(mesh, FABRIC)
 
 
 def sheet(comm: MPI.Intracomm, size: float = 0.9) -> Scene:
@@ -308,13 +307,13 @@ def test_a_net_on_a_wall_needs_directions_in_space(comm) -> None:
 def test_equidistant_nets_slide_unless_they_are_clamped(comm) -> None:
     """Free to slide, its lines, which turn within the surface, straighten and hang loose."""
     scenes = {}
-    for clamped in (True, False):
+    for joined in (True, False):
         scene = scene_of(meshes.spherical_cap(comm, 8.0, 6.0, 1.2))
         net = nets.equidistant(scene, 2.0, (0.1, 0.05))
-        scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve", clamped=clamped)
+        scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve", clamped=joined)
         solver = Solver(scene)
         solver.advance(pressure=0.6)
-        scenes[clamped] = scene
+        scenes[joined] = scene
     tensions = np.array([cable.tension for cable in scenes[True].cables])
     assert len(scenes[True].clamps) == len(net.crossings) == 89 and tensions.min() > 0.1
     laid = {one.lines: one.place for one in net.crossings}

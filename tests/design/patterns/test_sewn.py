@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from cabled_square import clamped
 from mpi4py import MPI
 from pattern_surfaces import FABRIC, cone, half_cylinder, hypar
 from sewn_sphere import inflated_sphere
@@ -17,7 +18,6 @@ from crms_fenicsx import (
     ConvergenceError,
     InputError,
     IsotropicMembrane,
-    Scene,
     Solver,
     UflMembrane,
     meshes,
@@ -284,8 +284,7 @@ def test_misuse_is_named(comm: MPI.Intracomm) -> None:
     pattern = patterns.flatten(pieces, FABRIC)
     with pytest.raises(InputError, match="pattern is of type"):
         patterns.sew(pieces)  # type: ignore[arg-type]
-    plain = Scene(half_cylinder(comm, 2, 3, 4), FABRIC)
-    plain.fix("boundary")
+    plain = clamped(half_cylinder(comm, 2, 3, 4), FABRIC)
     with pytest.raises(InputError, match="not sewn of these"):
         patterns.compare(Solver(plain), pattern)
     with pytest.raises(InputError, match="expected a Solver"):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.design.study import adapt, marked_cells
 from crms_fenicsx.design.study.adaptivity import SAME, _fewest
 
@@ -54,8 +55,7 @@ def grid(comm, cells, **how):
 
 def model_2(mesh):
     """A cable over the inflated square, just taut, that anchors beyond it pull down."""
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.put_load((0.0, 0.0, -0.001), name="snow")
     solver = Solver(scene, rtol=1e-9)
     solver.advance(pressure=0.01)
@@ -129,8 +129,7 @@ def test_build_must_use_the_mesh(comm):
 
 
 def test_scene_without_load_has_nothing_to_adapt(comm):
-    scene = Scene(grid(comm, 2), IsotropicMembrane(300.0, 0.25, 0.08))
-    scene.fix("boundary")
+    scene = clamped(grid(comm, 2), IsotropicMembrane(300.0, 0.25, 0.08))
     solver = Solver(scene)
     solver.advance()
     with pytest.raises(InputError, match="the estimated error is zero; load the scene"):

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 
 from crms_fenicsx import (
     Cable,
@@ -31,8 +32,7 @@ def grid(comm, cells, **how):
 
 def square(mesh):
     """The clamped square under pressure."""
-    scene = Scene(mesh, FABRIC)
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC)
     solver = Solver(scene, rtol=1e-10)
     solver.advance(pressure=0.01)
     return solver
@@ -178,8 +178,7 @@ def test_displacement_between_vertices(comm):
 
 def under_cable(mesh):
     """A cable of a given length over the middle of the square."""
-    scene = Scene(mesh, FABRIC)
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC)
     scene.lay_cable(Cable(EA=32000.0), [(0.0, 50.0, 0.0), (SIDE, 50.0, 0.0)], L0=100.6)
     solver = Solver(scene)
     solver.advance(pressure=0.01)

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cable_edits import put
+from cabled_square import clamped, sheet
 from mpi4py import MPI
 from petsc4py import PETSc
 from ridged_square import OBLIQUE, preconditioners, ridged
 from taylor import noise
 from term_scene import cable_square, displaced
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
+from crms_fenicsx.analysis.equilibrium import system as equilibrium
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
-from crms_fenicsx.energy.minimization import newton
 from crms_fenicsx.energy.minimization.initial_hessian import (
     SHIFT,
     WORKSPACE,
     InitialHessian,
     direct_solver,
 )
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 from crms_fenicsx.model.laid_cable import polyline_length
 
 
@@ -64,8 +69,7 @@ def test_its_memory_is_there_beforehand_and_not_much_too_much(comm) -> None:
 
 def test_its_memory_is_exact_without_cables() -> None:
     mesh = meshes.rectangle(MPI.COMM_SELF, 3.0, 2.0, 0.5)
-    scene = Scene(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
     allocated = len(Solver(scene).system.minimizer.h0.matrix.getValuesCSR()[2])
     edges, vertices = (mesh.mesh.topology.index_map(dim).size_global for dim in (1, 0))
     assert allocated == 9 * (vertices + 2 * edges)
@@ -118,9 +122,7 @@ def test_a_scene_without_tension_has_no_dyads(comm) -> None:
 
 def test_held_anchors_do_not_set_its_size(comm) -> None:
     """An anchor within rounding of its held place has a stiff link to it, which must not count."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, 4)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 51.0), (100.0, 31.0)], tension=10.0)
     solver = Solver(scene)
     put(cable, "positions", 0, cable.state.positions[0] + 1e-15)
@@ -162,16 +164,22 @@ def multigrid():
     database.delValue("pc_type")
 
 
+def use(monkeypatch, **numbers) -> None:
+    """Have solvers minimise with other numbers."""
+    minimizer = partial(Minimizer, strategy=replace(STRATEGY, **numbers))
+    monkeypatch.setattr(equilibrium, "Minimizer", minimizer)
+
+
 def test_multigrid_is_for_many_unknowns(comm, monkeypatch) -> None:
     """But not under cables."""
-    monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.DIRECT", 0)
+    use(monkeypatch, direct=0)
     assert preconditioners(comm) == ["gamg", "cholesky"]
 
 
 @pytest.mark.ranks
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, multigrid) -> None:
     """Held components and those across edge sliders are no business of its coarse levels."""
-    monkeypatch.setattr("crms_fenicsx.energy.minimization.initial_hessian.ACCURACY", 1e-11)
+    use(monkeypatch, cg_accuracy=1e-11)
     solver, _ = cabled(comm)
     solver.advance(pressure=0.01)
     h0, potential = solver.system.minimizer.h0, solver.system.potential
@@ -196,8 +204,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
 @pytest.mark.ranks
 def test_multigrid_leads_to_the_same_equilibrium(comm, multigrid, monkeypatch) -> None:
     """By the same H0: the second derivatives, which may be indefinite, are for factorisations."""
-    monkeypatch.setattr(newton, "EXACT", 0.0)
-    monkeypatch.setattr(newton, "SLOW", np.inf)
+    use(monkeypatch, exact=0.0, slow=np.inf)
     database = PETSc.Options("crms_h0_")
     database["pc_type"] = "cholesky"
     solver, cables = cabled(comm)
@@ -248,8 +255,6 @@ def test_petscs_own_factorisation_leads_to_the_same_equilibrium(
             "crms_fenicsx.energy.minimization.initial_hessian.direct_solver",
             lambda _, own=solver: own,
         )
-        mesh = meshes.rectangle(MPI.COMM_SELF, 100.0, 100.0, 25.0)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        scene.fix("boundary")
+        scene = sheet(MPI.COMM_SELF, 4, "unstructured")
         energies.append(Solver(scene).advance(pressure=0.01).energy)
     np.testing.assert_allclose(energies, energies[0], rtol=1e-10)

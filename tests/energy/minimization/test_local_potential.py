@@ -11,6 +11,7 @@ from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 
 from crms_fenicsx.energy.minimization.local_potential import LocalPotential, gather
 from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 pytestmark = pytest.mark.ranks
 
@@ -31,8 +32,8 @@ def local_potential(potential, blocks):
     """The potential of some blocks, and which blocks of the whole its own are."""
     moves = np.zeros(potential.unknowns.n_local, dtype=bool)
     moves[blocks] = True
-    clusters = gather(potential, moves, np.zeros_like(moves))
-    return LocalPotential(potential, clusters), clusters.numbers
+    clusters = gather(potential, moves, np.zeros_like(moves), STRATEGY.largest_cluster)
+    return LocalPotential(potential, clusters, STRATEGY), clusters.numbers
 
 
 def free_blocks(potential, points=True, vertices=False):

@@ -10,14 +10,12 @@ from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Solver
-from crms_fenicsx.energy.minimization import newton
 from crms_fenicsx.energy.minimization.newton import NewtonMethod
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 
 class Relaxation:
     """Relaxes to the given energies, one after another."""
-
-    afar = 0.2
 
     def __init__(self, energies: list[float]) -> None:
         self.energies, self.count = energies, 0
@@ -33,7 +31,7 @@ def method(energies: list[float] | None = None) -> tuple[NewtonMethod, Relaxatio
     relaxation = Relaxation(energies or [])
     potential = SimpleNamespace(energy=lambda: relaxation.energies[relaxation.count - 1])
     arguments = cast(tuple[Any, Any, Any], (potential, SimpleNamespace(), relaxation))
-    return NewtonMethod(*arguments), relaxation
+    return NewtonMethod(*arguments, STRATEGY), relaxation
 
 
 def test_second_derivatives_come_early_where_steps_make_little_progress() -> None:
@@ -46,7 +44,7 @@ def test_second_derivatives_come_early_where_steps_make_little_progress() -> Non
     assert found == [False, False, True, False, True]
     own._tries_early = False
     assert not any(own.wants_exact(residual, 1.0) for residual in (0.049, 0.048, 0.047))
-    assert own.wants_exact(0.9 * newton.EXACT, 1.0)
+    assert own.wants_exact(0.9 * STRATEGY.exact, 1.0)
 
 
 def test_second_derivatives_come_back_where_h0_stalls() -> None:
@@ -57,7 +55,7 @@ def test_second_derivatives_come_back_where_h0_stalls() -> None:
     assert not own.is_quick(0.1, 1.0)
     assert not own.wants_exact(1e-3, 1.0)
     own.take_over(0.1, 0.1, 1.0)
-    for count in range(newton.NEWTON_STAGES):
+    for count in range(STRATEGY.newton_stages):
         assert not own.trusts_exact, count
         own.check_progress(0.09)
     assert own.trusts_exact
@@ -72,7 +70,7 @@ def test_second_derivatives_come_back_where_h0_stalls() -> None:
     [
         (1.0, [5.0, 2.0, -1.0, -9.0], 3, -1.0),  # until the energy has fallen
         (1.0, [5.0, 4.9, 1.0], 2, 4.9),  # until that gains less than a tenth
-        (1.0, [0.8**k for k in range(20)], newton.FULL_ROUNDS, 0.8 ** (newton.FULL_ROUNDS - 1)),
+        (1.0, [0.8**k for k in range(20)], STRATEGY.full_rounds, 0.8 ** (STRATEGY.full_rounds - 1)),
         (1.0, [5.0], 2, 5.0),  # until the points are balanced
         (0.5, [5.0, 2.0, -1.0], 1, 5.0),
     ],

@@ -9,40 +9,35 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.equilibrium.contribution import unloaded_scales
-from crms_fenicsx.energy.minimization.outcome import (
-    FALL,
-    NO_STRAIN,
-    STAGES,
-    Stalling,
-    is_unstressed,
-)
+from crms_fenicsx.energy.minimization.outcome import NO_STRAIN, Stalling, is_unstressed
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 
 def stage_of_end(residuals: np.ndarray, energies: np.ndarray, per_stage: int = 1) -> float:
     """Stage at which the solve is given up; infinite if it is not."""
-    stalling = Stalling()
+    stalling = Stalling(STRATEGY)
     for k, (residual, energy) in enumerate(zip(residuals, energies, strict=True)):
         if stalling.ends(k / per_stage, residual, energy):
             return k / per_stage
     return np.inf
 
 
-K = np.arange(8 * STAGES)
+K = np.arange(8 * STRATEGY.stall)
 
 
 def test_residual_and_energy_that_stand_still_end_a_solve() -> None:
-    """After `STAGES` stages, however the residual jumps up and down, also by Newton's method."""
+    """After a number of stages, however the residual jumps, also by Newton's method."""
     residuals = 1e-3 * (1.5 + np.sin(7.0 * K)) / 1.5
     energies = np.full(len(K), 40.0)
-    assert STAGES < stage_of_end(residuals, energies) <= STAGES + 10
+    assert 0 < stage_of_end(residuals, energies) - STRATEGY.stall <= 10
     assert stage_of_end(residuals, energies, 8) == np.inf  # these are fewer stages
 
 
 def test_slow_fall_of_the_residual_is_progress() -> None:
-    """By half in fewer stages than `STAGES`, not in more."""
+    """By half in fewer stages than `STRATEGY.stall`, not in more."""
     energies = np.full(len(K), -3.0)
-    assert stage_of_end(0.5 ** (K / (0.8 * STAGES)), energies) == np.inf
-    assert stage_of_end(0.5 ** (K / (1.5 * STAGES)), energies) < 2 * STAGES
+    assert stage_of_end(0.5 ** (K / (0.8 * STRATEGY.stall)), energies) == np.inf
+    assert stage_of_end(0.5 ** (K / (1.5 * STRATEGY.stall)), energies) < 2 * STRATEGY.stall
 
 
 def test_fall_of_the_energy_is_progress() -> None:
@@ -50,7 +45,7 @@ def test_fall_of_the_energy_is_progress() -> None:
     residuals = np.full(len(K), 1e-3)
     for energy in (40.0, -40.0):
         for rate, ends in ((2.0, False), (0.5, True)):
-            energies = energy - abs(energy) * rate * FALL / STAGES * K
+            energies = energy - abs(energy) * rate * STRATEGY.least_fall / STRATEGY.stall * K
             assert (stage_of_end(residuals, energies) < np.inf) == ends
     assert stage_of_end(residuals, 1e-9 * 0.9**K) == np.inf
 

@@ -1,12 +1,15 @@
 """Local relaxation on several ranks: as on one, wherever the elements of a cluster are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 from taylor import noise
 from term_scene import cable_square, displaced
 
-from crms_fenicsx.energy.minimization import relaxation
+from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
@@ -65,10 +68,9 @@ def solved():
 
 @pytest.mark.parametrize("ranks", [None, scattered, sectors], ids=["default", "any", "sectors"])
 @pytest.mark.parametrize("kind", ["points", "patch"])
-def test_relaxed_state_is_that_of_one_rank(comm, solved, ranks, kind, monkeypatch):
-    monkeypatch.setattr(relaxation, "PATCH_RINGS", 1)  # three would be all of this small mesh
-    if kind == "patch":
-        monkeypatch.setattr(relaxation, "MOST", 1.0)
+def test_relaxed_state_is_that_of_one_rank(comm, solved, ranks, kind):
+    # three rings would be all of this small mesh
+    strategy = replace(STRATEGY, patch_rings=1, most_relaxed=1.0 if kind == "patch" else 0.5)
     states, steps = [], []
     for processes, division in ((MPI.COMM_SELF, None), (comm, ranks)):
         system = cable_square(processes, ranks=division)
@@ -77,7 +79,7 @@ def test_relaxed_state_is_that_of_one_rank(comm, solved, ranks, kind, monkeypatc
         potential.x[: system.unknowns.n_owned] = shaken(system, solved)
         potential.place()
         potential.evaluate()
-        before, local = by_key(potential), relaxation.LocalRelaxation(potential)
+        before, local = by_key(potential), LocalRelaxation(potential, strategy)
         assert local.relax_points(0.0) if kind == "points" else local.relax_patch(10.0)
         states.append(by_key(potential))
         steps.append(local.steps)

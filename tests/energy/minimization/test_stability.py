@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
 from crms_fenicsx.energy.minimization.stability import ExactTangent, is_convex_from
 
 COMM = MPI.COMM_SELF
@@ -17,8 +18,7 @@ COMM = MPI.COMM_SELF
 def solved(weight: float) -> Solver:
     """A sheet with a cable and a prop, its tangent with dyads; unstable under more water."""
     soft = IsotropicMembrane(E=10.0, nu=0.3, thickness=1.0, prestress=1.0)
-    scene = Scene(meshes.rectangle(COMM, 4.0, 4.0, 1.0, structured=True), soft)
-    scene.fix("boundary")
+    scene = sheet(COMM, 4, material=soft, side=4.0)
     scene.lay_cable(Cable(100.0), [(0.0, 1.3), (4.0, 2.1)], tension=0.5)
     prop = scene.add_bar(Bar(1e3), (3.0, 3.0, -2.0), scene.vertex_at((3.0, 3.0, 0.0)))
     scene.put_load((0.0, 0.0, 0.02), name="lift", per="plan")
@@ -60,9 +60,9 @@ def test_against_a_dense_matrix(weight: float) -> None:
 
 def test_a_way_is_convex_or_not() -> None:
     """Of a bar that is pushed through its flat state, and one that is not."""
-    scene = Scene(meshes.rectangle(COMM, 2.0, 2.0, 1.0, structured=True),
-                  IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0, prestress=1.0))  # fmt: skip
-    scene.fix("boundary")
+    scene = sheet(
+        COMM, 2, material=IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0, prestress=1.0), side=2.0
+    )
     top = scene.add_joint((0.0, 9.0, 1.0), held="xy")
     scene.add_bar(Bar(1e3), (4.0, 9.0, 0.0), top)
     solver = Solver(scene, stability="ignore")

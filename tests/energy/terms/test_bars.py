@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from taylor import Points, TermOnPoints, gradient_order, is_semidefinite, noise, stiffness_error
 
-from crms_fenicsx import Bar, IsotropicMembrane, Scene, meshes
+from crms_fenicsx import Bar, IsotropicMembrane, meshes
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.energy.minimization.taylor import TermsWithDyads, stiffness_order
 from crms_fenicsx.energy.terms.bar_energy import SLACK, BarEnergy, BarTable
@@ -110,8 +111,7 @@ def test_loads_on_joints_are_linear():
 def test_bars_between_joints_and_vertices_of_any_rank(comm):
     """The first rank computes bars to vertices that it has not."""
     mesh = meshes.rectangle(comm, 8.0, 6.0, 2.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     top = scene.add_joint((4.0, 3.0, -2.0))
     for x in (0.0, 2.0, 8.0):
         for y in (0.0, 4.0, 6.0):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from dolfinx import fem
 from reference_meshes import square
 from taylor import OnMesh, gradient_order, noise
@@ -27,9 +28,7 @@ from crms_fenicsx.model.membrane_load import fixed_direction_load
 
 
 def lifted_scene(comm):
-    scene = Scene(irregular_square(comm, 20.0), ISOTROPIC)
-    scene.fix("boundary")
-    return scene
+    return clamped(irregular_square(comm, 20.0), ISOTROPIC)
 
 
 def wavy(points, normals):
@@ -112,8 +111,7 @@ def test_a_scene_without_a_load_has_none(comm):
 @pytest.mark.ranks
 def test_supports_carry_the_load(comm):
     """The reactions balance weight to the solver's tolerance; so do they with cables that fold."""
-    scene = Scene(irregular_square(comm), ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm), ISOTROPIC)
     scene.put_load((0.0, 0.0, -0.01))
     cable = scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], hold="sleeve", L0=SIDE)
     solver = Solver(scene)

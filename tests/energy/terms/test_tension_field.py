@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from reference_meshes import square
 from taylor import fitted_order
@@ -17,11 +18,12 @@ from twisted_annulus import radial, reference, small_twist_torque, twisted
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.analysis.steps.load_step import Step
-from crms_fenicsx.energy.minimization.minimizer import REBUILD
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 from crms_fenicsx.energy.terms import stress_laws as compiled
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.materials import UNSTRAINED, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.tolerances import UNSTRAINED
 
 Array = npt.NDArray[Any]
 
@@ -238,8 +240,7 @@ def uniaxial_or_linear(material: MembraneMaterial, e: Array, state: int) -> Arra
 def test_patch(comm: MPI.Intracomm, state: str, warp: Any) -> None:
     """Uniform deformation: exact stress and state of each cell, plain or folded by a cable."""
     material = OrthotropicMembrane(1394.0, 140.0, 30.0, 0.02, 1.0, warp=warp)
-    scene = Scene(irregular_square(comm), material)
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm), material)
     F, X = GRADIENTS[state], scene.V.tabulate_dof_coordinates()
     scene.u.x.array[:] = (X[:, :2] @ F.T - X).ravel()
     ends = np.array([(0.0, 31.0), (100.0, 52.0)]) @ F.T
@@ -292,8 +293,7 @@ def test_inflated_square_of_isotropic_data(comm: MPI.Intracomm) -> None:
         IsotropicMembrane(E, nu, t),
         OrthotropicMembrane(E, E, E / (2 * (1 + nu)), nu, t, warp=(1.0, 0.7, 0.0)),
     ):
-        scene = Scene(mesh, material)
-        scene.fix("boundary")
+        scene = clamped(mesh, material)
         solver = Solver(scene)
         solver.advance(pressure=0.01)
         energies.append(scene.energy)
@@ -312,8 +312,7 @@ def test_step_wise_strain_refuses_it(comm: MPI.Intracomm) -> None:
 def narrowed(comm: MPI.Intracomm, n: int) -> tuple[Scene, Solver, Step]:
     """A clamped square of model 3's fabric, warp along x, that is narrowed by 3 % along x and
     inflated."""
-    scene = Scene(square(comm, n), OrthotropicMembrane(1394.0, 140.0, 12.0, 0.065, 1.0))
-    scene.fix("boundary")
+    scene = clamped(square(comm, n), OrthotropicMembrane(1394.0, 140.0, 12.0, 0.065, 1.0))
     u = scene.u.x.array.reshape(-1, 3)
     held = scene.held.all(axis=1)
     u[held, 0] = -0.03 * (scene.V.tabulate_dof_coordinates()[held, 0] - 50.0)
@@ -376,7 +375,7 @@ def test_twisted_annulus_converges(comm: MPI.Intracomm, name: str) -> None:
         state = solver.results().state
         wrinkled = comm.allreduce(int(np.count_nonzero(state == 1)))
         assert wrinkled > 0.9 * comm.allreduce(len(state))
-        assert step.outcome.evaluations + REBUILD * step.outcome.factorizations <= 40
+        assert step.outcome.evaluations + STRATEGY.rebuild * step.outcome.factorizations <= 40
     assert np.abs(errors[-1]).max() < 2e-3
     for error in np.array(errors).T:
         assert np.all(error > 0), "the mesh is too stiff"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from taylor import noise
 from term_scene import ISOTROPIC, SIDE, corners, irregular_square
@@ -13,9 +14,7 @@ from crms_fenicsx.model.membrane_load import wind_load
 
 
 def fixed(mesh):
-    scene = Scene(mesh, ISOTROPIC)
-    scene.fix("boundary")
-    return scene
+    return clamped(mesh, ISOTROPIC)
 
 
 def gusty(points, normals):
@@ -115,8 +114,7 @@ def test_supports_carry_the_wind_of_the_shape_that_it_leads_to(comm):
 
 
 def test_wind_needs_the_exact_pressure(comm):
-    scene = Scene(irregular_square(comm, 20.0), ISOTROPIC, pressure="step")
-    scene.fix("boundary")
+    scene = clamped(irregular_square(comm, 20.0), ISOTROPIC, pressure="step")
     scene.put_wind(0.01, -1.0)
     solver = Solver(scene)
     with pytest.raises(InputError, match=r"'wind' = 0.5.*pressure=\"total\""):

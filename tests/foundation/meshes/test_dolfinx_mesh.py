@@ -5,9 +5,10 @@ from typing import Any
 import dolfinx.mesh
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, MeshError, Scene, Solver, meshes
+from crms_fenicsx import InputError, IsotropicMembrane, MeshError, Solver, meshes
 
 pytestmark = pytest.mark.ranks
 
@@ -85,8 +86,7 @@ def test_a_roof_of_such_a_mesh(comm: MPI.Intracomm) -> None:
     own = meshes.rectangle(comm, width=4.0, depth=3.0, size=0.5, structured=True)
     energies = []
     for membrane, where in ((meshes.from_dolfinx(mesh, None, facet_tags), "9"), (own, "back")):
-        scene = Scene(membrane, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        scene.fix("boundary")
+        scene = clamped(membrane, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
         solver = Solver(scene)
         energies.append(solver.advance(pressure=0.1).energy)
         assert solver.reactions(where).total[1] > 0.0

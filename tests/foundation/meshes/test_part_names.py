@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
@@ -65,8 +66,7 @@ CALLS: dict[str, Callable[[Solver, Any], object]] = {
 @pytest.mark.parametrize("call", CALLS)
 def test_parts_that_only_share_cells_are_refused_everywhere(comm: MPI.Intracomm, call: str) -> None:
     """By name, the same words whatever the order; disjoint parts are taken."""
-    scene = Scene(zoned(comm), FABRIC)
-    scene.fix("boundary")
+    scene = clamped(zoned(comm), FABRIC)
     solver, texts = Solver(scene), set[str]()
     for order in (1, -1):
         with pytest.raises(InputError, match=f"{call}: part 'east' shares.* part 'south'") as one:

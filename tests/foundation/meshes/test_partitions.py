@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -11,7 +12,6 @@ from crms_fenicsx import (
     Friction,
     IsotropicMembrane,
     OrthotropicMembrane,
-    Scene,
     Solver,
     meshes,
 )
@@ -65,8 +65,7 @@ PARTITIONS = {
 def square(ranks, material=FABRIC):
     """The clamped, inflated square."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, SIDE, SIDE, SIDE / CELLS, structured=True, ranks=ranks)
-    scene = Scene(mesh, material)
-    scene.fix("boundary")
+    scene = clamped(mesh, material)
     solver = Solver(scene, rtol=1e-10)
     solver.advance(pressure=0.01)
     return scene, solver
@@ -162,8 +161,7 @@ def test_everything_is_written_by_ranks_without_cells(tmp_path):
     mesh = meshes.rectangle(MPI.COMM_WORLD, SIDE, SIDE, 25.0, structured=True, ranks=without(0))
     counts = MPI.COMM_WORLD.allgather(mesh.mesh.topology.index_map(2).size_local)
     assert counts[0] == 0 and min(counts[1:3]) > 0 and sum(counts) == 32
-    scene = Scene(mesh, FABRIC)
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC)
     solver = Solver(scene, results=folder / "results")
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 30.0), (SIDE, 38.0)])
     solver.advance(pressure=0.01)

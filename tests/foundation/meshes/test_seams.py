@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from taylor import OnMesh, gradient_order, noise
 from walled_roof import edge_counts, group_edges, ids, roof_mesh, walled_roof
@@ -296,8 +297,7 @@ def test_seams_with_two_ways_on(comm):
 
 def test_pressure_on_both_sides_of_a_seam_needs_it_held(comm):
     mesh = roof_mesh(comm)
-    everywhere = Scene(mesh, ROOF)
-    everywhere.fix("boundary")
+    everywhere = clamped(mesh, ROOF)
     with pytest.raises(InputError, match=r"in a seam, at \(50, .*pressure_on=\[\"roof\"\]"):
         Solver(everywhere).advance(pressure=0.01)
     everywhere.fix(lambda x: np.isclose(x[0], 50.0) & np.isclose(x[2], 0.0))
@@ -314,8 +314,7 @@ def test_pressure_on_a_part_of_a_flat_sheet(comm):
     points, cells, _ = walled_roof(n=4, walls=())
     left = np.flatnonzero(points[cells][:, :, 0].max(axis=1) < 51.0)
     mesh = meshes.from_arrays(comm, points, cells, parts={"left": left})
-    scene = Scene(mesh, ROOF, pressure_on=["left"])
-    scene.fix("boundary")
+    scene = clamped(mesh, ROOF, pressure_on=["left"])
     solver = Solver(scene)
     with pytest.raises(InputError, match=r"end, or meet in a seam, at \(50"):
         solver.advance(pressure=0.01)

@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import clamped, sheet
 from processes import MPIRUN, ROOT, run
 from reference_meshes import rotated_lattice
 
@@ -161,8 +161,7 @@ def test_the_order_of_keys_does_not_count(comm) -> None:
         mesh = meshes.from_arrays(comm, points, cells, parts=parts, edges={"rim": [(0, 1)]})
         foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
         stiffer = IsotropicMembrane(E=400.0, nu=0.25, thickness=0.08)
-        scene = Scene(mesh, ordered({"a": foil, "b": stiffer}, own))
-        scene.fix("boundary")
+        scene = clamped(mesh, ordered({"a": foil, "b": stiffer}, own))
         cables = [
             scene.lay_cable(Cable(EA=32000.0), [(0.0, y), (100.0, y + 5.0)]) for y in (30.0, 47.0)
         ]

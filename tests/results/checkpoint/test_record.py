@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from cabled_square import clamped
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -28,8 +29,7 @@ from crms_fenicsx import (
     nets,
 )
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.results.checkpoint.contents import scene_record
-from crms_fenicsx.results.checkpoint.journal import difference
+from crms_fenicsx.results.checkpoint.journal import difference, scene_record
 
 
 class Springs(EnergyTerm):
@@ -165,15 +165,12 @@ def roof() -> Scene:
     points = [(0, 0, 0), (10, 0, 0), (10, 10, 0), (0, 10, 0), (5, 5, 3)]
     cells = [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
     mesh = meshes.from_arrays(MPI.COMM_SELF, points, cells)
-    scene = Scene(mesh, OrthotropicMembrane(**FABRIC, wrinkling=False))
-    scene.fix("boundary")
-    return scene
+    return clamped(mesh, OrthotropicMembrane(**FABRIC, wrinkling=False))
 
 
 def raised(**given: Any) -> Scene:
     dome = meshes.spherical_cap(MPI.COMM_SELF, 10.0, 4.0, 2.0)
-    scene = Scene(dome, OrthotropicMembrane(**FABRIC))
-    scene.fix("boundary")
+    scene = clamped(dome, OrthotropicMembrane(**FABRIC))
     scene.lay_cable(Cable(50.0), [(-8.0, 0.0), (8.0, 0.3)], hold="sleeve", **given)
     return scene
 

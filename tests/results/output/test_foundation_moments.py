@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from report_page import read_csv
 
-from crms_fenicsx import Bar, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.results.foundations import FoundationPoint
 from crms_fenicsx.results.output.report.foundation_tables import summed
 
@@ -40,8 +41,7 @@ def test_moment_of_a_braced_mast(
     foil = IsotropicMembrane(
         E=800.0 * force / length, nu=0.3, thickness=1.0, prestress=force / length
     )
-    scene = Scene(mesh, foil)
-    scene.fix("boundary")
+    scene = clamped(mesh, foil)
     top = scene.add_joint((10.0 * length, 0.0, 5.0 * length), name="top")
     feet = {"mast": (10.0, 0.5, 0.0), "guy a": (13.0, 2.0, 0.0), "guy b": (13.0, -2.0, 1.0)}
     for name, foot in feet.items():

@@ -6,16 +6,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.output.report.pdf_and_views import Scale, with_scales
+from crms_fenicsx import Cable, IsotropicMembrane, Solver
+from crms_fenicsx.results.output.report.pictures import Scale, with_scales
 
 
 def roof(comm: MPI.Intracomm) -> Solver:
     foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0)
-    scene = Scene(meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True), foil)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=foil, side=8.0)
     scene.put_load((0.0, 0.0, -0.05), name="snow")
     solver = Solver(scene)
     scene.lay_cable(Cable(1e4), [(0.0, 3.3), (8.0, 4.2)], tension=1.0, name="ridge")

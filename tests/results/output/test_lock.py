@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import InputError, Solver
 from crms_fenicsx.foundation.runtime import files
 from crms_fenicsx.results.output import History
 
@@ -31,9 +32,7 @@ def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
 
 
 def solver_of(comm: MPI.Intracomm, folder: Path | str, cells: int = 2, **options: bool) -> Solver:
-    mesh = meshes.rectangle(comm, 1.0, 1.0, size=1.0 / cells, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, cells, side=1.0)
     return Solver(scene, results=folder, **options)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -16,7 +17,6 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     UflMembrane,
-    meshes,
 )
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.results.output.report.model_tables import model_of_scene
@@ -26,10 +26,8 @@ COMM = MPI.COMM_SELF
 WOVEN: dict[str, Any] = {"G12": 30.0, "nu21": 0.2, "warp": (0.0, 1.0, 0.0), "prestress": (2, 1)}
 
 
-def sheet(material: MembraneMaterial, **options: Any) -> Scene:
-    scene = Scene(meshes.rectangle(COMM, 4.0, 4.0, 2.0, structured=True), material, **options)
-    scene.fix("boundary")
-    return scene
+def scene_of(material: MembraneMaterial, **options: Any) -> Scene:
+    return sheet(COMM, 2, material=material, side=4.0, **options)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +48,7 @@ def sheet(material: MembraneMaterial, **options: Any) -> Scene:
 def test_materials_are_told_by_force_per_length(
     material: MembraneMaterial, text: str | None
 ) -> None:
-    (row,) = model_of_scene(sheet(material), Units("m", "kN"), {}).tables["materials"].rows
+    (row,) = model_of_scene(scene_of(material), Units("m", "kN"), {}).tables["materials"].rows
     assert "kN/m²" not in str(row[3])
     assert row[3] == text or (text is None and "psi = function" in str(row[3]))
 
@@ -59,13 +57,13 @@ def test_warp_of_cells_with_shapes_of_their_own() -> None:
     """No direction of the material, which is not computed with."""
     frames = np.tile([[(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)]], (8, 1, 1))
     fabric = OrthotropicMembrane(900.0, 600.0, thickness=1.0, **WOVEN)
-    (row,) = model_of_scene(sheet(fabric, frames=frames), Units(), {}).tables["materials"].rows
+    (row,) = model_of_scene(scene_of(fabric, frames=frames), Units(), {}).tables["materials"].rows
     assert "warp = as the pieces are cut" in str(row[3])
 
 
 def test_strengths_are_told() -> None:
     """Utilisations can be followed: of cables, guys, and masts with their curve."""
-    scene = sheet(IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0))
+    scene = scene_of(IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0))
     scene.lay_cable(Cable(EA=2e3), [(0.0, 1.7), (4.0, 2.2)], name="A1")
     rough = Cable(EA=2e3, friction=Friction(0.1, along=0.2))
     scene.lay_cable(rough, [(1.7, 0.0), (2.2, 4.0)], name="A2")

@@ -37,6 +37,7 @@ from crms_fenicsx.results.output.figures.draw_paths import _spaced_steps
 from crms_fenicsx.results.output.figures.draw_surface import outline_of, sides_among
 from crms_fenicsx.results.output.figures.picture import Camera, brightness, visible
 from crms_fenicsx.results.output.figures.plots import default_panels, units_of_results
+from crms_fenicsx.results.view_data import Surface
 
 
 def grid(n: int, height: float = 0.0) -> tuple[Array, NDArray[np.int64]]:
@@ -436,7 +437,7 @@ def test_outline_counts_vertices_at_one_place_once() -> None:
     points, triangles = grid(4)
     own = points[triangles].reshape(-1, 3)  # each triangle brings its own vertices
     for p, t in ((points, triangles), (own, np.arange(len(own)).reshape(-1, 3))):
-        ends = outline_of(p, t)
+        ends = outline_of(Surface(p, t))
         assert ends.shape == (16, 2, 3)
         middles = ends.mean(axis=1)[:, :2]
         assert np.isin(middles, [0.0, 100.0]).any(axis=1).all()

@@ -23,8 +23,8 @@ from crms_fenicsx.energy.minimization.minimizer import Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.results.output import History, Line, draw, draw_history, draw_paths
 from crms_fenicsx.results.output.figures import draw_scene
-from crms_fenicsx.results.output.figures.draw_scene import QUANTITY_OF
 from crms_fenicsx.results.output.figures.plots import default_panels
+from crms_fenicsx.results.quantities import QUANTITY_OF
 from crms_fenicsx.results.recovered_values import at_facets, recovered
 
 pytestmark = pytest.mark.usefixtures("comm")

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from PIL import Image
 from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
-from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Solver
 from crms_fenicsx.results.cable_order import CableOrder, Order
 from crms_fenicsx.results.output.report import pictures as pictures_of_reports
 from crms_fenicsx.results.output.report import sections
@@ -46,8 +47,7 @@ def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     """A roof of two halves over a wall, a cable across it, snow and wind."""
     ranks = (lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None
     mesh = roof_mesh(comm, ranks, n=4, size=8.0, height=2.0, rise=1.0, levels=1)
-    scene = Scene(mesh, FABRIC, pressure_on=["roof"])
-    scene.fix("boundary")
+    scene = clamped(mesh, FABRIC, pressure_on=["roof"])
     scene.put_load((0.0, 0.0, -0.3), name="snow", per="plan")
     scene.put_wind(0.5, -0.6)
     solver = Solver(scene)
@@ -288,12 +288,12 @@ def test_bars_are_as_long_as_their_values() -> None:
     rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
     text = html(BarChart("Utilisation", rows, limit=1.0))
     Page(text)
-    widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
+    widths = [float(x) for x in re.findall(r"; width: ([\d.]+)%", text)]
     assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
     assert text.count('class="over"') == 1
-    assert "0.5000 to 1.250</text>" in text
+    assert "0.5000 to 1.250</div>" in text
     nothing = [BarChart("nothing", []), BarChart("slack", [("a", 0.0, 0.0)])]
-    assert "<svg" not in html(*nothing, BarChart("many", rows * 30))
+    assert "<figure" not in html(*nothing, BarChart("many", rows * 30))
 
 
 def test_tables_group_rows_of_one_heading() -> None:

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
 from report_page import Page, read_csv
 
-from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.results.output.report.case import case_of, shape_of
 from crms_fenicsx.results.output.report.results_tables import families
 
@@ -22,8 +23,7 @@ def braced(comm: MPI.Intracomm, folder: Path | None = None) -> Solver:
     """A cushion under snow and water, with a cable from a guyed mast, and a prop below."""
     ranks = lambda x: np.full(len(x), comm.size - 1)  # noqa: E731
     mesh = meshes.rectangle(comm, SIDE, SIDE, 2.0, structured=True, ranks=ranks)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
     scene.put_load((0.0, 0.0, -SNOW), name="snow", per="plan")
     scene.put_pond(WATER, volume=0.3, name="puddle")
     prop = scene.vertex_at((2.0, 4.0, 0.0))
@@ -122,8 +122,7 @@ def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, tmp_path: Path) -> 
     """Those of a belt by the one with the largest force; tables in files have all."""
     folder = Path(comm.bcast(str(tmp_path)))
     mesh = meshes.rectangle(comm, 10.0, 4.0, 1.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
-    scene.fix("boundary")
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
     row = [scene.vertex_at((float(x), 2.0, 0.0)) for x in range(11)]
     for k, (one, other) in enumerate(pairwise(row), 1):
         scene.add_bar(Bar(EA=50.0 * k), one, other, name=f"belt {k}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 from report_page import Page
 
@@ -19,11 +20,11 @@ from crms_fenicsx import (
     IsotropicMembrane,
     Scene,
     Solver,
-    meshes,
 )
 from crms_fenicsx.design.study import adapt, convergence
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.model.tolerances import BUDGET
 
 
 @pytest.fixture
@@ -37,9 +38,7 @@ def fabric(E: float) -> IsotropicMembrane:
 
 def roof(comm: MPI.Intracomm) -> Solver:
     """A square under snow, air, a cable and a bar, in equilibrium."""
-    mesh = meshes.rectangle(comm, 10.0, 10.0, 2.5, structured=True)
-    scene = Scene(mesh, fabric(1e3))
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=fabric(1e3), side=10.0)
     scene.add_bar(Bar(100.0), (5.0, 5.0, 5.0), scene.vertex_at((5.0, 5.0, 0.0)), name="hanger")
     scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (10.0, 4.0)], tension=3.0, name="ridge")
     scene.put_load((0.0, 0.0, -1.0), name="snow")
@@ -154,7 +153,7 @@ def test_a_step_that_fails_leaves_what_was_verified(
     scene = solver.scene
     scene.put_wind(0.3, -0.8)
     other = Solver(scene, max_halvings=1)
-    monkeypatch.setattr("crms_fenicsx.analysis.steps.increment_solver.MAX_FOLLOWER_SOLVES", 1)
+    monkeypatch.setitem(vars(BUDGET), "follower_solves", 1)
     with pytest.raises(ConvergenceError, match="still turns"):
         other.advance(load={"wind": 1.0})
     assert solver.summary().in_equilibrium
@@ -168,8 +167,7 @@ def test_another_solver_and_a_scene_without_steps(comm: MPI.Intracomm, folder: P
     assert verdict(page_of(other, folder / "now.html")).startswith("Verified")
     other.advance(load=0.3)
     assert verdict(page_of(solver, folder / "now.html")).startswith("Verified")
-    fresh = Scene(meshes.rectangle(comm, 1.0, 1.0, 0.5, structured=True), fabric(1e3))
-    fresh.fix("boundary")
+    fresh = sheet(comm, 2, material=fabric(1e3), side=1.0)
     assert verdict(page_of(Solver(fresh), folder / "now.html")).startswith("Not in equilibrium")
     with pytest.raises(InputError, match="no load step has found"):
         Solver(fresh).estimate_error()
@@ -243,8 +241,7 @@ def test_combinations_of_models_that_differ_are_refused(comm: MPI.Intracomm, fol
 
 def test_the_base_state_of_a_loaded_state(comm: MPI.Intracomm, folder: Path) -> None:
     """Of a report without combinations: the state in which loads were first brought on."""
-    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, 2.5, structured=True), fabric(1e3))
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=fabric(1e3), side=10.0)
     scene.put_load((0.0, 0.0, -1.0), name="snow")
     solver = Solver(scene)
     solver.advance(pressure=0.5)

@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.results.output.report.case import (
@@ -27,9 +28,9 @@ from crms_fenicsx.results.output.report.sections import with_codes
 @pytest.fixture(scope="module")
 def case(comm: MPI.Intracomm) -> Case:
     """A square under snow with a cable and a prop, both known by their strengths."""
-    mesh = meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
-    scene.fix("boundary")
+    scene = sheet(
+        comm, 4, material=IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0), side=8.0
+    )
     scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (8.0, 4.0)], tension=3.0, name="ridge")
     prop = Bar(EA=1e3, EI=1.0, strength=50.0, curve="a")
     scene.add_bar(prop, scene.vertex_at((4.0, 6.0, 0.0)), (4.0, 6.0, -2.0), name="prop")

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Solver
 from crms_fenicsx.results.output import write_vtkhdf
 
 NAMES = ["ridge/1", "mast"]
@@ -19,8 +20,7 @@ TABLE = {"heavy snow": {"snow": 1.0}, "Sturm ü": {"wind": 1.0}}
 
 def roof(comm: MPI.Intracomm) -> Solver:
     foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0)
-    scene = Scene(meshes.rectangle(comm, 8.0, 8.0, 2.0, structured=True), foil)
-    scene.fix("boundary")
+    scene = sheet(comm, 4, material=foil, side=8.0)
     scene.add_bar(Bar(EA=1e4), (9.0, 0.0, 0.0), (9.0, 0.0, 4.0), name="mast")
     for name, sign in {"snow": -0.05, "wind": 0.05}.items():
         scene.put_load((0.0, 0.0, sign), name=name)

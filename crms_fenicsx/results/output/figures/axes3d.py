@@ -313,11 +313,6 @@ def _corners(low: Array, high: Array) -> Array:
 
 
 def _decimals(ticks: Array) -> int:
-    """Number of decimals that distinguishes the ticks."""
-    if len(ticks) < 2:
-        return 0 if len(ticks) == 0 or float(ticks[0]).is_integer() else 3
-    step = float(np.diff(ticks).min())
-    for decimals in range(12):
-        if np.allclose(np.round(ticks, decimals), ticks, rtol=0, atol=1e-6 * step):
-            return decimals
-    return 12
+    """Number of decimals that shows the ticks as they are."""
+    least = 1e-6 * float(np.diff(ticks).min(initial=1.0))
+    return next((k for k in range(12) if np.all(abs(np.round(ticks, k) - ticks) <= least)), 12)

@@ -28,7 +28,13 @@ from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
 from crms_fenicsx.results.output.figures.draw_paths import draw_path
 from crms_fenicsx.results.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.results.output.figures.plots import units_of_results
-from crms_fenicsx.results.quantities import QUANTITIES, HasSystem, load_label, load_values
+from crms_fenicsx.results.quantities import (
+    QUANTITIES,
+    QUANTITY_OF,
+    Solved,
+    load_label,
+    load_values,
+)
 from crms_fenicsx.results.reactions import gap, held_ends
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 from crms_fenicsx.results.view_data import (
@@ -36,6 +42,7 @@ from crms_fenicsx.results.view_data import (
     Surface,
     bar_lines,
     cable_lines,
+    held_places,
     point_homes,
     surface_piece,
     whole_surface,
@@ -55,9 +62,6 @@ SIGNED = "RdYlBu_r"
 """Colour map of tension and compression."""
 
 
-QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
-QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
-"""Cell quantities by their names as colours."""
 COLOURS = ("height", "displacement", *QUANTITY_OF)
 """Colours of the membrane that `draw` accepts."""
 
@@ -78,7 +82,7 @@ def label_of(colour: str) -> tuple[str, str]:
 
 @collective
 def draw(
-    solver: HasSystem,
+    solver: Solved,
     filename: str | Path | None = None,
     *,
     colour: str | None = None,
@@ -214,10 +218,8 @@ def _recovered(system: System, colour: str | None) -> Array:
 def _supports(scene: Scene) -> dict[str, Any]:
     """Held edges, (h, 2, 3), and held points off them, (k, 3), on all ranks. Collective."""
     rim = held_rim(scene)
-    own = scene.V.dofmap.index_map.size_local
-    held = scene.positions()[:own][scene.held[:own].any(axis=1)]
     places = np.concatenate([
-        *scene.comm.allgather(held),
+        held_places(scene)[0],
         *(joint.position[None] for joint in scene.joints if joint.held.any()),
         *(end.place[None] for end in held_ends(scene)),
     ])  # fmt: skip

@@ -211,9 +211,9 @@ def draw_shape(
     _paint_surface(axes3d, spatial, flat, values, paint, shown, ghostly)
     # depth of a cable below unfolded triangles
     tolerance = 0.006 * size
-    _paint_outline(axes3d, surface, flat, _BEHIND * size, INK)
+    _paint_seen(axes3d, outline_of(surface), flat, _BEHIND * size, INK)
     if faint is not None:
-        _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
+        _paint_seen(axes3d, outline_of(faint), flat[:0], tolerance, (*_GHOST, 0.6))
     _paint_seen(axes3d, held, flat, _BEHIND * size, INK, 2.4)
     if len(feet):
         _paint_feet(axes3d, camera.project(feet), flat, tolerance)
@@ -363,14 +363,6 @@ def _paint_triangles(
     )  # fmt: skip
 
 
-def _paint_outline(
-    axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
-) -> None:
-    """Paint the visible part of a surface's outline; triangles `flat` may hide it."""
-    outline = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
-    _paint_seen(axes3d, outline, flat, tolerance, colour)
-
-
 def _paint_seen(
     axes3d: Axes3D, strokes: Array, flat: Array, tolerance: float, colour: Any, thick: float = 0.8
 ) -> None:
@@ -407,8 +399,9 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> Array:
     return np.where(points < 3.0, 0.0, np.clip((points - 3.0) / 12.0, 0.15, 1.0))
 
 
-def outline_of(points: Array, triangles: Integers) -> Array:
+def outline_of(surface: Surface) -> Array:
     """End points (b, 2, 3) of edges with one triangle; coincident vertices count as one."""
+    points, triangles = np.asarray(surface.points), np.asarray(surface.triangles)
     if len(triangles) == 0:
         return np.empty((0, 2, 3))
     step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0

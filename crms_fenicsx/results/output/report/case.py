@@ -16,8 +16,8 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.report.page import Figure, Verdict, number, per_cent, place
-from crms_fenicsx.results.quantities import HasSystem
-from crms_fenicsx.results.summary import Summary, held_groups, summary
+from crms_fenicsx.results.quantities import Solved
+from crms_fenicsx.results.summary import Summary, summary
 
 Corner = tuple[float, ...]
 
@@ -42,7 +42,7 @@ class Case:
     view: str = ""
 
 
-def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
+def case_of(solver: Solved, name: str, before: Shape) -> Case:
     """Record the current state of a solver's scene, which had the shape `before`. Collective."""
     system = solver.system
     found, scene, comm = summary(system), system.scene, solver.comm
@@ -50,9 +50,8 @@ def case_of(solver: HasSystem, name: str, before: Shape) -> Case:
                              *(bar.points for bar in scene.bars)])  # fmt: skip
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
-    groups = {key: dofs for key, (_, dofs) in held_groups(scene.membrane).items()}
     return Case(
-        name, found, checked, foundations(system, groups), shape_change(before, scene),
+        name, found, checked, foundations(system), shape_change(before, scene),
         recovered(membrane_results(system), found), *box(comm, places),
     )  # fmt: skip
 

@@ -28,8 +28,7 @@ from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
 from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row, clean, families, part_name
-from crms_fenicsx.results.reactions import held_lengths
-from crms_fenicsx.results.summary import held_groups
+from crms_fenicsx.results.reactions import held_groups, held_lengths
 
 
 @dataclass(frozen=True)
@@ -219,7 +218,7 @@ def _supports(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     own, comm = scene.V.dofmap.index_map.size_local, scene.comm
     groups = held_groups(scene.membrane)
-    for name in partition(scene, {key: dofs for key, (_, dofs) in groups.items()}):
+    for name in partition(scene):
         if name not in groups:
             continue
         directions, dofs = groups[name]

@@ -1,16 +1,21 @@
-"""Elements of a report page: sections of texts, figures, charts and tables; units."""
+"""Elements of a report page: sections of texts, figures, charts and tables; units; printing."""
 
 from __future__ import annotations
 
 import base64
 import math
+import os
+import shutil
 import struct
+import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.plots import units_of_results
 from crms_fenicsx.results.output.history import csv_line
 
@@ -135,47 +140,30 @@ class BarChart:
     rows: Sequence[tuple[str, float, float]]
     limit: float | None = None
     kind: ClassVar[str] = "chart"
-    WIDE: ClassVar[float] = 760.0  # drawing units; width right of the longest bar, for its values
-    BESIDE: ClassVar[float] = 140.0
-    LETTER: ClassVar[float] = 6.6  # mean width of a letter
     MOST: ClassVar[int] = 40  # largest number of bars; more are unreadable
 
     @property
     def is_empty(self) -> bool:
         """Whether there are no bars, too many, or only zeros."""
-        return not 0 < len(self.rows) <= self.MOST or self._most <= 0.0
+        return not 0 < len(self.rows) <= self.MOST or self.most <= 0.0
 
     @property
-    def _most(self) -> float:
+    def most(self) -> float:
+        """The largest value, which spans the chart's width."""
         return max([high for *_, high in self.rows] + [self.limit or 0.0], default=0.0)
 
     @property
-    def left(self) -> float:
-        """Start of the bars, right of the longest name (drawing units)."""
-        longest = max(len(name) for name, *_ in self.rows)
-        return min(max(self.LETTER * longest + 16.0, 120.0), 0.6 * self.WIDE)
-
-    @property
-    def scale(self) -> float:
-        """Drawing units per unit of value."""
-        return (self.WIDE - self.BESIDE - self.left) / self._most
-
-    @property
     def drawn(self) -> list[tuple[str, float, float, str, bool]]:
-        """Name, start, width and text of each bar, and whether it exceeds the limit."""
-        ranges, found = any(low > 0.0 for _, low, _ in self.rows), []
-        for name, low, high in self.rows:
-            text = f"{number(low)} to {number(high)}" if ranges else number(high)
-            width = max(self.scale * (high - low), 1.5)
-            over = self.limit is not None and high > self.limit
-            found.append((name, self.scale * low, width, text, over))
-        return found
-
-    @property
-    def words(self) -> str:
-        """Alternative text with all values."""
-        every = (f"{name}: {number(low)} to {number(high)}" for name, low, high in self.rows)
-        return f"{self.caption}. {'; '.join(every)}"
+        """Name, start, width (per cent) and text of each bar, and whether it exceeds the limit."""
+        ranges, per = any(low > 0.0 for _, low, _ in self.rows), 100.0 / self.most
+        return [
+            (
+                name, per * low, per * (high - low),
+                f"{number(low)} to {number(high)}" if ranges else number(high),
+                self.limit is not None and high > self.limit,
+            )
+            for name, low, high in self.rows
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -339,3 +327,43 @@ class Units:
     def headings(self, text: str) -> list[str]:
         """Headings from a text such as "Length{length}|State", with units."""
         return text.format_map(self).split("|")
+
+
+BROWSERS = (
+    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
+    "microsoft-edge", "msedge",
+)  # fmt: skip
+"""Browsers, in the order of search."""
+
+
+def browser() -> str:
+    """Path of the browser: from the variable CRMS_BROWSER, or the first one found."""
+    own = os.environ.get("CRMS_BROWSER")
+    names = [own] if own else BROWSERS
+    found = next((path for name in names if (path := shutil.which(name))), "")
+    if not found:
+        raise InputError(
+            f"report: pdf=True needs a browser that prints, and there is no {own or BROWSERS[0]}; "
+            "install one (apt install chromium) or name one in the variable CRMS_BROWSER. Without "
+            "pdf=True open the page in any browser, and print it to a file on A4."
+        )
+    return found
+
+
+def print_page(html: str, path: Path) -> None:
+    """Print an HTML page to PDF on A4."""
+    with tempfile.TemporaryDirectory() as folder:
+        page, pdf = Path(folder) / "page.html", Path(folder) / "page.pdf"
+        page.write_text(html, encoding="utf-8")
+        command = [
+            browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
+            f"--user-data-dir={folder}/profile", f"--print-to-pdf={pdf}", page.as_uri(),
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+            trouble = done.stderr.strip().splitlines()[-1:] if done.returncode else []
+        except subprocess.TimeoutExpired:
+            trouble = ["it took more than 120 s"]
+        if not pdf.exists():
+            raise InputError(f"report: {command[0]} printed no PDF; {''.join(trouble)}")
+        path.write_bytes(pdf.read_bytes())

@@ -1,24 +1,27 @@
-"""Pictures of a report: load cases, model, loads, foundation forces."""
+"""Pictures and interactive views of a report: load cases, model, loads, foundation forces."""
 
 from __future__ import annotations
 
 import io
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from html import escape
 from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.errors import raised_together
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.draw_scene import (
     LOAD,
     MOST_STROKES,
-    QUANTITY_OF,
     SIGNED,
     draw,
     label_of,
@@ -28,20 +31,26 @@ from crms_fenicsx.results.output.figures.draw_surface import outline_of
 from crms_fenicsx.results.output.figures.plans import ForcePlan, ModelPlan, draw_forces, draw_model
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
-from crms_fenicsx.results.output.report.page import Figure, Units
-from crms_fenicsx.results.output.report.pdf_and_views import interactive_view
+from crms_fenicsx.results.output.report.page import Figure, Units, rendered
 from crms_fenicsx.results.output.report.results_tables import families
-from crms_fenicsx.results.quantities import HasSystem, load_label
+from crms_fenicsx.results.quantities import (
+    QUANTITIES,
+    QUANTITY_OF,
+    SUMMED_UP,
+    Solved,
+    fields_of,
+    load_label,
+)
 from crms_fenicsx.results.reactions import gap
-from crms_fenicsx.results.summary import SUMMED_UP
-from crms_fenicsx.results.view_data import Line, whole_shape
+from crms_fenicsx.results.recovered_values import judged_utilisation, patches
+from crms_fenicsx.results.view_data import Line, to_pyvista, whole_shape
 
 SHARPEST = 150
 """Largest resolution of pictures (pixels per inch), for up to 20 of them."""
 
 
 def with_pictures(
-    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
+    solver: Solved, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
 ) -> Case:
     """The case with pictures of the solver's current state. Collective."""
     common = _common(every)
@@ -53,7 +62,7 @@ def with_pictures(
     pictures = []
     for colour in colours:  # one colour bar per picture, to leave room for the shape
         fabric = None if colour == TENSION else colour
-        forces = QUANTITY_OF.get(colour) in SUMMED_UP and colour not in ("strain", "utilisation")
+        forces = label_of(colour)[1] == "stress"
         options |= {
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
             "directions": forces, "loose": "lifted" if fabric is None else None,
@@ -67,17 +76,25 @@ def with_pictures(
 
 
 def with_view(
-    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
+    solver: Solved, case: Case, every: Sequence[Case], colours: Sequence[str], units: Units
 ) -> Case:
     """The case with an interactive page of the solver's current state. Collective."""
     known = (one for one in colours if QUANTITY_OF.get(one) in SUMMED_UP)
-    colour = next(known, "stress")
-    limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
-    labels = units[label_of(colour)[1]], units["force"]
-    return replace(case, view=interactive_view(solver, case.name, colour, limits, labels))
+    colour, results = next(known, "stress"), membrane_results(solver.system)
+    fields, scene, page = fields_of(results), solver.scene, ""
+    if "utilisation" in fields:
+        judged = judged_utilisation(results, patches(scene)).shown
+        fields["utilisation"] = judged.mean(axis=1)
+    blocks = to_pyvista(scene, fields, None)
+    with raised_together(solver.comm):
+        if blocks is not None:
+            limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
+            view, scales = _view(blocks, colour, limits, units)
+            page = with_scales(view, case.name, scales)
+    return replace(case, view=page)
 
 
-def draw_png(solver: HasSystem, *, dpi: int, **options: Any) -> bytes:
+def draw_png(solver: Solved, *, dpi: int, **options: Any) -> bytes:
     """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
     figure, buffer = draw(solver, width=6.0, **options), io.BytesIO()
     if figure is not None:
@@ -124,7 +141,7 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     return (low, max(high, 0.0)) if low < high else None
 
 
-def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list[Figure]:
+def model_figures(solver: Solved, caption: str, unit: str, look: Any) -> list[Figure]:
     """The model in space and in plan, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
     png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
@@ -140,7 +157,7 @@ def model_figures(solver: HasSystem, caption: str, unit: str, look: Any) -> list
     return found
 
 
-def _model_plan(solver: HasSystem) -> ModelPlan:
+def _model_plan(solver: Solved) -> ModelPlan:
     """Contents of the model's plan, on all ranks. Collective."""
     scene, comm = solver.system.scene, solver.comm
     own = scene.mesh.mesh.topology.index_map(2).size_local
@@ -180,7 +197,7 @@ def _held_points(scene: Scene) -> dict[str, Array]:
     return found
 
 
-def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
+def load_figures(solver: Solved, units: Units, look: Any) -> list[Figure]:
     """A picture of each load at factor 1, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
     on_joints = {load.name for load in scene.loads if load.joints}
@@ -199,9 +216,7 @@ def load_figures(solver: HasSystem, units: Units, look: Any) -> list[Figure]:
 def outline_in_plan(scene: Scene) -> Array:
     """Current edges of membrane and bars, (k, 2, 3), on all ranks. Collective."""
     surface = whole_shape(scene)
-    edges: Array = np.zeros((0, 2, 3))
-    if surface is not None:
-        edges = outline_of(np.asarray(surface.points), np.asarray(surface.triangles))
+    edges = np.zeros((0, 2, 3)) if surface is None else outline_of(surface)
     bars = [bar.points for bar in scene.bars]
     return np.concatenate([scene.comm.bcast(edges), np.reshape(bars, (-1, 2, 3))])
 
@@ -224,3 +239,107 @@ def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> lis
             png = draw_forces(plan, held.units.length, held.units.force, 110)
             figures.append(Figure(png, f"{case.name}: forces on the foundations"))
     return figures
+
+
+INSTALL = (
+    "report: interactive=True needs pyvista and its trame: pip install "
+    '"pyvista[jupyter]", or this package with its extra [interactive].'
+)
+FABRIC_MAP, LINES_MAP, TICKS = "viridis", "YlOrRd", 5
+"""Colour maps of the fabric and of cables and bars, and number of ticks of a scale."""
+PLAIN, EDGES, SUPPORT, SHAPE = "#dfe5ec", "#8a94a0", "#1d1f24", (1100, 760)
+"""Colours of plain fabric, cell edges and supports; window size (pixels)."""
+
+
+def check_interactive() -> None:
+    """Raise `ImportError` if interactive pages cannot be made, by making a small one."""
+    try:
+        import pyvista
+    except ImportError as error:
+        raise ImportError(f"{INSTALL} ({error})") from None
+    with _plotter(pyvista) as plotter:
+        plotter.add_mesh(pyvista.PolyData(np.zeros((1, 3))))
+        _export(plotter)
+
+
+@contextmanager
+def _plotter(pyvista: Any) -> Iterator[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyvista's deprecations and missing displays
+        plotter = pyvista.Plotter(off_screen=True, window_size=list(SHAPE))
+        try:
+            yield plotter
+        finally:
+            plotter.close()
+
+
+def _export(plotter: Any) -> str:
+    # pyvista 0.49 has moved it to the package trame-pyvista
+    exporter = plotter.trame if hasattr(plotter, "trame") else plotter
+    try:
+        return str(exporter.export_html(None).getvalue())
+    except ImportError as error:
+        raise ImportError(f"{INSTALL} ({error})") from None
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A colour scale, shown beside the view, as vtk.js would put all scales in one place."""
+
+    label: str  # with unit
+    map: str  # of matplotlib
+    limits: tuple[float, float]
+
+    @property
+    def colours(self) -> list[str]:
+        """Evenly spaced colours, #rrggbb."""
+        from matplotlib import colormaps
+        from matplotlib.colors import to_hex
+
+        return [to_hex(colormaps[self.map](x)) for x in np.linspace(0.0, 1.0, 17)]
+
+    @property
+    def ticks(self) -> list[float]:
+        """Values of the ticks."""
+        return [float(x) for x in np.linspace(*self.limits, TICKS)]
+
+
+def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
+    """A vtk.js page with its title and colour scales."""
+    shown = rendered("scales.html", title=title, scales=scales)
+    page = re.sub("<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", page, count=1)
+    return re.sub("<body[^>]*>", lambda found: f"{found[0]}\n{shown}", page, count=1)
+
+
+def _view(
+    blocks: Any, colour: str, limits: Mapping[str, tuple[float, float] | None], units: Units
+) -> tuple[str, list[Scale]]:
+    """Interactive page, with the ranges of "membrane" and "lines", and its colour scales."""
+    import pyvista
+
+    scales: list[Scale] = []
+
+    def scaled(mesh: Any, name: str, scale: Scale, **look: Any) -> None:
+        scales.append(scale)
+        plotter.add_mesh(mesh, scalars=name, cmap=scale.map, clim=scale.limits,
+                         show_scalar_bar=False, **look)  # fmt: skip
+
+    with _plotter(pyvista) as plotter:
+        plotter.set_background("white")
+        name = QUANTITY_OF.get(colour, "")
+        fabric = blocks["membrane"]
+        edges = {"show_edges": True, "edge_color": EDGES}
+        if name in fabric.cell_data:
+            label = f"{QUANTITIES[name].label}{units[QUANTITIES[name].unit]}"
+            own = limits["membrane"] or fabric.get_data_range(name)
+            scaled(fabric, name, Scale(label, FABRIC_MAP, own), line_width=0.5, **edges)
+        else:
+            plotter.add_mesh(fabric, color=PLAIN, **edges)
+        present = blocks.keys()
+        for kind in (one for one in ("cables", "bars") if one in present):
+            own = limits["lines"] or blocks[kind].get_data_range("tension")
+            scaled(blocks[kind], "tension", Scale(f"axial force{units['force']}", LINES_MAP, own))
+        if "supports" in present:
+            plotter.add_mesh(blocks["supports"], color=SUPPORT, point_size=6.0)
+        plotter.view_isometric()
+        return _export(plotter), list(dict.fromkeys(scales))

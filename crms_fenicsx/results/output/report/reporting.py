@@ -22,7 +22,7 @@ from crms_fenicsx.foundation.runtime.files import absolute, make_writable, repla
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
-from crms_fenicsx.results.output.figures.draw_scene import COLOURS, QUANTITY_OF
+from crms_fenicsx.results.output.figures.draw_scene import COLOURS
 from crms_fenicsx.results.output.report.case import (
     Case,
     Shape,
@@ -30,10 +30,10 @@ from crms_fenicsx.results.output.report.case import (
     shape_of,
 )
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.results.output.report.page import MACROS, PageSection
-from crms_fenicsx.results.output.report.pdf_and_views import browser, check_interactive, print_page
+from crms_fenicsx.results.output.report.page import MACROS, PageSection, browser, print_page
 from crms_fenicsx.results.output.report.pictures import (
     TENSION,
+    check_interactive,
     force_figures,
     load_figures,
     model_figures,
@@ -43,7 +43,7 @@ from crms_fenicsx.results.output.report.pictures import (
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
-from crms_fenicsx.results.quantities import Solved, names_of
+from crms_fenicsx.results.quantities import QUANTITY_OF, Solved, names_of
 
 NOW = "Current state"
 """Case name in a report without combinations."""

@@ -20,8 +20,8 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
     place,
 )
-from crms_fenicsx.results.quantities import QUANTITIES
-from crms_fenicsx.results.summary import ALL_SUPPORTS, SUMMED_UP, Extreme
+from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
+from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
@@ -47,20 +47,23 @@ class ResultTables:
         every = (name for case in self.cases for name in getattr(case.summary, kind))
         return list(dict.fromkeys(every))
 
+    def by_name(self, kind: str) -> Iterator[tuple[str, list[tuple[str, Any]]]]:
+        """Name of each item of a kind, and (case, result) pairs."""
+        for name in self.names(kind):
+            every = ((case.name, getattr(case.summary, kind)) for case in self.cases)
+            yield name, [(case, known[name]) for case, known in every if name in known]
+
     def each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
         """Name, case and result of each item of a kind."""
-        for name in self.names(kind):
-            for case in self.cases:
-                if name in getattr(case.summary, kind):
-                    yield name, case.name, getattr(case.summary, kind)[name]
+        return ((name, *one) for name, found in self.by_name(kind) for one in found)
 
     def _extremes(self, case: Case) -> Iterator[tuple[str, str, str, Extreme, Extreme]]:
         """Part, name and label of each quantity, with its minimum and maximum."""
         for part, found in case.summary.parts.items():
             for name in (name for name in SUMMED_UP if name in found.largest):
-                one, scale = QUANTITIES[name], _in_per_cent(name)
+                one, scale = QUANTITIES[name], QUANTITIES[name].scale
                 label = one.label[:1].upper() + one.label[1:]
-                label += " [%]" if scale != 1.0 else self.units[one.unit] if one.unit else ""
+                label += self.units[one.unit] if one.unit else " [%]"
                 low, high = (replace(x[name], value=scale * x[name].value)
                              for x in (found.least, found.largest))  # fmt: skip
                 yield part, name, label, low, high
@@ -112,7 +115,7 @@ class ResultTables:
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
-            nodal, peak = None if smooth is None else _in_per_cent(name) * smooth, ""
+            nodal, peak = None if smooth is None else QUANTITIES[name].scale * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
@@ -129,8 +132,7 @@ class ResultTables:
     def patches(self) -> Table:
         """Reinforced corners, and what plain fabric would bear there, over all cases."""
         rows: list[Row] = []
-        for name in self.names("patches"):
-            found = [(case, one) for own, case, one in self.each("patches") if own == name]
+        for name, found in self.by_name("patches"):
             governs, most = max(found, key=lambda one: one[1].utilisation)
             patch = most.patch
             radius = "given" if patch.given else "a twentieth of the distance to the next"
@@ -164,7 +166,7 @@ class ResultTables:
             parts = [(case.name, case.summary.parts[part]) for case in self.cases]
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
-            at, scale = place(high.at, self.size), _in_per_cent(name)
+            at, scale = place(high.at, self.size), QUANTITIES[name].scale
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
             rows.append((part_name(part), label, small, least, most, largest, at))
         columns = self.units.headings(
@@ -194,8 +196,7 @@ class ResultTables:
     def cable_envelope(self) -> Table:
         """Smallest and largest tension of each cable over all cases."""
         rows: list[Row] = []
-        for name in self.names("cables"):
-            found = [(case, one) for own, case, one in self.each("cables") if own == name]
+        for name, found in self.by_name("cables"):
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
             share = high.largest / self.strengths[name] if name in self.strengths else None
@@ -363,11 +364,6 @@ class ResultTables:
         if far:
             found.append(Paragraph(f"Below {per_cent(FINE)} of their limits: {', '.join(far)}."))
         return found
-
-
-def _in_per_cent(name: str) -> float:
-    """Display factor of a membrane quantity: 100 (per cent) without a unit, else 1."""
-    return 1.0 if QUANTITIES[name].unit else 100.0
 
 
 def part_name(part: str) -> str:

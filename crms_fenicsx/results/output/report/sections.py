@@ -172,20 +172,15 @@ class Report:
 
     def html(self) -> str:
         """The HTML page, with as many pictures as fit."""
-        room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
-        cases = []
+        bare = replace(self, cases=[replace(case, pictures=()) for case in self.cases])
+        room, left_out, cases = LARGEST - len(bare._page().encode()), 0, []
         for case in self.cases:
             need = np.cumsum([1000 + len(one.png) * 4 // 3 for one in case.pictures])
             fitting = case.pictures[: int(np.count_nonzero(need <= room))]
             room -= int(need[len(fitting) - 1]) if fitting else 0
+            left_out += len(case.pictures) - len(fitting)
             cases.append(replace(case, pictures=fitting))
-        left_out = sum(len(case.pictures) for case in self.cases)
-        left_out -= sum(len(case.pictures) for case in cases)
-        return replace(self, left_out=left_out)._with(cases).decode()
-
-    def _with(self, cases: Sequence[Case]) -> bytes:
-        """The page with other pictures of the cases."""
-        return replace(self, cases=cases)._page().encode()
+        return replace(self, cases=cases, left_out=left_out)._page()
 
     def _page(self) -> str:
         results, plan = self.results, self.plan
@@ -266,10 +261,10 @@ class Report:
 
     def _tensions(self) -> BarChart:
         """Chart of the cables' tensions over all combinations."""
-        found = []
-        for name in self.results.names("cables"):
-            one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
-            found.append((name, min(x.least for x in one), max(x.largest for x in one)))
+        found = [
+            (name, min(x.least for _, x in cases), max(x.largest for _, x in cases))
+            for name, cases in self.results.by_name("cables")
+        ]
         where = " over all combinations" if len(self.cases) > 1 else ""
         return BarChart(f"Least to largest tension{where}{self.plan.units['force']}", found)
 

@@ -1,9 +1,12 @@
-"""Builds random scenes of many features, and applies their actions."""
+"""Builds random scenes, and does to them what is to be done.
+
+A `Frame` puts the same scene elsewhere, turned and in other units.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import basix.ufl
@@ -30,12 +33,47 @@ from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.bar import Joint
-from fuzzing.feature_scenes import SIZE, FeatureScene, Frame, across
-from fuzzing.scenes import _crossings_of_rim
+from fuzzing.scenes import SceneData, rim_crossings
 
 GAS = 101.325
 """Pressure of the atmosphere (kPa)."""
 SIDES, CORNERS = ("front", "right", "back", "left"), ("a", "b", "c", "d")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a scene is, and in which units: places are ``unit * (turn x + push)``."""
+
+    turn: Array = field(default_factory=lambda: np.eye(3))
+    push: Array = field(default_factory=lambda: np.zeros(3))
+    unit: float = 1.0
+    force: float = 1.0
+
+    def place(self, x: Any) -> Array:
+        """Points (..., 3)."""
+        return self.unit * (np.asarray(x, dtype=float) @ self.turn.T + self.push)
+
+    def way(self, d: Any) -> Array:
+        """Displacements (..., 3)."""
+        return self.unit * (np.asarray(d, dtype=float) @ self.turn.T)
+
+    def pull(self, F: Any) -> Array:
+        """Forces (..., 3)."""
+        return self.force * (np.asarray(F, dtype=float) @ self.turn.T)
+
+    def back(self, x: Array) -> Array:
+        """Points (3, n) as they are without it."""
+        return self.turn.T @ (x / self.unit - self.push[:, None])
+
+    @property
+    def per_area(self) -> float:
+        """The unit of pressures."""
+        return self.force / self.unit**2
+
+    @property
+    def per_length(self) -> float:
+        """The unit of section forces."""
+        return self.force / self.unit
 
 
 class Springs(EnergyTerm):
@@ -55,7 +93,7 @@ class Springs(EnergyTerm):
         g[:n] += self.k * x[:n]
 
 
-def flat_groups(data: FeatureScene) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
+def flat_groups(data: SceneData) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
     """Groups of edges, parts and points of a mesh, by numbers of vertices and cells."""
     x, cells = data.points, data.cells
     pairs = np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
@@ -66,12 +104,7 @@ def flat_groups(data: FeatureScene) -> tuple[dict[str, Array], dict[str, Array],
     groups = {"west": rim[middle[:, 0] < -0.6 * half[0]]}
     points: dict[str, Array] = {}
     if data.kind in ("structured", "jiggled"):
-        for name, axis, sign in (
-            ("front", 1, -1),
-            ("right", 0, 1),
-            ("back", 1, 1),
-            ("left", 0, -1),
-        ):
+        for name, axis, sign in zip(SIDES, (1, 0, 1, 0), (-1, 1, 1, -1), strict=True):
             groups[name] = rim[np.abs(middle[:, axis] - sign * half[axis]) < 1e-6]
         for name, way in zip(CORNERS, ((-1, -1), (1, -1), (1, 1), (-1, 1)), strict=True):
             points[name] = np.array([np.argmax(x[:, :2] @ np.array(way))])
@@ -84,19 +117,19 @@ def flat_groups(data: FeatureScene) -> tuple[dict[str, Array], dict[str, Array],
 
 
 def membrane_mesh(
-    data: FeatureScene, frame: Frame, comm: MPI.Intracomm, ranks: Any = None
+    data: SceneData, frame: Frame, comm: MPI.Intracomm, ranks: Any = None
 ) -> MembraneMesh:
     """The mesh of a scene."""
     groups, parts, points = flat_groups(data)
+    root = comm.rank == 0
     if data.source != "dolfinx":
-        root = comm.rank == 0
+        cells = data.cells if np.linalg.det(frame.turn) > 0 else data.cells[:, [0, 2, 1]]
         return meshes.from_arrays(
-            comm, frame.place(data.points) if root else None, data.cells if root else None,
+            comm, frame.place(data.points) if root else None, cells if root else None,
             edges=groups, parts=parts, point_groups=points, ranks=ranks,
             outside={"east": tuple(frame.turn[:, 0])} if data.walls else (0.0, 0.0, 1.0),
         )  # fmt: skip
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
-    root = comm.rank == 0
     cells = data.cells if root else np.zeros((0, 3), dtype=np.int64)
     x = frame.place(data.points if root else np.zeros((0, 3)))
     plain = dolfinx.mesh.create_mesh(comm, cells=cells, x=x, e=ufl.Mesh(element))
@@ -130,7 +163,7 @@ class World:
     """A scene in a frame, with its solver."""
 
     def __init__(
-        self, data: FeatureScene, frame: Frame, comm: MPI.Intracomm, ranks: Any = None,
+        self, data: SceneData, frame: Frame, comm: MPI.Intracomm, ranks: Any = None,
         **options: Any,
     ) -> None:  # fmt: skip
         self.data, self.frame, self.comm = data, frame, comm
@@ -152,14 +185,21 @@ class World:
             if data.walls:
                 laws["pressure_on"] = ["other"]
             self.scene = Scene(mesh, make(**given), **laws)
-            if data.held == "plane":
-                self.scene.fix("left", "x")
-                for name in ("front", "right", "back"):
-                    self.scene.fix(name)
-            else:
-                self.scene.fix("boundary")
+            self._hold()
         self.solver = Solver(self.scene, **options)
         self.after: Callable[[World, str], None] = lambda world, what: None
+
+    def _hold(self) -> None:
+        if self.data.held == "plane":
+            self.scene.fix("left", "x")
+            for name in ("front", "right", "back"):
+                self.scene.fix(name)
+        elif self.data.held == "ends":
+            x = self.data.points[:, 0]
+            limit, middle = 0.4 * float(np.ptp(x)), float(x.min() + x.max()) / 2
+            self.scene.fix(lambda x: np.abs(self.frame.back(x)[0] - middle) > limit)
+        else:
+            self.scene.fix("boundary")
 
     def _form(self, mesh: MembraneMesh, material: Any) -> Scene:
         frame, lift = self.frame, self.frame.way((0.0, 0.0, 2.5))
@@ -186,8 +226,14 @@ class World:
         """Do to it what is to be done."""
         for k, (name, what) in enumerate(self.data.events):
             getattr(self, name)(**what)
-            self.after(self, f"event {k + 1}, {name}")
+            if name not in ("lay", "load"):
+                self.after(self, f"event {k + 1}, {name}")
         return self
+
+    def close(self) -> None:
+        """Destroy what PETSc holds of it."""
+        if self.solver._increments._system is not None:
+            self.solver.system.destroy()
 
     # what is put on it
 
@@ -273,28 +319,18 @@ class World:
         self.scene.add_term(Springs(k * 0.01 * self.frame.per_length))
 
     def put_cable(
-        self, k: int, joint: bool, sleeve: bool, tension: float | None, EA: float,
-        friction: Any, law: Any = "total", **what: Any,
+        self, k: int, joint: bool, angle: float, off: float, way: str, **what: Any
     ) -> None:  # fmt: skip
-        frame, scene = self.frame, self.scene
-        points, cells = self.data.points, self.data.cells
-        ends = across(what, lambda c, a: _crossings_of_rim(points, cells, c, a))
-        path: Any = ends
-        if what["way"] == "anchors":
-            path = np.column_stack([ends, [0.3, 0.3]])
-        on = self._places(ends[:1] * 0.6)[0] if joint else None
-        if what["way"] == "anchors" or joint:
-            path = frame.place(np.column_stack([ends, np.zeros(2)]) if joint else path)
-        else:
-            path = frame.place(np.column_stack([ends, np.zeros(2)]))[:, :2]
+        along = np.array([np.cos(angle), np.sin(angle)])
+        centre = off * np.array([-along[1], along[0]])
+        back, reach = rim_crossings(self.data.points, self.data.cells, centre, along)
+        share, more = 0.6 if way == "inside" else 1.0, 1.0 if way == "anchors" else 0.0
+        ends = np.array([centre - (share * back + more) * along,
+                         centre + (share * reach + more) * along])  # fmt: skip
+        path: Any = np.column_stack([ends, [0.3, 0.3]]) if way == "anchors" else ends
         if joint:
-            path = [scene.joint("top"), frame.place(on)]
-        held: Any = 0.0 if friction is None else Friction(**friction)
-        kind = Cable(EA * frame.force, law=law, friction=held)
-        scene.lay_cable(
-            kind, path, tension=None if tension is None else tension * frame.force,
-            hold="sleeve" if sleeve else "outside", layer=k, name=f"cable {k + 1}",
-        )  # fmt: skip
+            path = [self.scene.joint("top"), self.frame.place(self._places(ends[:1] * 0.6)[0])]
+        self.lay(path, layer=k, name=f"cable {k + 1}", **what)
 
     def _places(self, plan: Array) -> Array:
         """Points (n, 3) in metres on the membrane now, over points (n, 2) in plan."""
@@ -305,6 +341,28 @@ class World:
         return self.comm.bcast(every[near])
 
     # what is done to it
+
+    def lay(
+        self, path: Any, *, EA: float, law: Any, friction: Any, tension: float | None,
+        sleeve: bool, layer: int, L0: float | None = None, name: str | None = None,
+    ) -> None:  # fmt: skip
+        frame = self.frame
+        if isinstance(path, np.ndarray):
+            plan = path.shape[1] == 2
+            path = frame.place(np.column_stack([path, np.zeros(len(path))]) if plan else path)
+            path = path[:, :2] if plan else path
+        held: Any = 0.0 if friction is None else Friction(**friction)
+        self.scene.lay_cable(
+            Cable(EA * frame.force, law=law, friction=held), path,
+            L0=None if L0 is None else L0 * frame.unit,
+            tension=None if tension is None else tension * frame.force,
+            hold="sleeve" if sleeve else "outside", layer=layer, name=name,
+        )  # fmt: skip
+
+    def load(self, F: Any) -> None:
+        if self.scene.loads:
+            self.scene.remove_load("load")
+        self.scene.put_load(self.frame.pull(F) / self.frame.unit**2)
 
     def advance(self, steps: int = 1, **what: Any) -> None:
         frame, scene = self.frame, self.scene
@@ -324,6 +382,8 @@ class World:
 
     def _movements(self, what: dict[str, Any]) -> dict[str, Any]:
         frame, scene = self.frame, self.scene
+        if self.data.ambiguous:
+            return self._own_movements(**what)
         group = "boundary" if self.data.source != "form" and self.data.held == "all" else None
         by_name = {"key": lambda thing: thing.name}  # they may have been added in another order
         cables = sorted(scene.cables, **by_name)
@@ -359,6 +419,23 @@ class World:
                 return {"move": {anchors[what["of"] % len(anchors)]: d}}
         return {}
 
+    def _own_movements(
+        self, ends: Any = None, lengths: Any = None, boundary: Any = None, **_: Any
+    ) -> dict[str, Any]:
+        """Of cables by number. What concerns a cable that does not hold by its end is left out."""
+        cables, move, L0 = self.scene.cables, dict[Any, Array](), {}
+        for (c, which), d in (ends or {}).items():
+            for end in (cables[c].start, cables[c].end):
+                node = cables[c].state.nodes[cables[c].node_of(end.which)]
+                if which in ("both", end.which) and node.point is None:
+                    move[end] = self.frame.way(d)
+        if boundary is not None and self.data.held == "all":
+            move["boundary"] = self.frame.way(boundary)
+        for c, factor in (lengths or {}).items():
+            if cables[c].cable.law == "total":
+                L0[cables[c]] = factor * cables[c].L0
+        return {"move": move, "L0": L0}
+
     def seal(self, volume: float, exponent: float) -> None:
         frame = self.frame
         if self.scene.pressure_law == "step":
@@ -392,8 +469,10 @@ class World:
             if seal and self.scene.air.sealed is None and self.scene.pressure > 0:
                 self.seal(200.0, 1.2)
             if lay and self.data.source != "form":
-                self.put_cable(7, False, False, None, 900.0, None,
-                               angle=0.9, off=0.33, way="inside")  # fmt: skip
+                self.put_cable(
+                    7, False, 0.9, 0.33, "inside",
+                    EA=900.0, law="total", friction=None, tension=None, sleeve=False,
+                )  # fmt: skip
             if remove:
                 self.remove(3)
             self.advance(load=load, **move)
@@ -409,15 +488,6 @@ class World:
         self.advance()
 
     def results(self) -> None:
-        pass
+        """Nothing: the state stays."""
 
-    def checkpoint(self) -> None:
-        pass
-
-
-def folder_of(comm: MPI.Intracomm, path: Any) -> Path:
-    """A folder that all ranks know."""
-    return Path(comm.bcast(str(path)))
-
-
-REACH = SIZE
+    checkpoint = results

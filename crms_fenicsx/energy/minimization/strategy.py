@@ -1,0 +1,110 @@
+"""The numbers that steer a minimisation: they decide how fast it ends, not where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """How a minimiser proceeds. Residuals are relative to the force scale unless said otherwise."""
+
+    stage_lengths: tuple[int, ...] = (3, 6, 10, 20)
+    """Iterations after which rebuilding H0 is considered; the last value repeats."""
+    rebuild: int = 8
+    """Iterations, or line search evaluations, that cost as much as a new H0."""
+    fresh: float = 0.15
+    """Reduction of the residual per iteration with a new H0."""
+    unsettled: float = 10.0
+    """Factor of the squared residual in the stiffness, relative to the taut one, of wrinkled cells
+    from the third H0 on: many turn taut, and tangent steps are far too long for that."""
+    longest_search: int = 15
+    """Evaluations of a line search; longer ones almost always fail."""
+    looks: tuple[float, ...] = (1e-5,)
+    """Residuals at which `solve` asks whether to go on."""
+    looks_relaxed: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
+    """The same where cable points are relaxed, since these no longer dominate the residual."""
+    stall: int = 50
+    """Stages without progress after which a solve ends."""
+    least_fall: float = 1e-8
+    """Fall of the energy, relative to it, that is progress. Solves of slack membranes have gone 366
+    stages without half the residual, in which the energy fell by at least 3e-7 in 100; where it
+    fell by less than 1e-9, four of seven failed."""
+
+    direct: int = 1_000_000
+    """Unknowns up to which K is factorised without cables; with cables it always is, as multigrid
+    does not resolve the stiff springs that tie cable points to soft fabric. Relative to multigrid a
+    load step takes 0.4 to 0.7 of the time on one process; on two 0.9 with 1e5 unknowns, 1.2 with
+    1e6."""
+    cg_accuracy: float = 1e-2
+    """Relative residual of conjugate gradients on H0; a looser one costs BLMVM more iterations."""
+
+    patience: int = 8
+    """Stages before Newton's method may take over: cables that pass vertices take a few, which no
+    Newton step speeds up."""
+    stubborn: float = 0.1
+    """Reduction of the residual by a stage above which Newton's method takes over, and by
+    `newton_stages` iterations above which it gives up."""
+    newton_stages: int = 20
+    """Newton iterations within which the residual must fall by the factor `stubborn`."""
+    wrinkle_stiffness: float = 1e-2
+    """Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual)."""
+    quick_to: float = 1e-4
+    """Residual down to which steps use the second derivatives where cable points can be relaxed."""
+    quick: float = 0.3
+    """Reduction of the residual that is required of `quick_steps` such steps."""
+    quick_steps: int = 10
+    """Steps after which this is checked."""
+    exact: float = 1e-2
+    """Residual below which H0 is the second derivatives."""
+    slow: float = 0.7
+    """Reduction of the residual by a quick step with another H0 above which the next step tries the
+    second derivatives earlier."""
+    descent: float = 1e-4
+    """Fraction of the predicted descent that a Newton step must achieve (Armijo)."""
+    shortest: float = 1e-3
+    """The shortest Newton step, relative to the full one."""
+    full_rounds: int = 6
+    """Most relaxations of the points after a full step."""
+    gains: float = 0.9
+    """Change of the energy by the step, relative to that before a relaxation, above which there are
+    no more."""
+
+    afar: float = 0.2
+    """Residual above which nothing is relaxed: on a still flat roof cables would slide to worse
+    paths."""
+    point_part: float = 0.1
+    """Force, relative to the largest, above which a point is relaxed."""
+    point_rings: int = 2
+    """Rings of points that are relaxed around it."""
+    patch_part: float = 0.02
+    """Force, relative to the largest, above which a block of a patch is relaxed."""
+    patch_rings: int = 3
+    """Rings of blocks that are relaxed around it."""
+    most_relaxed: float = 0.5
+    """Fraction of blocks relaxed at once; beyond it all points are relaxed together, no patches."""
+    ratio: float = 0.25
+    """Residual of the points, relative to that of the vertices, above which they are relaxed."""
+    balanced: float = 0.3
+    """Fraction of that bound to reach."""
+    patched: float = 1e-4
+    """Residual above which patches are relaxed."""
+    settled: float = 1e-6
+    """Residual that a relaxation is to reach."""
+    rounds: int = 2
+    """Selections of blocks in a relaxation."""
+    local_steps: int = 12
+    """Newton steps for each selection."""
+    largest_cluster: int = 400
+    """Blocks beyond which a cluster is left to the global minimiser."""
+    shortest_local: float = 1e-6
+    """The shortest Newton step of a cluster, relative to the full one."""
+    short: float = 0.3
+    """Length, relative to Newton's, below which a step of a cluster by the exact second derivatives
+    is short."""
+    twice: int = 2
+    """Number of short steps after which H0 replaces these for as many steps."""
+
+
+STRATEGY = Strategy()
+"""That of every solve unless another one is passed."""
