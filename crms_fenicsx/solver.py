@@ -16,7 +16,7 @@ from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, checked_options
+from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
 from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
 from crms_fenicsx.analysis.steps.load_step import (
     Step,
@@ -32,12 +32,19 @@ from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
 from crms_fenicsx.cabling.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import (
-    ConvergenceError,
-    InputError,
+from crms_fenicsx.foundation.runtime.arguments import (
+    Count,
+    File,
+    Finite,
+    Name,
+    NonNegative,
+    PerRank,
+    Positive,
+    Prefix,
+    Whole,
     collective,
-    raised_together,
 )
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, raised_together
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.foundation.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.foundation.runtime.progress import progress
@@ -138,24 +145,24 @@ class Solver:
     max_halvings: ReadOnly[int] = ReadOnly("_options.max_halvings", ANOTHER)
     slide: ReadOnly[bool] = ReadOnly("_options.slide", ANOTHER)
 
+    @collective
     def __init__(
         self,
         scene: Scene,
         *,
-        results: str | Path | None = None,
+        results: File | None = None,
         resume: bool | None = None,
-        prefix: str = "crms_",
-        rtol: float = 1e-9,
-        max_halvings: int = 8,
+        prefix: Prefix = "crms_",
+        rtol: Finite = 1e-9,
+        max_halvings: Whole = 8,
         slide: bool = True,
         verify: bool = True,
         estimate: bool = False,
         stability: Literal["warn", "refuse", "ignore"] = "warn",
     ) -> None:
-        checks.of_type("Solver: scene", scene, Scene)
-        self._options = options = checked_options(
-            scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
-            max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
+        self._options = options = Options(
+            results=None if results is None else Path(results), resume=resume, prefix=prefix,
+            rtol=rtol, max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
             stability=stability,
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
@@ -202,7 +209,7 @@ class Solver:
         load: float | Mapping[str, float] | None = None,
         temperature: float | None = None,
         atmosphere: float | None = None,
-        steps: int = 1,
+        steps: Count = 1,
     ) -> Step:
         """Advance to new loads in equal increments, and write each state.
 
@@ -252,10 +259,6 @@ class Solver:
         """
         scene = self.scene
         air = {"temperature": temperature, "atmosphere": atmosphere}
-        checks.same(
-            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps, **air
-        )
-        checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
         target = checked_target(scene, pressure, move, L0, load, steps, **air)
         warn_of_staying(scene, target.movements.staying_ends)
@@ -363,7 +366,7 @@ class Solver:
         return self._increments.snapshot()
 
     @collective
-    def restore(self, snapshot: SceneState) -> None:
+    def restore(self, snapshot: PerRank[SceneState]) -> None:
         """Restore a state of the scene. Collective.
 
         Displacements, loads, supports, cables and added terms revert; load steps, history and files
@@ -385,8 +388,9 @@ class Solver:
                 raise InputError("restore: the snapshot belongs to another scene.")
         self._increments.go_back_to(snapshot)
 
+    @collective
     @contextmanager
-    def branch(self, name: str) -> Iterator[SceneState]:
+    def branch(self, name: Name) -> Iterator[SceneState]:
         """Run load steps as a branch, and restore the scene's state afterwards. Collective.
 
         Parameters
@@ -410,8 +414,6 @@ class Solver:
         ...     solver.advance(load={"snow": 1.5, "wind": 0.9})
         ...     tensions = [cable.tension for cable in scene.cables]
         """
-        checks.same(self.scene.comm, "branch", name=name)
-        checks.text("branch: name", name)
         if self.case:
             raise InputError(
                 f"branch: {name!r} is within the branch {self.case!r}; let that one end first."
@@ -423,8 +425,9 @@ class Solver:
             self.case = ""
             self.restore(base)
 
+    @collective
     def combine(
-        self, combinations: Mapping[str, Mapping[str, Any]], *, steps: int = 1
+        self, combinations: Mapping[str, Mapping[str, Any]], *, steps: Count = 1
     ) -> dict[str, Combination]:
         """Apply load combinations, each from the current state, then restore it. Collective.
 
@@ -458,9 +461,7 @@ class Solver:
         ... })
         >>> max(found, key=lambda name: found[name].snapshot.tensions["ridge"])
         """
-        checks.same(self.scene.comm, "combine", combinations=combinations, steps=steps)
         check_combinations(self.scene, combinations)
-        checks.whole("combine: steps", steps, 1)
         found = dict[str, Combination]()
         for name, given in checks.in_one_order(self.scene.comm, combinations).items():
             air, factors = split(given)
@@ -474,7 +475,7 @@ class Solver:
         return found
 
     @collective
-    def check_ponding(self, rain: float, *, weight: float = 10.0) -> PondingCheck:
+    def check_ponding(self, rain: Positive, *, weight: Positive = 10.0) -> PondingCheck:
         """Check for ponding: fill the hollows with rain, repeatedly, as the membrane deflects under
         it. The scene's state is restored. Collective.
 
@@ -502,9 +503,6 @@ class Solver:
         >>> print(check)
         >>> check.dry, check.settled, check.depth
         """
-        checks.same(self.comm, "check_ponding", rain=rain, weight=weight)
-        checks.positive("check_ponding: rain", rain)
-        checks.positive("check_ponding: weight", weight)
         from crms_fenicsx.results.rain import NAME, Rain, acting_loads
 
         water, why, loads = Rain(self.scene, rain, weight), "", acting_loads(self.scene, self.case)
@@ -583,9 +581,7 @@ class Solver:
         InputError
             Not a cable of this scene.
         """
-        checks.same(self.comm, "contact_forces", cable=cable)
-        if not any(cable is own for own in self.scene.cables):
-            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
+        checks.own("contact_forces", "cable", cable, self.scene.cables)
         return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
@@ -736,7 +732,6 @@ class Solver:
         >>> found = solver.sensitivities([ridge, "energy"], [ridge, "pressure", "snow"])
         >>> found[ridge, "pressure"]
         """
-        checks.same(self.comm, "sensitivities", of=of, by=by)
         self.scene.require_equilibrium("sensitivities")
         from crms_fenicsx.results.sensitivities import sensitivities
 
@@ -774,8 +769,8 @@ class Solver:
 
     @collective
     def report(
-        self, filename: str | Path,
-        combinations: Mapping[str, Combination] | None = None, **options: Any,
+        self, filename: File,
+        combinations: PerRank[Mapping[str, Combination] | None] = None, **options: Any,
     ) -> None:  # fmt: skip
         """Write a report for the checking engineer: one HTML page, and CSV tables. Collective.
 
@@ -831,7 +826,7 @@ class Solver:
         write_report(self, filename, combinations, **options)
 
     @collective
-    def to_pyvista(self, *, radius: float | None = None) -> Any:
+    def to_pyvista(self, *, radius: NonNegative | None = None) -> Any:
         """The current state as pyvista meshes with the ParaView files' arrays. Collective.
 
         Parameters
@@ -869,7 +864,7 @@ class Solver:
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 
     @collective
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: File) -> None:
         """Save the state of the scene and this solver in a checkpoint. Collective.
 
         Parameters
@@ -897,7 +892,7 @@ class Solver:
         self._increments.restart_h0()  # so that a resumed run repeats the same iterations
 
     @collective
-    def load(self, folder: str | Path) -> None:
+    def load(self, folder: File) -> None:
         """Continue from a checkpoint of `save`, on any number of processes. Collective.
 
         The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and

@@ -16,13 +16,9 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.foundation.meshes.gmsh_model import imported
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import File, Positive, checked, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    MeshError,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, MeshError, raised_together
 from crms_fenicsx.foundation.runtime.files import (
     DXF_UNITS,
     absolute,
@@ -67,7 +63,8 @@ class Lines:
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]:
+@checked
+def read_dxf(path: File, *, unit: Positive | None = None) -> dict[str, Lines]:
     """Read outlines, lines and points of a DXF drawing, by layer.
 
     Lines, polylines, circles, arcs, ellipses, splines and points of the model space are read, but
@@ -101,10 +98,7 @@ def read_dxf(path: str | Path, *, unit: float | None = None) -> dict[str, Lines]
     >>> outline = read_dxf("site.dxf")["ROOF"].outlines[0]
     >>> mesh = meshes.polygon(MPI.COMM_WORLD, outline[:, :2], size=0.5)
     """
-    file = checks.file("read_dxf: path", path)
-    if unit is not None:
-        checks.positive("read_dxf: unit", unit)
-    ezdxf = dxf_library("read_dxf")
+    file, ezdxf = Path(path), dxf_library("read_dxf")
     if not file.is_file():
         raise InputError(f"read_dxf: the file '{file}' does not exist (in {Path.cwd()}).")
     try:
@@ -203,7 +197,7 @@ def _contours(lines: list[Array]) -> tuple[list[Array], list[Array]]:
 
 
 @collective
-def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
+def write_shape(scene: Scene, filename: File, *, unit: str = "m") -> None:
     """Write the current shape, such as a found form, to a file. Collective.
 
     A .dxf file has the surface as 3D faces on the layer MEMBRANE, and cables, bars and supported
@@ -231,10 +225,8 @@ def write_shape(scene: Scene, filename: str | Path, *, unit: str = "m") -> None:
     --------
     >>> write_shape(found.scene(material), "form.dxf")
     """
-    checks.of_type("write_shape: scene", scene, Scene)
-    checks.same(scene.comm, "write_shape", filename=filename, unit=unit)
     checks.one_of("write_shape: unit", unit, DXF_UNITS)
-    path = absolute(checks.file("write_shape: filename", filename), scene.comm)
+    path = absolute(filename, scene.comm)
     suffix = path.suffix.lower()
     checks.one_of("write_shape: the suffix", suffix, (".dxf", ".obj", ".stl", ".ply"))
     scene.membrane.check_finite("write_shape")
@@ -352,7 +344,6 @@ def to_vertices_and_faces(
     --------
     >>> mesh = compas.datastructures.Mesh.from_vertices_and_faces(*to_vertices_and_faces(scene))
     """
-    checks.of_type("to_vertices_and_faces: scene", scene, Scene)
     whole = whole_shape(scene)
     if whole is None:
         return None

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
@@ -21,6 +22,7 @@ ANOTHER_BAR = "add another bar with scene.add_bar(...)"
 ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
 
 
+@checked
 @dataclass(frozen=True)
 class Bar:
     """A linearly elastic, straight bar with hinges at both ends: a mast, a strut or a guy.
@@ -46,17 +48,13 @@ class Bar:
         compressed bar has no utilisation.
     """
 
-    EA: float
+    EA: Positive
     tension_only: bool = False
-    EI: float | None = None
-    strength: float | None = None
+    EI: Positive | None = None
+    strength: Positive | None = None
     curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
 
     def __post_init__(self) -> None:
-        checks.positive("Bar: EA", self.EA)
-        for name, value in (("EI", self.EI), ("strength", self.strength)):
-            if value is not None:
-                checks.positive(f"Bar: {name}", value)
         if not isinstance(self.tension_only, bool | np.bool_):
             raise InputError(
                 f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -13,6 +14,7 @@ from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.friction import Friction
 
 
+@checked
 @dataclass(frozen=True)
 class Cable:
     """A linearly elastic cable (section 2.2).
@@ -30,15 +32,13 @@ class Cable:
         nothing.
     """
 
-    EA: float
+    EA: Positive
     law: Literal["total", "step"] = "total"
     friction: float | Friction = 0.0
 
     def __post_init__(self) -> None:
-        checks.positive("Cable: EA", self.EA)
         if not isinstance(self.friction, Friction):
             Friction(checks.finite("Cable: friction", self.friction))
-        checks.one_of("Cable: law", self.law, ("total", "step"))
         if self.law == "step" and self.along:
             raise InputError(
                 f'Cable: law = "step" has one tension for the whole cable, but its friction has '

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, NonNegative, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.surface.points import Support
@@ -18,6 +18,7 @@ MOST_TOLERANCE = 0.1
 """Largest slip tolerance (parts of a cell): beyond it the model is no longer dry friction."""
 
 
+@checked
 @dataclass(frozen=True)
 class Friction:
     """Dry friction between a cable and the membrane.
@@ -58,25 +59,19 @@ class Friction:
         is not between 0 and 0.1.
     """
 
-    mu: float
-    static: float | None = None
-    along: float = 0.0
+    mu: NonNegative
+    static: Finite | None = None
+    along: NonNegative = 0.0
     law: Literal["coulomb", "step"] = "coulomb"
-    tolerance: float = 3e-3
+    tolerance: Positive = 3e-3
     cone: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("mu", "along"):
-            if checks.finite(f"Friction: {name}", getattr(self, name)) < 0:
-                raise InputError(
-                    f"Friction: {name} = {getattr(self, name)} is negative; give 0 or more."
-                )
-        if self.static is not None and checks.finite("Friction: static", self.static) < self.mu:
+        if self.static is not None and self.static < self.mu:
             raise InputError(
                 f"Friction: static = {self.static} is smaller than mu = {self.mu}, the coefficient "
                 "of a cable that slides; give at least that."
             )
-        checks.one_of("Friction: law", self.law, ("coulomb", "step"))
         if self.law == "step" and (self.static not in (None, self.mu) or self.along):
             raise InputError(
                 'Friction: law = "step" knows neither a static coefficient nor friction along the '
@@ -94,11 +89,10 @@ class Friction:
                 f"Friction: cone = True knows no static coefficient, but static = {self.static}; "
                 "leave one of them out."
             )
-        tolerance = checks.positive("Friction: tolerance", self.tolerance)
-        if tolerance > MOST_TOLERANCE:
+        if self.tolerance > MOST_TOLERANCE:
             raise InputError(
-                f"Friction: tolerance = {tolerance} is a slip of more than {MOST_TOLERANCE} of a "
-                "cell, too large for sticking; use about 0.003."
+                f"Friction: tolerance = {self.tolerance} is a slip of more than {MOST_TOLERANCE} "
+                "of a cell, too large for sticking; use about 0.003."
             )
 
     @property

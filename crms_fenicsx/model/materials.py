@@ -16,6 +16,7 @@ import numpy as np
 import ufl
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.tolerances import UNSTRAINED
@@ -97,6 +98,7 @@ class MembraneMaterial(ABC):
             )
 
 
+@checked
 @dataclass(frozen=True)
 class IsotropicMembrane(MembraneMaterial):
     """Isotropic membrane, equation (2.3-12), St. Venant-Kirchhoff in Green-Lagrange strain.
@@ -117,17 +119,14 @@ class IsotropicMembrane(MembraneMaterial):
         equilibrium.
     """
 
-    E: float
-    nu: float
-    thickness: float
+    E: Positive
+    nu: Finite
+    thickness: Positive
     prestress: float | tuple[float, float] = 0.0
     wrinkling: bool = True
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
-        for name in ("E", "thickness"):
-            checks.positive(f"{owner}: {name}", getattr(self, name))
-        checks.finite(f"{owner}: nu", self.nu)
         if not -1.0 < self.nu < 1.0:
             raise InputError(f"{owner}: nu = {self.nu} lies outside -1 < nu < 1 (plane stress).")
         self._check_prestress()
@@ -159,6 +158,7 @@ class IsotropicMembrane(MembraneMaterial):
         return self.E * self.thickness
 
 
+@checked
 @dataclass(frozen=True)
 class OrthotropicMembrane(MembraneMaterial):
     """Orthotropic membrane, equation (2.3-13), St. Venant-Kirchhoff in Green-Lagrange strain.
@@ -185,20 +185,17 @@ class OrthotropicMembrane(MembraneMaterial):
         equilibrium.
     """
 
-    E1: float
-    E2: float
-    G12: float
-    nu21: float
-    thickness: float
+    E1: Positive
+    E2: Positive
+    G12: Positive
+    nu21: Finite
+    thickness: Positive
     warp: Direction = (1.0, 0.0, 0.0)
     prestress: float | tuple[float, float] = 0.0
     wrinkling: bool = True
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
-        for name in ("E1", "E2", "G12", "thickness"):
-            checks.positive(f"{owner}: {name}", getattr(self, name))
-        checks.finite(f"{owner}: nu21", self.nu21)
         if self.nu21**2 * self.E1 / self.E2 >= 1:
             raise InputError(
                 f"{owner}: nu21 = {self.nu21} with E1/E2 = {self.E1 / self.E2:g} makes the "

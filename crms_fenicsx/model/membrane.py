@@ -23,13 +23,13 @@ from crms_fenicsx.foundation.meshes.triangles import (
     open_edges,
 )
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers, Rows
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap, require_real
 from crms_fenicsx.foundation.runtime.errors import (
     InputError,
     PathError,
     PenaltyWarning,
-    collective,
     raised_together,
 )
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
@@ -54,7 +54,7 @@ def warn_of_penalty(comm: MPI.Intracomm, penalty: float) -> None:
         f"Scene: penalty = {penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; give one "
         "in this range.",
         PenaltyWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
 
 
@@ -213,7 +213,6 @@ class Membrane:
     @collective
     def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a group or marked by a function."""
-        checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
         dofs: Indices = np.zeros(0, dtype=np.int32)
         with raised_together(self.comm):

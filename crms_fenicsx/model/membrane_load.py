@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from dolfinx import fem
@@ -113,7 +113,6 @@ def fixed_direction_load(
     """A load of fixed direction on the membrane's current shape. Collective."""
     # Each vertex gets a third of a cell's load, taken at the centroid, also where a cable folds the
     # cell: the corner triangles cover the same surface up to the depth of the folds.
-    checks.one_of("put_load: per", per, get_args(Area))
     shape = _Shape(membrane)
     loads = np.zeros_like(shape.vectors)
     with raised_together(membrane.comm):
@@ -130,7 +129,6 @@ def wind_load(
     membrane: Membrane, pressure: float, coefficient: Coefficient, name: str = "wind"
 ) -> MembraneLoad:
     """A load along the normals, which it follows as the shape changes. Collective."""
-    pressure = checks.positive("put_wind: pressure", pressure)
     shape = _Shape(membrane)
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Name, checked
 from crms_fenicsx.foundation.runtime.arrays import EPSILON
 from crms_fenicsx.foundation.runtime.errors import InputError
 
@@ -108,6 +109,7 @@ def _second_order(v: float, exponent: float) -> float:
     return total
 
 
+@checked
 @dataclass(frozen=True)
 class FanControl:
     """Inner pressure as a function of a load factor, as set by the fans of an air hall.
@@ -135,12 +137,11 @@ class FanControl:
     >>> solver.advance(load={"wind": 1.5}, pressure=fans, steps=6)
     """
 
-    load: str
+    load: Name
     factors: Sequence[float]
     pressures: Sequence[float]
 
     def __post_init__(self) -> None:
-        checks.text("FanControl: load", self.load)
         for name in ("factors", "pressures"):
             given = getattr(self, name)
             if isinstance(given, str) or np.ndim(given) != 1 or not len(given):

@@ -5,15 +5,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import File, Finite, collective
 from crms_fenicsx.foundation.runtime.arrays import floats
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, replaced
 from crms_fenicsx.model.laid_cable import LaidCable
 
@@ -99,7 +99,7 @@ class Order:
         return found
 
     @collective
-    def write(self, filename: str | Path) -> None:
+    def write(self, filename: File) -> None:
         """Write a CSV file with full precision. Collective.
 
         Parameters
@@ -112,7 +112,7 @@ class Order:
         InputError
             On all ranks: a file that cannot be written.
         """
-        path = absolute(checks.file("write: filename", filename), self.comm)
+        path = absolute(filename, self.comm)
         with raised_together(self.comm):
             if self.comm.rank == 0:
                 with replaced(path) as partial, open(partial, "w", encoding="utf-8") as file:
@@ -125,8 +125,8 @@ def lengths_to_order(
     scene: Scene,
     *,
     tension: float | Mapping[str, float] = 0.0,
-    temperature: float = 0.0,
-    expansion: float = STEEL,
+    temperature: Finite = 0.0,
+    expansion: Finite = STEEL,
     allowance: float | tuple[float, float] = 0.0,
 ) -> Order:
     """Fabrication lengths and clamp marks of a scene's cables. Collective.
@@ -162,12 +162,6 @@ def lengths_to_order(
     >>> order.write("cables.csv")
     """
     call = "lengths_to_order"
-    if not isinstance(scene, Scene):
-        raise InputError(f"{call}: scene is of type {type(scene).__name__}; pass a Scene.")
-    checks.same(
-        scene.comm, call, tension=tension, temperature=temperature, expansion=expansion,
-        allowance=allowance,
-    )  # fmt: skip
     if not scene.cables:
         raise InputError(f"{call}: the scene has no cables; lay some with scene.lay_cable(...).")
     given = tension if isinstance(tension, Mapping) else {c.name: tension for c in scene.cables}
@@ -175,8 +169,6 @@ def lengths_to_order(
         scene.cable(name).name: checks.finite(f"{call}: tension of {name!r}", force)
         for name, force in given.items()
     }
-    temperature = checks.finite(f"{call}: temperature", temperature)
-    expansion = checks.finite(f"{call}: expansion", expansion)
     both = allowance if isinstance(allowance, tuple) else (allowance, allowance)
     if len(both) != 2:
         raise InputError(f"{call}: allowance = {allowance!r}; pass one, or (start, end).")

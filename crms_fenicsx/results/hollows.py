@@ -9,11 +9,12 @@ import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.results.cable_and_bar_results import Force
-from crms_fenicsx.results.view_data import edges_of, surface_piece, whole_surface
+from crms_fenicsx.results.view_data import surface_piece, whole_surface
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
@@ -69,7 +70,7 @@ def find_hollows(net: CableNet) -> Hollows:
     if whole is not None:
         points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
         on_rim = np.asarray(whole.point_data["rim"]) > 0.0
-        found = hollows_of(points, triangles, on_rim, shallow)
+        found = _hollows_of(points, triangles, on_rim, shallow)
     found = cast(Hollows, comm.bcast(found))
     homes = np.asarray(piece.homes)
     counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
@@ -77,7 +78,7 @@ def find_hollows(net: CableNet) -> Hollows:
     return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
 
 
-def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
+def _hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
     """Hollows of points (n, 3) and triangles (m, 3); `rim`: which points lie on the surface's edge.
     Units: shallow (length)."""
     from scipy.sparse import csgraph
@@ -91,11 +92,10 @@ def hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float
     z, of_points = points[:, 2], np.full(len(points), -1)
     if not len(up):
         return Hollows((), of_points, plan)
-    pairs, counts = edges_of(up)
+    table, whole = EdgeTable.of(up), EdgeTable.of(triangles)
+    pairs = table.vertices
     # where cables fold one of two cells, their common edge belongs to a single triangle, too
-    every, times = edges_of(triangles)
-    inner = np.flatnonzero(times > 1)
-    overhang = np.isin(_keys(pairs, len(z)), _keys(every[inner], len(z))) & (counts == 1)
+    overhang = np.isin(table.keys, whole.keys[whole.counts > 1]) & (table.counts == 1)
     leads_out = rim.copy()
     leads_out[pairs[overhang]] = True
     leads_out &= np.bincount(up.ravel(), minlength=len(z)) > 0
@@ -134,10 +134,6 @@ def _water(corners: Array, level: float) -> tuple[float, float]:
     area[wet == 2], volume[wet == 2] = 1 - area[wet == 2], (h.sum(axis=1) / 3 - volume)[wet == 2]
     area[wet == 3], volume[wet == 3] = 1.0, h[wet == 3].sum(axis=1) / 3
     return float(plan @ volume), float(plan @ area)
-
-
-def _keys(pairs: Integers, n: int) -> Integers:
-    return np.asarray(pairs[:, 0] * n + pairs[:, 1])
 
 
 def _graph(n: int, pairs: Integers, weights: Array | None = None) -> coo_array:

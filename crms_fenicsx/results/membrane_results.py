@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED
@@ -201,7 +202,6 @@ class MembraneResults:
         InputError
             On all ranks: an unknown part.
         """
-        checks.same(self.comm, "shares", part=part)
         cells: Indices = np.arange(len(self.state), dtype=np.int32)
         if part is not None:
             cells = checks.named("part", self.parts, part)
@@ -235,7 +235,6 @@ class MembraneResults:
         InputError
             On all ranks: an unknown name.
         """
-        checks.same(self.comm, "function", name=name, smooth=smooth)
         if name == "displacement":
             found = fem.Function(self.membrane.V, name=name)
             n = len(found.x.array) // 3
@@ -284,8 +283,6 @@ class MembraneResults:
             On all ranks: no points, or a point off the surface; in plan by more than 5 % of the
             local cell size, in space by more than 10 %.
         """
-        checks.same(self.comm, "at", points=points, on=on, smooth=smooth)
-        checks.one_of("at: on", on, ("current", "stress-free"))
         places = find_places(self.comm, self.surface, points, on)
         values = {}
         for name in self.names:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.foundation.meshes.triangles import (
     WALL,
-    balls,
     closest,
     double_areas,
     flattened,
@@ -26,7 +25,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
-from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM, nearest_pairs
+from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM, Balls
 from crms_fenicsx.results.quantities import shown_briefly
 
 
@@ -174,7 +173,7 @@ def _candidates(
     if not len(usable):
         return rows, weights, scores, sizes
     triangles = flat[usable]
-    target, near = nearest_pairs(*balls(triangles), targets)
+    target, near = Balls.of(triangles).nearest(targets)
     share, _, gaps = closest(triangles[near], targets[target])
     size = longest_sides(triangles[near])
     gaps = np.where(gaps <= 1e-9 * size, 0.0, gaps)

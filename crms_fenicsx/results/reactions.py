@@ -16,7 +16,6 @@ from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import edge_ends
-from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Joint
@@ -189,7 +188,6 @@ def reactions(system: System, where: str | Marker) -> Reactions:
 
 def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
     """Vertices selected by `where`, with ghosts, and the place of a named joint. Collective."""
-    checks.same(scene.comm, "reactions", where=where)
     joints = {joint.name: joint.position for joint in scene.joints if joint.held.any()}
     mesh = scene.mesh
     if not isinstance(where, str) or where in mesh.edges or where in mesh.points:

@@ -50,7 +50,7 @@ class TautParts:
         self.system, scene, self._before = system, system.scene, system.scene.state
         slack = [
             cable for cable in scene.cables
-            if not cable.taut and np.any(np.abs(strains_of(cable)) <= AT_THRESHOLD)
+            if not cable.taut and np.any(np.abs(_strains_of(cable)) <= AT_THRESHOLD)
         ]  # fmt: skip
         self._added = [cable for cable in slack if cable.keeps_line]
         self.loose = [cable for cable in slack if not cable.keeps_line]
@@ -88,7 +88,7 @@ class TautParts:
         assert self.system.cables is not None
         found, owners = [], []
         for cable in self.system.cables.sliding:
-            own = strains_of(cable)
+            own = _strains_of(cable)
             if len(own) == 1 and not cable.keeps_line:
                 own = np.ones(1)  # in the system because it is taut
             found.append(own)
@@ -224,6 +224,6 @@ class Tightening:
         return sign * way - self._moves @ tensions, tensions > 0.0
 
 
-def strains_of(cable: LaidCable) -> Array:
+def _strains_of(cable: LaidCable) -> Array:
     """Strains of a cable's parts between clamps and bonds, negative where slack."""
     return np.asarray(current_lengths(cable) / cable.part_lengths - 1)

@@ -16,7 +16,6 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.foundation.dofs.layout import vertex_starts
-from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.bar import PlacedBar
@@ -160,12 +159,6 @@ def _checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict
             )
         data[name] = array.astype(np.uint8) if array.dtype.kind == "b" else array
     return data
-
-
-def edges_of(triangles: Integers) -> tuple[Integers, Integers]:
-    """Edges of triangles, (n, 2), and the number of triangles of each."""
-    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0, return_counts=True)
 
 
 Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
@@ -329,9 +322,6 @@ def _gathered(
 
 def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
     """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
-    checks.same(scene.comm, "to_pyvista", radius=radius)
-    if radius is not None and checks.finite("to_pyvista: radius", radius) < 0.0:
-        raise InputError(f"to_pyvista: radius = {radius:g} is negative; pass 0 to draw lines.")
     scene.membrane.check_finite("to_pyvista")
     piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
     surface = whole_surface(scene.comm, piece)
@@ -355,7 +345,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
                 radius = 0.003 * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
             for name, some in lines.items():
                 if some:
-                    found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
+                    found[name] = _tubes(pyvista, some, radius)
             joints = (
                 np.array([joint.position for joint in scene.joints]).reshape(-1, 3),
                 np.array([joint.held for joint in scene.joints], dtype=bool).reshape(-1, 3),

@@ -22,7 +22,7 @@ ARRAYS = {
     "Booleans": "array of bool",
     "Flags": "array of bool",
 }
-PLAIN = ("ReadOnly", "ClassVar", "Final", "Annotated")
+PLAIN = ("ReadOnly", "ClassVar", "Final", "Annotated", "PerRank")
 SEQUENCES = ("Sequence", "Iterable", "list", "frozenset", "set", "Iterator", "Collection")
 
 
@@ -69,6 +69,9 @@ def generic(name: str, inner: ast.expr, names: dict[str, Any]) -> str:
 def alias(name: str, names: dict[str, Any]) -> str:
     """A name in words: a class by its name, an alias by its meaning."""
     value = names.get(name)
+    if typing.get_origin(value) is typing.Annotated:
+        value = typing.get_args(value)[0]
+        name = getattr(value, "__name__", name)
     if value is None or (inspect.isclass(value) and not typing.get_args(value)):
         return name
     text = re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", str(value))

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.results.hollows import hollows_of
+from crms_fenicsx.results.hollows import _hollows_of
 
 
 def grid(n: int) -> tuple[Array, Integers]:
@@ -52,11 +52,11 @@ def test_one_point_that_is_low() -> None:
     points, triangles = grid(2)
     points[:, 2] = 5.0
     points[4, 2] = 3.0
-    (hollow,) = hollows_of(points, triangles, rim(points), 1e-6).hollows
+    (hollow,) = _hollows_of(points, triangles, rim(points), 1e-6).hollows
     assert (hollow.at, hollow.depth, hollow.level) == ((1.0, 1.0, 3.0), 2.0, 5.0)
     assert hollow.volume == pytest.approx(2.0)
     assert hollow.area == pytest.approx(3.0)
-    turned = hollows_of(
+    turned = _hollows_of(
         points, triangles[:, ::-1], rim(points), 1e-6
     ).hollows  # its outside faces down
     assert turned == (hollow,)
@@ -70,16 +70,16 @@ def test_a_way_out_and_two_hollows_that_are_one() -> None:
     row = points[:, 1] == 4.0
     points[row & (np.abs(points[:, 0] - 4.0) < 3.5), 2] = 0.0
     points[row & (points[:, 0] == 8.0), 2] = 1.0
-    (hollow,) = hollows_of(points, triangles, rim(points), 1e-6).hollows
+    (hollow,) = _hollows_of(points, triangles, rim(points), 1e-6).hollows
     assert (hollow.level, hollow.depth) == (1.0, 1.0)
     points[row & (points[:, 0] == 4.0), 2] = 0.5  # a sill below the way out
-    assert len(hollows_of(points, triangles, rim(points), 1e-6).hollows) == 1
+    assert len(_hollows_of(points, triangles, rim(points), 1e-6).hollows) == 1
     points[row & (points[:, 0] == 4.0), 2] = 2.0  # one above it
-    found = hollows_of(points, triangles, rim(points), 1e-6).hollows
+    found = _hollows_of(points, triangles, rim(points), 1e-6).hollows
     assert [(one.level, one.at[0] < 4.0) for one in found] == [(2.0, True), (1.0, False)]
     points[row & (points[:, 0] == 4.0), 2] = 0.0
     points[row & (points[:, 0] == 8.0), 2] = 0.0
-    assert hollows_of(points, triangles, rim(points), 1e-6).hollows == ()
+    assert _hollows_of(points, triangles, rim(points), 1e-6).hollows == ()
     assert len(z) == len(points)
 
 
@@ -88,7 +88,7 @@ def test_random_surfaces_by_the_slow_twin() -> None:
     edge = np.flatnonzero(rim(points))
     for _ in range(5):
         points[:, 2] = random.normal(size=len(points))
-        found = hollows_of(points, triangles, rim(points), 1e-9)
+        found = _hollows_of(points, triangles, rim(points), 1e-9)
         levels = np.array([hollow.level for hollow in found.hollows])
         fill = np.where(found.of_points >= 0, levels[found.of_points], points[:, 2])
         expected = filled_slowly(points[:, 2], triangles, edge.tolist())

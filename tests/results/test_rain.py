@@ -8,7 +8,7 @@ from cabled_square import clamped
 from mpi4py import MPI
 from scipy.special import j0
 
-from crms_fenicsx import InputError, IsotropicMembrane, Solver, meshes
+from crms_fenicsx import IsotropicMembrane, Solver, meshes
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.results.rain import NAME
 
@@ -83,9 +83,3 @@ def test_a_roof_that_sheds_water(comm: MPI.Intracomm) -> None:
     assert (check.dry, check.settled, check.depth) == (True, True, 0.0)
     assert check.verdict == "storm, under pressure 0.5: no water stands on the roof"
     assert len(solver.steps) == 1
-    for arguments, message in (
-        ({"rain": 0.0}, "rain = 0.0 is not positive"),
-        ({"rain": 0.1, "weight": -1.0}, "weight = -1.0 is not positive"),
-    ):
-        with pytest.raises(InputError, match=message):
-            solver.check_ponding(**arguments)

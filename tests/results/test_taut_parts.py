@@ -23,7 +23,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.cable import Hold
-from crms_fenicsx.results.taut_parts import strains_of
+from crms_fenicsx.results.taut_parts import _strains_of
 
 UNITS = [(1.0, 1.0), (1e3, 1e3)]  # of m and kN
 IDS = ["kN, m", "N, mm"]
@@ -117,7 +117,7 @@ def test_fresh_belts(
         for name, path in zip("ab", paths, strict=True)
     )
     solver.advance()
-    assert max(np.abs(strains_of(cable)).max() for cable in (a, b)) < 1e-10
+    assert max(np.abs(_strains_of(cable)).max() for cable in (a, b)) < 1e-10
     found = solver.sensitivities([a, b, a.start], [a, "storm"])
     assert found.one_sided == ("a", "b")
 
@@ -148,11 +148,11 @@ def test_a_belt_with_slack_parts(
 
     def slack(L0: float) -> float:
         solver.advance(L0={belt: L0})
-        return float(strains_of(belt)[middle]) + 4e-6
+        return float(_strains_of(belt)[middle]) + 4e-6
 
     L0 = brentq(slack, 0.99 * belt.L0, 1.01 * belt.L0, xtol=1e-6 * belt.L0)
     slack(L0)
-    now = strains_of(belt)
+    now = _strains_of(belt)
     assert 1e-6 < np.abs(now).min() < 8e-6, "hardly slack, or taut"
     assert np.count_nonzero(now < 0) > 1 and np.count_nonzero(now > 0) > 1
     of, by = [belt, belt.start, belt.end, "energy"], [belt, "storm", ("EA", belt)]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Vector, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, as_text, collective
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.bar import Bar, BarEnd, BarState, Joint, JointState, MeshVertex, PlacedBar
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
@@ -59,7 +60,7 @@ class Frame:
         return bool(self.joints or self.bars)
 
     @collective
-    def add_joint(self, position: Place, *, name: str | None = None, held: str = "") -> Joint:
+    def add_joint(self, position: Vector, *, name: str | None = None, held: str = "") -> Joint:
         """Add a joint off the membrane for bars to end at; its displacement is an unknown.
 
         Parameters
@@ -76,13 +77,12 @@ class Frame:
         InputError
             On all ranks: a position that is not finite, other directions, or a name that is taken.
         """
-        checks.same(self.comm, "add_joint", position=position, name=name, held=held)
-        joint = self._add_joint(checks.vector("add_joint: position", position), name, held)
+        joint = self._add_joint(np.asarray(position), name, held)
         self.versions.change_model(acts=False)
         return joint
 
     @collective
-    def vertex_at(self, point: Place) -> MeshVertex:
+    def vertex_at(self, point: Vector) -> MeshVertex:
         """Find the membrane's vertex at a current place, for bars to end at. Collective.
 
         Parameters
@@ -95,10 +95,8 @@ class Frame:
         InputError
             On all ranks: no vertex is there; the message names the nearest.
         """
-        checks.same(self.comm, "vertex_at", point=point)
         self.membrane.check_finite("vertex_at")
-        point = checks.vector("vertex_at: point", point)
-        membrane = self.membrane
+        membrane, point = self.membrane, np.asarray(point)
         n = membrane.V.dofmap.index_map.size_local
         away = np.linalg.norm(membrane.positions()[:n] - point, axis=1)
         nearest = int(np.argmin(away)) if n else -1
@@ -160,9 +158,7 @@ class Frame:
         >>> solver.advance(L0={guy: 9.95}, move={mast.start: (0.0, 0.0, 0.1)})
         >>> mast.force, mast.start.reaction
         """
-        checks.same(self.comm, "add_bar", bar=bar, start=start, end=end, L0=L0, name=name)
         self.membrane.check_finite("add_bar")
-        checks.of_type("add_bar: bar", bar, Bar)
         name = checks.new_name("add_bar", "bar", name, (bar.name for bar in self.bars))
         if {f"start of {name}", f"end of {name}"} & {joint.name for joint in self.joints}:
             raise InputError(f"add_bar: there is a joint 'start of {name}'; use another name.")

@@ -14,8 +14,9 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import gained_volume
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Name, PerRank, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly, Stateful
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Membrane
@@ -86,7 +87,7 @@ class Loads(Stateful[LoadsState]):
         )
 
     @collective
-    def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
+    def put_load(self, force: Traction, *, name: Name = "load", per: Area = "surface") -> None:
         """Put a load of fixed direction on the membrane.
 
         Its forces follow from the current shape and then keep direction and size;
@@ -116,11 +117,13 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
         >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
         """
-        self._check_new("put_load", name, force=force, per=per)
+        self._check_new("put_load", name)
         self.add(fixed_direction_load(self.membrane, force, name, per))
 
     @collective
-    def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
+    def put_wind(
+        self, pressure: Positive, coefficient: Coefficient, *, name: Name = "wind"
+    ) -> None:
         """Put wind on the membrane; `Solver.advance` applies it by its factor.
 
         The pressure stays normal to the surface: a load step ends when the wind's forces are those
@@ -149,11 +152,11 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
         >>> solver.advance(load={"wind along x": 1.5})
         """
-        self._check_new("put_wind", name, pressure=pressure, coefficient=coefficient)
+        self._check_new("put_wind", name)
         self.add(wind_load(self.membrane, pressure, coefficient, name))
 
     @collective
-    def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
+    def put_forces(self, forces: PerRank[fem.Function], *, name: Name = "forces") -> None:
         """Put forces on the membrane's vertices, as from another program. Collective.
 
         They keep direction and size. The function is copied: later changes have no effect.
@@ -184,7 +187,7 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_line_load(
-        self, force: Sequence[float] | Array, edges: str, *, name: str = "line load"
+        self, force: Sequence[float] | Array, edges: str, *, name: Name = "line load"
     ) -> None:
         """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
 
@@ -210,11 +213,11 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
         >>> solver.advance(load={"snow guard": 1.35})
         """
-        self._check_new("put_line_load", name, force=force, edges=edges)
+        self._check_new("put_line_load", name)
         self.add(line_load(self.membrane, force, edges, name))
 
     @collective
-    def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
+    def put_joint_load(self, forces: Mapping[Joint, Place], *, name: Name = "joint load") -> None:
         """Put forces on joints; `Solver.advance` applies them by their factor. Collective.
 
         Parameters
@@ -235,7 +238,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_joint_load({top: (0.0, 0.0, -5.0)}, name="lamp")
         >>> solver.advance(load={"lamp": 1.35})
         """
-        self._check_new("put_joint_load", name, forces=forces)
+        self._check_new("put_joint_load", name)
         checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
@@ -249,12 +252,12 @@ class Loads(Stateful[LoadsState]):
     @collective
     def put_pond(
         self,
-        weight: float,
+        weight: Positive,
         *,
-        level: float | None = None,
-        volume: float | None = None,
+        level: Finite | None = None,
+        volume: Positive | None = None,
         on: Sequence[str] | None = None,
-        name: str = "pond",
+        name: Name = "pond",
     ) -> None:
         """Let water stand on the membrane; `Solver.advance` applies it by its factor. Collective.
 
@@ -295,8 +298,7 @@ class Loads(Stateful[LoadsState]):
         >>> solver.advance(load={"pond": 1.0}, steps=4)
         >>> scene.ponds[0].volume
         """
-        self._check_new("put_pond", name, weight=weight, level=level, volume=volume, on=on)
-        weight = checks.positive("put_pond: weight", weight)
+        self._check_new("put_pond", name)
         if (level is None) == (volume is None):
             raise InputError(
                 f"put_pond: level = {level!r} and volume = {volume!r}; pass one of the two."
@@ -307,10 +309,8 @@ class Loads(Stateful[LoadsState]):
                 checks.named("part", self.membrane.mesh.parts, part)
         parts = tuple(on or ())
         if volume is not None:
-            volume = checks.positive("put_pond: volume", volume)
             pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
-        else:
-            level = checks.finite("put_pond: level", level)
+        elif level is not None:
             pond = Pond(name, weight, "level", level, 0.0, parts, 1)
         pond = replace(pond, side=upper_side(pond, self.membrane))
         self.update(ponds=(*self.ponds, pond))
@@ -325,7 +325,6 @@ class Loads(Stateful[LoadsState]):
         InputError
             On all ranks: an unknown load.
         """
-        checks.same(self.comm, "remove_load", name=name)
         factor = checks.named("load", self.factors, name)
         self.state = LoadsState(
             tuple(load for load in self if load.name != name),
@@ -338,11 +337,9 @@ class Loads(Stateful[LoadsState]):
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 
-    def _check_new(self, call: str, name: str, **given: object) -> None:
-        """Check a new load's name, and that arguments agree on all ranks. Collective."""
-        checks.same(self.comm, call, name=name, **given)
+    def _check_new(self, call: str, name: str) -> None:
+        """Refuse a name that is taken, and a shape that is not finite. Collective."""
         self.membrane.check_finite(call)
-        checks.text(f"{call}: name", name)
         if name in AIR:
             raise InputError(
                 f"{call}: name = {name!r} belongs to the air; use another name, such as 'snow'."
@@ -391,7 +388,9 @@ class Air(Stateful[AirState]):
 
     @collective
     @changes_model
-    def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
+    def seal(
+        self, *, volume: Positive, atmosphere: Positive = 101.325, exponent: Finite = 1.0
+    ) -> None:
         """Seal the air under the membrane at its present pressure. Collective.
 
         From now on the gas law gives the pressure from the volume, as in a cushion, or in a hall
@@ -419,7 +418,6 @@ class Air(Stateful[AirState]):
         ...     scene.seal(volume=52000.0, exponent=1.4)
         ...     solver.advance(load={"wind": 1.5})
         """
-        checks.same(self.comm, "seal", volume=volume, atmosphere=atmosphere, exponent=exponent)
         if self.sealed is not None:
             raise InputError("seal: the air is sealed already; call scene.unseal() first.")
         if self._law != "total":
@@ -427,9 +425,6 @@ class Air(Stateful[AirState]):
                 "seal: sealed air needs the exact follower pressure; use "
                 'Scene(..., pressure="total").'
             )
-        volume = checks.positive("seal: volume", volume)
-        atmosphere = checks.positive("seal: atmosphere", atmosphere)
-        exponent = checks.finite("seal: exponent", exponent)
         if exponent < 1.0:
             raise InputError(
                 f"seal: exponent = {exponent:g} is below 1; use 1.0 (isothermal) to 1.4 "

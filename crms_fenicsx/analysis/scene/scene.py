@@ -17,9 +17,10 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, PerRank, Positive, Whole, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable, Clamp, Hold, Net
@@ -178,6 +179,7 @@ class Scene:
     bar = of_part("frame", Frame.bar)
     joint = of_part("frame", Frame.joint)
 
+    @collective
     def __init__(
         self,
         mesh: MembraneMesh,
@@ -186,22 +188,12 @@ class Scene:
         strain: Law = "total",
         pressure: PressureLaw = "total",
         pressure_on: Sequence[str] | None = None,
-        penalty: float = 0.1,
-        literal_penalty: float | None = None,
-        frames: Array | None = None,
+        penalty: Positive = 0.1,
+        literal_penalty: Positive | None = None,
+        frames: PerRank[Array | None] = None,
     ) -> None:
-        checks.of_type("Scene: mesh", mesh, MembraneMesh)
-        checks.same(
-            mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
-            penalty=penalty, literal_penalty=literal_penalty,
-        )  # fmt: skip
-        checks.one_of("Scene: strain", strain, ("total", "step"))
-        checks.one_of("Scene: pressure", pressure, ("total", "lagged", "step"))
         self._strain_law, self._pressure_law = strain, pressure
-        self._penalty = checks.positive("Scene: penalty", penalty)
-        if literal_penalty is not None:
-            literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
-        self._literal_penalty = literal_penalty
+        self._penalty, self._literal_penalty = penalty, literal_penalty
         self.membrane = Membrane(mesh, material, pressure_on, frames)
         if literal_penalty is None:
             warn_of_penalty(self.comm, self.penalty)
@@ -291,12 +283,11 @@ class Scene:
         InputError
             Unknown vertices or directions, or edges that cables already cross.
         """
-        checks.same(self.comm, "fix", where=where, directions=directions)
         self.membrane.hold(where, directions, new_edges=not self.cables)
 
     @collective
     @changes_model
-    def floor(self, z: float = 0.0) -> None:
+    def floor(self, z: Finite = 0.0) -> None:
         """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
 
         Raises
@@ -304,8 +295,6 @@ class Scene:
         InputError
             A membrane that is below it.
         """
-        checks.same(self.comm, "floor", z=z)
-        z = checks.finite("floor: z", z)
         self.membrane.check_finite("floor")
         heights = self.positions()[:, 2]
         with raised_together(self.comm):
@@ -335,7 +324,6 @@ class Scene:
             On all ranks: no `EnergyTerm`, a name that is taken, or sums, energy or forces that are
             not finite in the current state.
         """
-        checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
         self.membrane.check_finite("add_term")
         taken = [other.name for other in self.terms]
         term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
@@ -363,7 +351,7 @@ class Scene:
         tension: float | None = None,
         shortest: bool = False,
         hold: Hold = "outside",
-        layer: int = 0,
+        layer: Whole = 0,
         name: str | None = None,
         measured_on: Literal["surface", "facets"] = "surface",
     ) -> LaidCable:
@@ -430,15 +418,12 @@ class Scene:
         """
         from crms_fenicsx.cabling.paths.laying import lay
 
-        given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "shortest": shortest, "hold": hold, "layer": layer,
-            "name": name, "measured_on": measured_on,
-        }  # fmt: skip
-        checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")
-        given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
-        return lay(self.net, cable, route, **given, joints=joints)
+        return lay(
+            self.net, cable, route, L0=L0, tension=tension, shortest=shortest, hold=hold,
+            layer=layer, name=name, measured_on=measured_on, joints=joints,
+        )  # fmt: skip
 
     @collective
     @changes_model
@@ -480,7 +465,6 @@ class Scene:
         >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
         >>> scene.cable("A1").tension
         """
-        checks.of_type("lay_net: net", net, Net)
         before = self.net.state
         try:
             laid = tuple(
@@ -500,7 +484,7 @@ class Scene:
         self,
         *cables: LaidCable | str,
         near: Sequence[Sequence[float]] | Array | None = None,
-        slip: float | None = None,
+        slip: Positive | None = None,
     ) -> tuple[Clamp, ...]:
         """Clamp cables to each other where they cross. Collective.
 
@@ -544,7 +528,6 @@ class Scene:
         >>> scene.clamp("A1", "B2")
         >>> scene.clamp(*scene.cables)
         """
-        checks.same(self.comm, "clamp", cables=cables, near=near, slip=slip)
         return self.net.clamp(cables, near, slip)
 
     @collective
@@ -564,7 +547,6 @@ class Scene:
         InputError
             On all ranks: an unknown clamp.
         """
-        checks.same(self.comm, "unclamp", cables=cables, near=near)
         self.net.unclamp(cables, near)
 
     @collective
@@ -586,7 +568,6 @@ class Scene:
         InputError
             On all ranks: an unknown cable.
         """
-        checks.same(self.comm, "remove", cable=cable)
         self.net.remove(cable)
 
     @collective
@@ -606,7 +587,6 @@ class Scene:
         InputError
             On all ranks: an unknown bar.
         """
-        checks.same(self.comm, "remove_bar", bar=bar)
         if isinstance(bar, str):
             bar = self.frame.bar(bar)
         checks.own("remove_bar", "bar", bar, self.bars)
@@ -639,7 +619,6 @@ class Scene:
         ...     scene.set_material({"roof": IsotropicMembrane(E=E, nu=0.3, thickness=1.0)})
         ...     solver.advance()
         """
-        checks.same(self.comm, "set_material", material=material)
         if self.strain_law == "step":
             raise InputError(
                 'set_material: strain="step" goes on from stresses of the material before; use '
@@ -669,7 +648,6 @@ class Scene:
         >>> scene.set_stiffness({ridge: 2 * ridge.cable.EA})
         >>> solver.advance()
         """
-        checks.same(self.comm, "set_stiffness", EA=EA)
         checks.collection("set_stiffness: EA", EA, Mapping, "{cable: EA}", 1)
         for one, stiffness in EA.items():
             checks.own("set_stiffness", "cable or bar", one, (*self.cables, *self.bars))
@@ -720,8 +698,6 @@ class Scene:
         >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
         >>> scene.set_strengths((84.0, 80.0), patches={"mast head": 0.6, "low point": 0.4})
         """
-        given = {"strengths": strengths, "factors": factors, "patches": patches}
-        checks.same(self.comm, "set_strengths", **given)
         divided = checked_factors("set_strengths", factors, self.factors)
         if isinstance(strengths, Mapping):
             strengths = checks.in_one_order(self.comm, strengths)

@@ -34,9 +34,8 @@ if TYPE_CHECKING:
 
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.tolerances import BUDGET, TOL
 
@@ -328,23 +327,13 @@ class Options:
     estimate: bool
     stability: Literal["warn", "refuse", "ignore"] = "warn"
 
-
-def checked_options(comm: MPI.Intracomm, **given: Any) -> Options:
-    """Check a solver's options. Collective."""
-    checks.same(comm, "Solver", **given)
-    options = Options(**given)
-    results, resume, rtol = options.results, options.resume, options.rtol
-    if not 0 < checks.finite("Solver: rtol", rtol) < 1:
-        raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
-    checks.options_prefix("Solver: prefix", options.prefix)
-    if resume is not None and not isinstance(resume, bool):
-        raise InputError(f"Solver: resume = {resume!r}; expected True, False or None.")
-    if resume is not None and results is None:
-        raise InputError(
-            f"Solver: resume = {resume}, but no results: name a folder for the checkpoints, "
-            'as in results="results/dome".'
-        )
-    checks.one_of("Solver: stability", options.stability, ("warn", "refuse", "ignore"))
-    halvings = checks.whole("Solver: max_halvings", options.max_halvings, 0)
-    folder = None if results is None else checks.file("Solver: results", results)
-    return replace(options, results=folder, rtol=float(rtol), max_halvings=halvings)
+    def __post_init__(self) -> None:
+        if not 0 < self.rtol < 1:
+            raise InputError(f"Solver: rtol = {self.rtol} must lie between 0 and 1, as 1e-9 does.")
+        if self.resume is not None and not isinstance(self.resume, bool):
+            raise InputError(f"Solver: resume = {self.resume!r}; expected True, False or None.")
+        if self.resume is not None and self.results is None:
+            raise InputError(
+                f"Solver: resume = {self.resume}, but no results: name a folder for the "
+                'checkpoints, as in results="results/dome".'
+            )

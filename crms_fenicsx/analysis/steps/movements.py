@@ -12,6 +12,7 @@ from mpi4py import MPI
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Axis, Finite, Vector, checked
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.bar import Joint
@@ -29,6 +30,7 @@ ROUNDING = 64 * EPSILON
 """Rounding allowed in a function's zeros, relative to places and displacements."""
 
 
+@checked
 @dataclass(frozen=True)
 class Rotation:
     """Rotation of supports about an axis, for `Solver.advance`.
@@ -52,18 +54,9 @@ class Rotation:
     >>> solver.advance(move={"ring": Rotation((0, 0, 0), (0, 0, 1), np.pi / 6)}, steps=3)
     """
 
-    point: Sequence[float]
-    axis: Sequence[float]
-    angle: float
-
-    def __post_init__(self) -> None:
-        checks.vector("Rotation: point", self.point)
-        axis = checks.vector("Rotation: axis", self.axis)
-        if not np.linalg.norm(axis) > 0.0:
-            raise InputError(
-                f"Rotation: axis = {self.axis!r} has no direction; use one such as (0, 0, 1)."
-            )
-        checks.finite("Rotation: angle", self.angle)
+    point: Vector
+    axis: Axis
+    angle: Finite
 
     def __call__(self, x: Array, t: float) -> Array:
         """Displacements (3, n) of places x (3, n) at a fraction t of the turn (Rodrigues)."""

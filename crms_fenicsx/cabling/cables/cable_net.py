@@ -154,7 +154,6 @@ class CableNet:
     ) -> tuple[Clamp, ...]:
         """Clamp cables where they cross, see `Scene.clamp`. Collective."""
         own = self._cables("clamp", cables)
-        slip = None if slip is None else checks.positive("clamp: slip", slip)
         for cable in own:
             if cable.cable.law == "step":
                 raise InputError(

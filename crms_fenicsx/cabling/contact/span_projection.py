@@ -39,8 +39,9 @@ class _Plane(dict[int, float]):
     def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
         super().__init__()
         self.shape, self.start = shape, start
-        self.along = end - start
-        across = cross(normal, self.along)
+        # Along the membrane only: of a steep span, what has passed below its end is a small part.
+        self.along = end - start - (end - start) @ normal * normal
+        across = cross(normal, end - start)
         self.across = across / max(float(np.linalg.norm(across)), 1e-300)
         self._places, self._row_of = shape.current, shape.strip.row_of
 
@@ -58,7 +59,8 @@ class _Plane(dict[int, float]):
         s = self[a] / (self[a] - self[b])
         first, last = self._places[self._row_of[a]], self._places[self._row_of[b]]
         place = first + s * (last - first)
-        return s, float((place - self.start) @ self.along / (self.along @ self.along))
+        along = max(float(self.along @ self.along), 1e-300)
+        return s, float((place - self.start) @ self.along) / along
 
 
 def project_span(
@@ -115,8 +117,8 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[Cell]:
 
 
 def _anchor_foot(shape: StripShape, cell: Cell, place: Array) -> CellPoint:
-    """Cell point below an anchor."""
-    weights = np.clip(_weights(shape, cell, place), 0.0, 1.0)
+    """Cell point below an anchor, inside the cell even if the anchor is beyond it."""
+    weights = np.clip(_weights(shape, cell, place), 1e-9, 1.0)
     x, y, z = (float(w) for w in weights / weights.sum())
     return CellPoint(cell, (x, y, z))
 

@@ -211,14 +211,8 @@ class CreasedSurface:
         """Neighbours of a vertex in order, without anchors."""
         if vertex not in self.strip.complete:
             raise MissingCells([vertex])
-        return ring_of(
-            vertex,
-            [
-                (cell[k - 2], cell[k - 1])
-                for cell in (self.strip.corners[row] for row in self.strip.outer_rows((vertex,)))
-                for k in (cell.index(vertex),)
-            ],
-        )
+        cells = (self.strip.corners[row] for row in self.strip.outer_rows((vertex,)))
+        return ring_of(vertex, cells)
 
     def place(self, edge: Edge, fraction: float) -> Array:
         """Position on an edge at a fraction of its length, (3,)."""

@@ -18,11 +18,11 @@ from crms_fenicsx.cabling.paths.path_change import fractions_of, nodes_of
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface, arc_lengths_on
-from crms_fenicsx.foundation.meshes.triangles import mix, norm, vectors
+from crms_fenicsx.foundation.meshes.triangles import mix, vectors
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError
-from crms_fenicsx.foundation.surface.closest_point import pairs_within
+from crms_fenicsx.foundation.surface.closest_point import Balls
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
@@ -50,13 +50,12 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
         contacts += [(cable, k) for k in here]
         positions.append(cable.state.positions[here])
     x, reach = np.concatenate(positions), SAME_PLACE * net.membrane.size
-    target, contact = pairs_within(x, route, np.full(len(route), reach))
-    same = norm(x[contact] - route[target]) <= reach
-    if not same.any():
+    target, contact = Balls(x, np.zeros(len(x))).within(route, np.full(len(route), reach))
+    if not len(target):
         return route, {}, []
     first_at: dict[int, int] = {}
-    for row, at in zip(target[same], contact[same], strict=True):
-        first_at.setdefault(int(row), int(at))
+    for row, at in zip(ints(target), ints(contact), strict=True):
+        first_at.setdefault(row, at)
     shape = net.strip_shape()
     rows: list[Array] = []
     known: dict[int, SurfacePoint] = {}
@@ -91,16 +90,14 @@ def lay(
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
-    checks.of_type("lay_cable: cable", cable, Cable)
     # not the number of a removed cable
     name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
-    checks.one_of(f"lay_cable: hold of {name!r}", hold, tuple(HOLDS))
     if hold == "bonded" and cable.law == "step":
         raise InputError(
             f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '
             'cable; use law="total".'
         )
-    _check_length(name, L0, tension, measured_on)
+    _check_length(name, L0, tension)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     try:
@@ -198,19 +195,13 @@ def _put_in_folds(
     return moved
 
 
-def _check_length(
-    name: str, L0: float | None, tension: float | None, measured_on: MeasuredOn
-) -> None:
+def _check_length(name: str, L0: float | None, tension: float | None) -> None:
     """Check the arguments for the length of a new cable."""
     if L0 is not None and tension is not None:
         raise InputError(f"lay_cable: {name!r} got both L0 and tension; pass one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
-    if measured_on not in ("surface", "facets"):
-        raise InputError(
-            f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
-        )
 
 
 def _follows_free_edge(path: Path, strip: Strip) -> bool:

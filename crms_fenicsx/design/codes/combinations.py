@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import checked
 from crms_fenicsx.foundation.runtime.errors import InputError
 
 Psi = tuple[float, float, float]
@@ -75,6 +76,7 @@ ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7,
 """Load factors of snow and rain in 2.4.1; of rain as quoted from 7-22 in one place."""
 
 
+@checked
 def combinations(
     rules: CombinationRules,
     permanent: Sequence[str],
@@ -120,7 +122,6 @@ def combinations(
     >>> table = combinations(en1990, permanent=["weight"], variable=["snow", "wind x", "wind y"])
     >>> found = solver.combine(table)
     """
-    checks.of_type("combinations: rules", rules, CombinationRules)
     state = rules.states[0] if state is None else state
     checks.one_of(f"combinations: state of {rules.name}", state, rules.states)
     kinds = _kinds(rules, permanent, variable)

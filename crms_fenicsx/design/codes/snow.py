@@ -6,13 +6,15 @@ roof. `snow_load` turns it into a load on plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Annotated, Literal
 
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PlanDirection, PlanVector, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 
@@ -34,6 +36,7 @@ DRIFTS = (5.0, 15.0)
 SLIDES = 15.0
 """Pitch (degrees) of the upper roof above which its snow slides off, 5.3.6(1)."""
 
+Pitch = Annotated[float, partial(checks.within, low=0.0, high=90.0, unit="degrees")]
 Shape = Callable[[Array, Array], Array]
 """Function of points and unit normals, both (3, n), that returns coefficients mu, (n,)."""
 
@@ -71,16 +74,14 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     return np.full_like(mu, MU_1) if retained else mu
 
 
-def _along(
-    call: str, direction: Sequence[float], origin: Sequence[float]
-) -> Callable[[Array], Array]:
+def _along(direction: PlanDirection, origin: PlanVector) -> Callable[[Array], Array]:
     """Coordinates (n,) (length) of points (3, n) along a direction in plan, from an origin."""
-    what = f"{call}: direction"
-    way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
-    unit, start = way / np.hypot(*way), checks.vector(f"{call}: point", origin, (2, 3))[:2]
+    way, start = np.asarray(direction[:2], dtype=float), np.asarray(origin[:2], dtype=float)
+    unit = way / np.hypot(*way)
     return lambda x: np.asarray(unit @ (x[:2] - start[:, None]))
 
 
+@checked
 @dataclass(frozen=True)
 class PitchedSnow:
     """Snow on a monopitch roof, EN 1991-1-3, 5.3.2, and on any surface by its own slope.
@@ -98,12 +99,8 @@ class PitchedSnow:
         A pitch that is not between 0 and 90 degrees.
     """
 
-    pitch: float | None = None
+    pitch: Pitch | None = None
     retained: bool = False
-
-    def __post_init__(self) -> None:
-        if self.pitch is not None:
-            checks.within("PitchedSnow: pitch", self.pitch, 0.0, 90.0, "degrees")
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
@@ -113,6 +110,7 @@ class PitchedSnow:
         return snow_on_pitch(slopes, retained=self.retained)
 
 
+@checked
 @dataclass(frozen=True)
 class DuopitchSnow:
     """Snow on a duopitch roof, EN 1991-1-3, 5.3.3 and figure 5.3.
@@ -134,25 +132,21 @@ class DuopitchSnow:
         An unknown case, a direction without length, or a pitch out of range.
     """
 
-    ridge: Sequence[float]
-    across: Sequence[float]
+    ridge: PlanVector
+    across: PlanDirection
     case: Literal["i", "ii", "iii"] = "i"
-    pitch: float | None = None
+    pitch: Pitch | None = None
     retained: bool = False
-
-    def __post_init__(self) -> None:
-        checks.one_of("DuopitchSnow: case", self.case, ("i", "ii", "iii"))
-        PitchedSnow(self.pitch)
-        _along("DuopitchSnow", self.across, self.ridge)
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
         mu = PitchedSnow(self.pitch, self.retained)(x, n)
-        second = _along("DuopitchSnow", self.across, self.ridge)(x) > 0.0
+        second = _along(self.across, self.ridge)(x) > 0.0
         halved = {"i": np.zeros_like(second), "ii": ~second, "iii": second}[self.case]
         return np.where(halved, 0.5 * mu, mu)
 
 
+@checked
 @dataclass(frozen=True)
 class CylindricalSnow:
     """Snow on a cylindrical roof, EN 1991-1-3, 5.3.5 and figure 5.6.
@@ -181,18 +175,14 @@ class CylindricalSnow:
         of more than half the span, beyond the figure.
     """
 
-    crown: Sequence[float]
-    across: Sequence[float]
-    span: float
-    rise: float
+    crown: PlanVector
+    across: PlanDirection
+    span: Positive
+    rise: Positive
     case: Literal["i", "ii"] = "i"
 
     def __post_init__(self) -> None:
-        checks.one_of("CylindricalSnow: case", self.case, ("i", "ii"))
-        checks.positive("CylindricalSnow: span", self.span)
-        checks.positive("CylindricalSnow: rise", self.rise)
         checks.within("CylindricalSnow: rise / span", self.rise / self.span, 0.0, 0.5)
-        _along("CylindricalSnow", self.across, self.crown)
 
     @property
     def width(self) -> float:
@@ -207,13 +197,14 @@ class CylindricalSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = _along("CylindricalSnow", self.across, self.crown)(x) / (self.width / 2)
+        part = _along(self.across, self.crown)(x) / (self.width / 2)
         if self.case == "i":
             return np.where(np.abs(part) <= 1.0, MU_1, 0.0)
         hat = np.clip(1.0 - np.abs(2 * np.abs(part) - 1.0), 0.0, None)  # 1 at a quarter of l_s
         return self.mu_3 * np.where(part > 0.0, 1.0, 0.5) * hat
 
 
+@checked
 @dataclass(frozen=True)
 class DriftedSnow:
     """Snow on a roof that abuts taller construction works, EN 1991-1-3, 5.3.6 and figure 5.7.
@@ -252,23 +243,19 @@ class DriftedSnow:
     Use m and kN/m^2, the units of the recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m.
     """
 
-    wall: Sequence[float]
-    away: Sequence[float]
-    height: float
-    upper: float
-    lower: float
-    s_k: float
-    upper_pitch: float = 0.0
+    wall: PlanVector
+    away: PlanDirection
+    height: Positive
+    upper: Positive
+    lower: Positive
+    s_k: Positive
+    upper_pitch: Pitch = 0.0
     upper_slope: float = 0.0
-    weight: float = 2.0
+    weight: Positive = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("height", "upper", "lower", "s_k", "weight"):
-            checks.positive(f"DriftedSnow: {name}", getattr(self, name))
-        checks.within("DriftedSnow: upper_pitch", self.upper_pitch, 0.0, 90.0, "degrees")
         if self.upper_pitch > SLIDES:
             checks.positive("DriftedSnow: upper_slope", self.upper_slope)
-        _along("DriftedSnow", self.away, self.wall)
 
     @property
     def length(self) -> float:
@@ -291,13 +278,14 @@ class DriftedSnow:
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
-        part = np.clip(_along("DriftedSnow", self.away, self.wall)(x) / self.length, 0.0, 1.0)
+        part = np.clip(_along(self.away, self.wall)(x) / self.length, 0.0, 1.0)
         highest = max(self.mu_s + self.mu_w, MU_1)
         return np.asarray(highest + (MU_1 - highest) * part)
 
 
+@checked
 def snow_load(
-    s_k: float, shape: Shape | None = None, *, exposure: float = 1.0, thermal: float = 1.0
+    s_k: Positive, shape: Shape | None = None, *, exposure: Positive = 1.0, thermal: Positive = 1.0
 ) -> Callable[[Array, Array], Array]:
     """Snow load s = mu C_e C_t s_k on the plan, EN 1991-1-3, expression (5.1).
 
@@ -327,9 +315,7 @@ def snow_load(
     >>> vault = CylindricalSnow(crown=(0, 0), across=(1, 0), span=36.0, rise=9.0, case="ii")
     >>> scene.put_load(snow_load(0.75, vault), name="snow drifted", per="plan")
     """
-    load = checks.positive("snow_load: s_k", s_k)
-    load *= checks.positive("snow_load: exposure", exposure)
-    load *= checks.positive("snow_load: thermal", thermal)
+    load = s_k * exposure * thermal
     shape = PitchedSnow() if shape is None else shape
     if not callable(shape):
         raise InputError(

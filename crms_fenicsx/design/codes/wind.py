@@ -9,7 +9,6 @@ at each; compare those that a design relies on with your copy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,8 +18,15 @@ from mpi4py import MPI
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.meshes.membrane_mesh import cells_of
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import (
+    Finite,
+    PlanDirection,
+    Positive,
+    checked,
+    collective,
+)
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective
+from crms_fenicsx.foundation.runtime.errors import InputError
 
 Zones = tuple[float, float, float]
 """Coefficients in the zones A (windward), B (crown) and C (leeward)."""
@@ -132,7 +138,8 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     return a, b, c
 
 
-def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) -> Zones:
+@checked
+def asce7_arch_zones(rise: Positive, *, raised: bool, alternative: bool = False) -> Zones:
     """Coefficients C_p of an arched roof, ASCE 7-16 and 7-22, figure 27.3-3.
 
     Parameters
@@ -160,7 +167,6 @@ def asce7_arch_zones(rise: float, *, raised: bool, alternative: bool = False) ->
     >>> asce7_arch_zones(0.5, raised=False)
     (0.7, -1.2, -0.5)
     """
-    rise = checks.positive("asce7_arch_zones: rise", rise)
     checks.within("asce7_arch_zones: rise", rise, 0.0, 0.6)
     if alternative and not (raised and 0.2 <= rise <= 0.3):
         raise InputError(
@@ -208,12 +214,9 @@ class Footprint:
         return np.asarray(np.arcsin(distance / radius) / np.arcsin(half / radius))
 
 
-def _footprint(call: str, scene: Scene, direction: Sequence[float], part: str | None) -> Footprint:
+def _footprint(call: str, scene: Scene, direction: PlanDirection, part: str | None) -> Footprint:
     """Dimensions of a scene's membrane, or of a part. Collective."""
-    checks.of_type(f"{call}: scene", scene, Scene)
-    checks.same(scene.comm, call, direction=direction, part=part)
-    what = f"{call}: direction"
-    way = checks.direction(what, checks.vector(what, direction, (2, 3))[:2], (2,))
+    way = np.asarray(direction)
     c, s = map(float, way / np.hypot(*way))
     membrane = scene.membrane
     membrane.check_finite(call)
@@ -309,9 +312,9 @@ def _checked_zones(call: str, zones: object) -> Zones:
 @collective
 def vault(
     scene: Scene,
-    direction: Sequence[float],
+    direction: PlanDirection,
     *,
-    height: float = 0.0,
+    height: Finite = 0.0,
     zones: Zones | None = None,
     part: str | None = None,
 ) -> ArchWind:
@@ -350,8 +353,7 @@ def vault(
     >>> scene.put_wind(0.8, vault(scene, (1.0, 0.0)), name="wind x")
     """
     roof = _footprint("vault", scene, direction, part)
-    checks.same(scene.comm, "vault", height=height, zones=zones)
-    tall = checks.finite("vault: height", height) / roof.depth
+    tall = height / roof.depth
     checks.within("vault: height / d", tall, 0.0, np.inf)
     if zones is None:
         return ArchWind(roof, en1991_vault_zones(roof.rise / roof.depth, tall), stepped=True)
@@ -361,7 +363,7 @@ def vault(
 @collective
 def dome(
     scene: Scene,
-    direction: Sequence[float],
+    direction: PlanDirection,
     *,
     zones: Zones | None = None,
     part: str | None = None,
@@ -393,7 +395,6 @@ def dome(
     >>> scene.put_wind(0.8, dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1)), name="wind")
     """
     roof = _footprint("dome", scene, direction, part)
-    checks.same(scene.comm, "dome", zones=zones)
     if roof.rise <= 0.0:
         raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is not a dome.")
     if zones is None and abs(roof.rise / roof.depth - 0.5) > 0.01:
@@ -408,7 +409,7 @@ def dome(
 @collective
 def canopy(
     scene: Scene,
-    direction: Sequence[float],
+    direction: PlanDirection,
     kind: Literal["monopitch", "duopitch"],
     pitch: float,
     effect: Literal["down", "up"],
@@ -452,13 +453,6 @@ def canopy(
     >>> up = canopy(scene, (1, 0), "duopitch", 12.0, "up", blockage=0.5)
     >>> scene.put_wind(0.7, up, name="wind up")
     """
-    checks.of_type("canopy: scene", scene, Scene)
-    checks.same(
-        scene.comm, "canopy", kind=kind, pitch=pitch, effect=effect, blockage=blockage, take=take
-    )
-    checks.one_of("canopy: kind", kind, CANOPIES)
-    checks.one_of("canopy: effect", effect, ("down", "up"))
-    checks.one_of("canopy: take", take, ("zones", "overall", "first", "second"))
     phi = checks.within("canopy: blockage", blockage, 0.0, 1.0)
     pitches, most, least, blocked = CANOPIES[kind]
     angle = checks.within(f"canopy: pitch of a {kind} roof", pitch, pitches[0], pitches[-1],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -18,12 +17,12 @@ from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.meshes.membrane_mesh import moved
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, Prefix, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import (
     ConvergenceError,
     InputError,
     as_text,
-    collective,
     raised_together,
 )
 from crms_fenicsx.model.materials import IsotropicMembrane
@@ -51,10 +50,10 @@ def find_form(
     lifted: Mapping[str, Lift] | None = None,
     cables: Sequence[FormCable] = (),
     warp: Direction | Mapping[str, Direction] | None = None,
-    pressure: float | None = None,
-    volume: float | None = None,
-    rise: float | None = None,
-    prefix: str = "crms_form_",
+    pressure: Finite | None = None,
+    volume: Positive | None = None,
+    rise: Positive | None = None,
+    prefix: Prefix = "crms_form_",
 ) -> FoundForm:
     """Find the equilibrium of prescribed section forces, cables and inner pressure. Collective.
 
@@ -115,11 +114,10 @@ def find_form(
     ... )
     >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
     """
-    given = {"pressure": pressure, "volume": volume, "rise": rise}
-    inflated = _checked(
-        mesh, given, stress=stress, fixed=fixed, lifted=lifted, cables=cables, warp=warp,
-        prefix=prefix,
-    )  # fmt: skip
+    inflated = _is_inflated(pressure=pressure, volume=volume, rise=rise)
+    if lifted is not None:
+        checks.collection("find_form: lifted", lifted, Mapping, '{"mast": (0.0, 0.0, 5.0)}')
+    checks.collection("find_form: cables", cables, Sequence, "[FormCable(...)]")
     prescribed = PrescribedStress.of(mesh, stress, warp)
     membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
     supports = _hold(membrane, fixed)
@@ -155,22 +153,13 @@ def find_form(
     )  # fmt: skip
 
 
-def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
-    """Check single arguments; return whether there is pressure. Collective."""
-    checks.of_type("find_form: mesh", mesh, MembraneMesh)
-    checks.same(mesh.comm, "find_form", **inflations, **given)
-    named = {name: value for name, value in inflations.items() if value is not None}
+def _is_inflated(**inflations: float | None) -> bool:
+    """Whether there is pressure, of which one quantity is given at most."""
+    named = [name for name, value in inflations.items() if value is not None]
     if len(named) > 1:
         raise InputError(
             f"find_form: {' and '.join(named)} are given, expected one of {', '.join(inflations)}."
         )
-    for name, value in named.items():
-        (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
-    if given["lifted"] is not None:
-        example = '{"mast": (0.0, 0.0, 5.0)}'
-        checks.collection("find_form: lifted", given["lifted"], Mapping, example)
-    checks.collection("find_form: cables", given["cables"], Sequence, "[FormCable(...)]")
-    checks.options_prefix("find_form: prefix", given["prefix"])
     return bool(named)
 
 

@@ -88,13 +88,14 @@ class EdgeLine:
         force = (self.cable.force_density or 0.0) * self.length
         return force - self.tension, force
 
-    def slope(self, n: int) -> Array:
-        """This rank's share of the gradient of the length by its n vertices, (n, 3)."""
-        return self._pulled(self._sides / np.linalg.norm(self._sides, axis=1)[:, None], n)
-
-    def even_slope(self, n: int) -> Array:
-        """`slope` with each edge's pull scaled by its length over its nominal length, (n, 3)."""
-        return self._pulled(self._sides / (self.shares * self.length)[:, None], n)
+    def slope(self, n: int, *, even: bool = False) -> Array:
+        """This rank's share of the gradient of the length by its n vertices, (n, 3); an `even` one
+        with each edge's pull scaled by its length over its nominal length."""
+        lengths = self.shares * self.length if even else np.linalg.norm(self._sides, axis=1)
+        pulls, slope = self._sides / lengths[:, None], np.zeros((n, 3))
+        np.add.at(slope, self.edges[:, 1], pulls)
+        np.add.at(slope, self.edges[:, 0], -pulls)
+        return slope
 
     def tangents(self, n: int) -> Array:
         """This rank's share of tangent vectors of the cable at its n vertices, (n, 3)."""
@@ -103,24 +104,15 @@ class EdgeLine:
             np.add.at(along, end, self._sides)
         return along
 
-    def _pulled(self, pulls: Array, n: int) -> Array:
-        slope = np.zeros((n, 3))
-        np.add.at(slope, self.edges[:, 1], pulls)
-        np.add.at(slope, self.edges[:, 0], -pulls)
-        return slope
-
-    def add_stiffness(self, A: PETSc.Mat) -> None:
-        """Add the derivative of `slope`, times the tension."""
-        lengths = np.linalg.norm(self._sides, axis=1)
-        t = self._sides / lengths[:, None]
-        block = np.eye(3) - t[:, :, None] * t[:, None, :]
-        self._add(A, block * (self.tension / lengths)[:, None, None])
-
-    def add_even_stiffness(self, A: PETSc.Mat) -> None:
-        """Add the derivative of `even_slope` at constant length, which is positive definite."""
-        self._add(A, np.eye(3) * (self.tension / (self.shares * self.length))[:, None, None])
-
-    def _add(self, A: PETSc.Mat, blocks: Array) -> None:
+    def add_stiffness(self, A: PETSc.Mat, *, even: bool = False) -> None:
+        """Add the derivative of `slope`, of an `even` one at constant length, which is positive
+        definite, times the tension."""
+        lengths, block = self.shares * self.length, np.eye(3)
+        if not even:
+            lengths = np.linalg.norm(self._sides, axis=1)
+            t = self._sides / lengths[:, None]
+            block = block - t[:, :, None] * t[:, None, :]
+        blocks = block * (self.tension / lengths)[:, None, None]
         signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
         values = np.einsum("ij,nab->niajb", signs, blocks).reshape(len(blocks), 36)
         A.setValuesBlockedLocalRCV(self.edges, self.edges, values, PETSc.InsertMode.ADD)

@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.design.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
-from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
+from crms_fenicsx.design.form_finding.linear_system import Border, Directions, LinearSystem
 from crms_fenicsx.foundation.meshes.triangles import double_areas, longest_sides, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, as_text
@@ -202,14 +202,14 @@ class FormSearch:
         n, pulls = len(film.start), self._slopes
         forces, growth = self._forces, inflation.growth
         if not newton or not self.holding:
-            evens = [film.gathered(line.even_slope(n)) for line in lines]
+            evens = [film.gathered(line.slope(n, even=True)) for line in lines]
         if not newton:
-            self.system.update()
+            self.system.assemble(exact=False)
             for line, even, slope in zip(lines, evens, pulls, strict=True):
                 forces = forces + line.tension * (even - slope)
             pulls = evens
         elif self.holding:
-            self.system.balance(inflation.pressure, film.modulus)
+            self.system.assemble(exact=True, modulus=film.modulus, pressure=inflation.pressure)
         else:
             film.reference.x.array[:] = film.u.x.array
             self.system.balance_across(inflation.pressure, self._damping)
@@ -224,9 +224,8 @@ class FormSearch:
             start = np.where(self.directions.free, 0.0, lift[: len(start)])
             forces = forces + self.system.times(start)
         self.system.factorise()
-        columns, rows, diagonal = self._border(pulls, growth)
-        border = (columns, rows, diagonal, self._gaps)
-        way, ways, change = self.system.bordered(-forces, start, *border)
+        border = self._border(pulls, growth)
+        way, ways, change = self.system.bordered(-forces, start, border, self._gaps)
         for k, line in enumerate(self._found):
             change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
             line.tension += float(change[k])
@@ -237,22 +236,17 @@ class FormSearch:
         film.u.x.array[: way.size] += way.ravel()
         film.u.x.scatter_forward()
 
-    def _border(
-        self, pulls: list[Array], growth: Array
-    ) -> tuple[list[Array], list[Array], list[float]]:
+    def _border(self, pulls: list[Array], growth: Array) -> Border:
         """Forces of the unknown tensions and pressure, and derivatives of their equations."""
-        columns, rows, diagonal = [], [], []
+        border: Border = []
         for line, pull, slope in zip(self.lines, pulls, self._slopes, strict=True):
-            density = line.cable.force_density
-            if line.cable.tension is None:
-                columns.append(pull)
-                rows.append(slope if density is None else density * slope)
-                diagonal.append(0.0 if density is None else -1.0)
+            if (density := line.cable.force_density) is not None:
+                border.append((pull, density * slope, -1.0))
+            elif line.cable.length is not None:
+                border.append((pull, slope, 0.0))
         if self.inflation.is_found:
-            columns.append(-growth)
-            rows.append(self.inflation.gap_slope)
-            diagonal.append(0.0)
-        return columns, rows, diagonal
+            border.append((-growth, self.inflation.gap_slope, 0.0))
+        return border
 
     def _shapes(self) -> Array:
         """Area over the square of the longest side of this rank's cells, (n,)."""

@@ -14,9 +14,10 @@ from crms_fenicsx.design.form_finding.stresses import Materials, PrescribedStres
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
-from crms_fenicsx.foundation.runtime.errors import InputError, as_text, collective
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Bar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.tolerances import SAME_PLACE
@@ -284,9 +285,6 @@ class FoundForm:
         ...     FormBar("high point", guy, foot=(-5.0, 3.0, 0.0)),
         ... ])
         """
-        checks.same(
-            self.comm, "FoundForm.scene", material=material, cables=cables, bars=bars, belts=belts
-        )
         kinds = self._kinds(cables)
         of_belts = {} if belts is None else self._kinds(belts, all_of_them=False)
         released = self._released(bars)

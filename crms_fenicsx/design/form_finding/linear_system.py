@@ -63,6 +63,11 @@ class Directions:
         return np.asarray(parts / sizes[:, None])
 
 
+Border = list[tuple[Array, Array, float]]
+"""Forces (n, 3) of each unknown tension and pressure, and the derivatives of its equation by this
+rank's vertices (n, 3) and by itself."""
+
+
 class LinearSystem:
     """Factorised stiffness of a film and its cables."""
 
@@ -98,29 +103,23 @@ class LinearSystem:
         for own in (self._pc, self._vector, self._way, self.film.matrix, self.film.elastic):
             own.destroy()
 
-    def update(self) -> None:
-        """Assemble the updated reference strategy, with cables as force densities."""
-        self.film.assemble(self.film.matrix, exact=False, modulus=0.0)
+    def assemble(self, *, exact: bool, modulus: float = 0.0, pressure: float = 0.0) -> None:
+        """Assemble the exact stiffness, elasticity included, or that of the updated reference
+        strategy, with cables as force densities."""
+        self.film.assemble(self.film.matrix, exact=exact, modulus=modulus, pressure=pressure)
         for line in self.lines:
-            line.add_even_stiffness(self.film.matrix)
-        self.film.matrix.assemble()
-
-    def balance(self, pressure: float, modulus: float) -> None:
-        """Assemble the exact stiffness, elasticity included."""
-        self.film.assemble(self.film.matrix, exact=True, modulus=modulus, pressure=pressure)
-        for line in self.lines:
-            line.add_stiffness(self.film.matrix)
+            line.add_stiffness(self.film.matrix, even=not exact)
         self.film.matrix.assemble()
 
     def balance_across(self, pressure: float, damping: float) -> None:
         """Assemble the exact stiffness across the form, and an elasticity within it."""
         film, directions = self.film, self.directions
-        self.balance(pressure, damping)
+        self.assemble(exact=True, modulus=damping, pressure=pressure)
         film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
         film.elastic.assemble()
         film.elastic.zeroRows(self._on_cable, diag=0.0)
         for line in self.lines:
-            line.add_even_stiffness(film.elastic)
+            line.add_stiffness(film.elastic, even=True)
         film.elastic.assemble()
         sum_of = self._times(directions.counted, film.matrix)
         within = self._times(directions.within, film.elastic)
@@ -158,19 +157,17 @@ class LinearSystem:
         return self._way.array.reshape(-1, 3).copy()
 
     def bordered(
-        self, forces: Array, start: Array, columns: list[Array], rows: list[Array],
-        diagonal: list[float], gaps: Array,
-    ) -> tuple[Array, list[Array], Array]:  # fmt: skip
+        self, forces: Array, start: Array, border: Border, gaps: Array
+    ) -> tuple[Array, list[Array], Array]:
         """Displacements, alone and per extra unknown, and the changes of those unknowns.
         Collective."""
         way = start + self.solved(forces)
-        ways = [self.solved(column) for column in columns]
+        ways = [self.solved(column) for column, _, _ in border]
         change = np.zeros(len(gaps))
-        if columns:
-            matrix = [[np.vdot(row, way) for way in ways] for row in rows]
-            local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
+        if border:
+            local = np.array([[np.vdot(row, own) for own in (*ways, way)] for _, row, _ in border])
             total = self.film.comm.allreduce(local, op=MPI.SUM)
-            system = np.diag(diagonal) - total[:, :-1]
+            system = np.diag([diagonal for _, _, diagonal in border]) - total[:, :-1]
             if np.isfinite(total).all():  # else cells have collapsed, which is detected later
                 # singular if cables are straight
                 change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=1e-12)[0]

@@ -20,14 +20,9 @@ from crms_fenicsx.design.nets.assembly import assembled
 from crms_fenicsx.design.nets.whole_surface import WholeSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PlanVector, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    NetWarning,
-    PathError,
-    as_text,
-    collective,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, PathError, as_text
 from crms_fenicsx.model.cable import Net
 from crms_fenicsx.model.tolerances import SAME_POINT
 
@@ -41,11 +36,11 @@ diagonals of meshes with angles of 30 degrees are longer."""
 @collective
 def equidistant(
     scene: Scene,
-    width: float,
-    origin: Sequence[float],
+    width: Positive,
+    origin: PlanVector,
     directions: Sequence[Sequence[float]] = ((1.0, 0.0), (0.0, 1.0)),
     *,
-    least_angle: float = 30.0,
+    least_angle: Positive = 30.0,
 ) -> Net:
     """Lay out a net whose meshes have sides of equal length. Collective.
 
@@ -92,19 +87,14 @@ def equidistant(
     >>> net = nets.equidistant(scene, 2.0, origin=(0.0, 0.0), directions=[(1, 1), (-1, 1)])
     """
     call = "equidistant"
-    surface = WholeSurface.of(
-        call, scene, width=width, origin=origin, directions=directions, least_angle=least_angle
-    )
-    width = checks.positive(f"{call}: width", width)
-    least_angle = checks.positive(f"{call}: least_angle", least_angle)
+    surface = WholeSurface.of(call, scene)
     if least_angle >= 90.0:
         raise InputError(f"{call}: least_angle = {least_angle:g} must be less than 90 degrees.")
-    start = checks.vector(f"{call}: origin", origin, (2, 3))
     if not isinstance(directions, Sequence | np.ndarray) or len(directions) != 2:
         raise InputError(f"{call}: directions = {directions!r}, expected one for each family.")
     ways = [checks.direction(f"{call}: direction", one, (2, 3)) for one in directions]
     try:
-        place = surface.place(start)
+        place = surface.place(np.asarray(origin))
         u, v = (surface.tangent(place, way) for way in ways)
     except PathError as error:
         raise PathError(f"{call}: {error}") from None
@@ -147,11 +137,10 @@ class Chart:
         self.nodes[0, 0] = origin
         axes = ((1, 0), (-1, 0), (0, 1), (0, -1))
         for (i, j), way in zip(axes, ways, strict=True):  # to the rim, or until the line closes
-            if (first := self.surface.step(origin, way, self.width)) is not None:
-                line = self.surface.to_rim([origin, first], self.width)
-                for k, (last, new) in enumerate(pairwise(line), start=1):
-                    if norm(new - last) > self.width * (1 - SAME_POINT):
-                        self.nodes[k * i, k * j] = new
+            line = self.surface.to_rim([origin], self.width, way)
+            for k, (last, new) in enumerate(pairwise(line), start=1):
+                if norm(new - last) > self.width * (1 - SAME_POINT):
+                    self.nodes[k * i, k * j] = new
         for p, q in product((1, -1), repeat=2):
             self._fill(p, q)
 

@@ -14,8 +14,9 @@ from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes.edge_table import whole_line
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, checked, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError, collective
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError
 from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.cable import Net
 
@@ -52,7 +53,7 @@ def geodesics_between(
     >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
     """
     call = "geodesics_between"
-    surface = WholeSurface.of(call, scene, edges=edges, n=n)
+    surface = WholeSurface.of(call, scene)
     pairs = list(edges) if isinstance(edges, list | tuple) else []
     if not pairs or not all(isinstance(one, list | tuple) and len(one) == 2 for one in pairs):
         raise InputError(
@@ -74,7 +75,7 @@ def geodesics_between(
 
 @collective
 def geodesics_across(
-    scene: Scene, lines: Sequence[Sequence[Sequence[float]] | Array], spacing: float
+    scene: Scene, lines: Sequence[Sequence[Sequence[float]] | Array], spacing: Positive
 ) -> Net:
     """Lay out a net of geodesics that cross given lines at right angles. Collective.
 
@@ -103,8 +104,7 @@ def geodesics_across(
     >>> net = nets.geodesics_across(scene, [[(-18, 0), (18, 0)], [(0, -18), (0, 18)]], spacing=3.0)
     """
     call = "geodesics_across"
-    surface = WholeSurface.of(call, scene, lines=lines, spacing=spacing)
-    spacing = checks.positive(f"{call}: spacing", spacing)
+    surface = WholeSurface.of(call, scene)
     routes = [_route(call, line) for line in lines]
     step = min(surface.size, spacing)
     families = []
@@ -125,22 +125,11 @@ def geodesics_across(
             way = points[k] - points[k - 1]
             start = points[k - 1] + (s - along[k - 1]) / (along[k] - along[k - 1]) * way
             across = cross(surface.normal(start), way / norm(way))
-            family.append(_both_ways(surface, start, across / norm(across), step))
+            across /= norm(across)
+            back, ahead = (surface.to_rim([start], step, sign * across) for sign in (-1.0, 1.0))
+            family.append(np.array([*back[:0:-1], *ahead]))
         families.append(family)
     return assembled(call, surface, families, taut=True)
-
-
-def _both_ways(surface: WholeSurface, start: Array, way: Array, step: float) -> Array:
-    """Points (k, 3) of the straight line through a point in a direction, from rim to rim."""
-    halves = []
-    for sign in (-1.0, 1.0):
-        first = surface.step(start, sign * way, step)
-        if first is None:
-            first = surface.rim_ahead(start, sign * way, step)
-            halves.append([start] if first is None else [start, first])
-        else:
-            halves.append(surface.to_rim([start, first], step))
-    return np.array([*halves[0][:0:-1], *halves[1]])
 
 
 def _chain(surface: WholeSurface, name: str) -> Array:
@@ -199,9 +188,7 @@ def sections(
     >>> net = nets.sections(scene, angles=(np.pi / 4, -np.pi / 4), offsets=[-9, -3, 3, 9])
     """
     call = "sections"
-    surface = WholeSurface.of(
-        call, scene, angles=angles, offsets=offsets, center=center, shortest=shortest
-    )
+    surface = WholeSurface.of(call, scene)
     middle = checks.vector(f"{call}: center", center, (2,))
     rim = surface.rim[:, :, :2]
     families = []
@@ -251,12 +238,13 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     ... )
     """
     call = "from_paths"
-    surface = WholeSurface.of(call, scene, families=families, shortest=shortest)
+    surface = WholeSurface.of(call, scene)
     routes = [[_route(call, path) for path in family] for family in families]
     return assembled(call, surface, routes, taut=bool(shortest))
 
 
-def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
+@checked
+def great_circle(radius: Positive, height: Positive, angle: Finite, offset: Finite) -> Array:
     """Return the shortest path over a spherical cap between two points of its rim.
 
     Parameters
@@ -279,10 +267,6 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> A
         An argument that is not finite, a length that is not positive, a cap that is too high, or a
         line beyond it.
     """
-    checks.positive("great_circle: radius", radius)
-    checks.positive("great_circle: height", height)
-    for name, value in (("angle", angle), ("offset", offset)):
-        checks.finite(f"great_circle: {name}", value)
     for name, value in (("height", height), ("offset", abs(offset))):
         if value >= radius:
             raise InputError(f"great_circle: {name} = {value} must be less than {radius}.")

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Count, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import last_doubt
 from crms_fenicsx.solver import Solver
@@ -21,7 +22,7 @@ class _Ended(Exception):  # noqa: N818 - no error: the end of a search
 
 @collective
 def tune(
-    solver: Solver, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
+    solver: Solver, tensions: Mapping[LaidCable, float], *, rtol: Positive = 1e-4, most: Count = 20
 ) -> dict[LaidCable, float]:
     """Find the unstressed lengths of cables for prescribed tensions under the present loads.
 
@@ -55,7 +56,6 @@ def tune(
     >>> nets.tune(solver, {cable: 40.0 for cable in scene.cables})
     """
     scene = solver.scene
-    checks.same(scene.comm, "tune", tensions=tensions, rtol=rtol, most=most)
     checks.collection("tune: tensions", tensions, Mapping, "{cable: force, ...}", 1)
     for cable, force in tensions.items():
         if not isinstance(cable, LaidCable) or cable not in scene.cables:

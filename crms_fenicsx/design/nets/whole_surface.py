@@ -6,25 +6,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape, whole
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
-from crms_fenicsx.foundation.meshes.triangles import (
-    balls,
-    closest,
-    cross,
-    dot,
-    double_areas,
-    mix,
-    norm,
-)
-from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.meshes.triangles import closest, cross, dot, double_areas, mix, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import TargetSurface, feet_of, places_in_plan
+from crms_fenicsx.foundation.surface.closest_point import (
+    Balls,
+    TargetSurface,
+    feet_of,
+    places_in_plan,
+)
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE, SAME_POINT
 
@@ -39,11 +34,9 @@ class WholeSurface:
     cells: Integers  # (m, 3) rows of `points`
 
     @classmethod
-    def of(cls, call: str, scene: Scene, **arguments: object) -> WholeSurface:
-        """The current shape; the arguments must agree on all ranks. Collective."""
-        checks.of_type(f"{call}: scene", scene, Scene)
+    def of(cls, call: str, scene: Scene) -> WholeSurface:
+        """The current shape. Collective."""
         scene.membrane.check_finite(call)
-        checks.same(scene.comm, call, **arguments)
         membrane = scene.membrane
         strip = whole(membrane)
         shape = StripShape.of(membrane, strip)
@@ -61,10 +54,8 @@ class WholeSurface:
         return self.points[self.cells]
 
     @cached_property
-    def _tree(self) -> tuple[cKDTree, float]:
-        """Tree of the cells' centres, and the largest distance of a corner from its centre."""
-        centres, radii = balls(self._corners)
-        return cKDTree(centres), float(radii.max())
+    def _balls(self) -> Balls:
+        return Balls.of(self._corners)
 
     @cached_property
     def size(self) -> float:
@@ -73,9 +64,7 @@ class WholeSurface:
 
     def _near(self, point: Array, reach: float) -> Integers:
         """Rows of the cells possibly within reach of a point."""
-        tree, radius = self._tree
-        found = tree.query_ball_point(point, reach + radius, return_sorted=True)
-        return np.array(found, dtype=np.int64)
+        return self._balls.within(point[None], np.array([reach * (1 + SAME_POINT)]))[1]
 
     def place(self, point: Array) -> Array:
         """Point on the surface (3,) for a point in plan (2,) or in space (3,)."""
@@ -88,12 +77,11 @@ class WholeSurface:
                 )
             return foot.position
         target = TargetSurface.of(self.strip.vertices, self.points, self.cells)
-        return places_in_plan(target, point[None], 1e-3)[0].position
+        return places_in_plan(target, point[None])[0].position
 
     def normal(self, point: Array) -> Array:
         """Unit normal (3,) of the smooth surface at a point; at creases the facet's."""
-        tree, radius = self._tree
-        near = self._near(point, float(tree.query(point)[0]) + radius)
+        near = self._balls.nearest(point[None])[1]
         weights, _, gaps = closest(self._corners[near], point)
         k = int(np.argmin(gaps))
         of_corners = self.smooth.normals[self.cells[near[k]]]
@@ -184,19 +172,23 @@ class WholeSurface:
         ahead = (dot(found - point, way) > SAME_POINT * reach) & (away <= reach * (1 + SAME_PLACE))
         return found[ahead][np.argmin(away[ahead])] if ahead.any() else None
 
-    def to_rim(self, line: list[Array], length: float) -> list[Array]:
-        """Extend a line of at least two points straight by steps, to the rim or until it closes."""
+    def to_rim(self, line: list[Array], length: float, way: Array | None = None) -> list[Array]:
+        """Extend a line straight by steps, one of a single point along `way`, to the rim or until
+        it closes."""
         line = list(line)
         while True:
             last = line[-1]
-            way = (last - line[-2]) / norm(last - line[-2])
+            if way is None:
+                way = (last - line[-2]) / norm(last - line[-2])
             new = self.step(last, way, length)
             if new is None:
                 end = self.rim_ahead(last, way, length)
                 return line if end is None else [*line, end]
-            if (norm(np.array(line[:-1]) - new) < length * (1 - SAME_POINT)).any():
+            before = np.array(line[:-1]).reshape(-1, 3)
+            if (norm(before - new) < length * (1 - SAME_POINT)).any():
                 return line
             line.append(new)
+            way = None
 
 
 def _crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import UFL_LAW, MembraneMaterial
@@ -80,6 +81,7 @@ def _check_part(what: str, value: object) -> None:
         )
 
 
+@checked
 @dataclass(frozen=True)
 class EdgeShrink:
     """De-compensation of an edge, along itself, in place of the piece's compensation.
@@ -94,11 +96,10 @@ class EdgeShrink:
     """
 
     part: float = 0.0
-    band: float = 0.5
+    band: Positive = 0.5
 
     def __post_init__(self) -> None:
         _check_part("EdgeShrink: part", self.part)
-        checks.positive("EdgeShrink: band", self.band)
 
 
 def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) -> Shrink:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
 from crms_fenicsx.design.patterns.seams import Seam
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.foundation.meshes.edge_table import edge_keys
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, CheckedSurface, check_shapes
 from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, lists, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -66,14 +65,7 @@ def cut_along(
         for name, line in ordered.items()
         if name not in edges
     }
-    table = EdgeTable.of(cells)
-    edges[BOUNDARY] = table.keys[table.counts == 1]
-    cut = replace(
-        surface, points=new, cells=cells, edges=edges,
-        parts={name: np.flatnonzero(np.isin(parents, own)) for name, own in surface.parts.items()},
-        hidden=np.flatnonzero(np.isin(parents, surface.hidden)), seam_links=table.seam_links(),
-    )  # fmt: skip
-    return cut, ordered
+    return surface.divided(new, cells, parents, edges), ordered
 
 
 def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:
@@ -256,7 +248,7 @@ class _FeatureLines:
 
     def __init__(self, surface: PatternSurface) -> None:
         self.surface, table = surface, surface.table
-        rims = edge_keys(table.vertices[table.counts != 2])
+        rims = table.keys[table.counts != 2]
         self.of: dict[Edge, set[str]] = defaultdict(set)
         self.at: dict[int, set[Edge]] = defaultdict(set)
         for name, keys in (surface.edges | {BOUNDARY: rims}).items():

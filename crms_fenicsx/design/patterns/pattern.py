@@ -19,12 +19,14 @@ from crms_fenicsx.design.patterns.compensation import (
     warp_moduli,
     width_in_tension,
 )
-from crms_fenicsx.design.patterns.conformal import aligned, conformal, double_areas_in_plane
 from crms_fenicsx.design.patterns.flattening import (
     FlatProblem,
     ProblemOf,
     Sides,
+    aligned,
     columns_of,
+    conformal,
+    double_areas_in_plane,
     fine_energies,
     flat_shapes,
     limit_of,
@@ -33,13 +35,9 @@ from crms_fenicsx.design.patterns.pieces import COLUMNS, Piece, Pieces
 from crms_fenicsx.foundation.meshes.membrane_mesh import outer_first
 from crms_fenicsx.foundation.meshes.triangles import closest
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PatternWarning,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PatternWarning, raised_together
 from crms_fenicsx.model.materials import MembraneMaterial, check_warp
 
 Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
@@ -165,10 +163,6 @@ class Pattern:
         """Area of all flat pieces (length squared)."""
         return sum(one.area for one in self.flat)
 
-    def flat_piece(self, name: str) -> FlatPiece:
-        """Return the flat piece with a name."""
-        return checks.named("piece", {one.name: one for one in self.flat}, name)
-
     def seam_lengths(self) -> dict[str, Array]:
         """Lengths (k, 2) of each seam's segments, on both sides (length)."""
         joints = self.pieces.joints
@@ -212,7 +206,7 @@ def flatten(
     shrink: Shrink | Mapping[str, Shrink] | None = None,
     edges: Mapping[str, EdgeShrink] | None = None,
     equal: bool = True,
-    limit: float | None = None,
+    limit: Positive | None = None,
 ) -> Pattern:
     """Lay pieces flat with the least strain energy, and compensate them. Collective.
 
@@ -264,14 +258,8 @@ def flatten(
     --------
     >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
     """
-    checks.of_type("flatten: pieces", pieces, Pieces)
-    checks.same(
-        pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
-        equal=equal, limit=limit,
-    )  # fmt: skip
     if warp is not None and not (isinstance(warp, str) and warp == "seams"):
         check_warp("flatten", warp)
-    limit = None if limit is None else checks.positive("flatten: limit", limit)
     for name, one in (edges or {}).items():
         checks.named("group of edges", pieces.surface.edges, name)
         checks.of_type(f"flatten: edges[{name!r}]", one, EdgeShrink)
@@ -291,14 +279,13 @@ def _made_pattern(pieces: Pieces, material: Materials, made: _CutOptions) -> Pat
     with raised_together(comm):
         for k in mine:
             piece = pieces.pieces[k]
-            own = None if warps is None else warps[piece.cells]
-            start = aligned(piece, conformal(piece.points, piece.triangles), own)
+            start = aligned(piece, conformal(piece.points, piece.triangles), warps)
             problems[k] = problem = problem_of(piece, start)
             mean = piece.areas @ problem.wanted / piece.area
             stretches[k] = np.sqrt(1.0 + 2.0 * mean[:2])
             start = start / stretches[k]
             for _ in range(2):  # the conformal map rotates its ends
-                start = aligned(piece, problem.solve(start), own)
+                start = aligned(piece, problem.solve(start), warps)
             row, side = np.nonzero(pieces.joints.pieces == k)
             ends = pieces.joints.ends[row, side]
             starts[k], sides[k] = start, Sides(row, ends, np.where(side == 0, 1.0, -1.0))

@@ -13,8 +13,7 @@ from crms_fenicsx.design.patterns.pattern import Pattern
 from crms_fenicsx.design.patterns.sewn import Comparison
 from crms_fenicsx.design.patterns.sheet import Nesting, Sheet, nest
 from crms_fenicsx.design.patterns.sheet_files import roll_figure, sewn_figure
-from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import collective
+from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.results.output.report.page import (
     Figure,
     Figures,
@@ -36,7 +35,7 @@ TEXT = (
 def report_sections(
     pattern: Pattern,
     sheet: Sheet,
-    comparison: Comparison | None = None,
+    comparison: PerRank[Comparison | None] = None,
     *,
     unit: str = "",
     force: str = "",
@@ -66,8 +65,6 @@ def report_sections(
     --------
     >>> solver.report("report.html", sections=patterns.report_sections(pattern, sheet))
     """
-    checks.of_type("report_sections: pattern", pattern, Pattern)
-    checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
     nesting, units = nest(pattern, sheet), Units(unit, force)
     m = units.plain("length")
     waste = f"{nesting.length:.4g}{m} of the roll, {nesting.roll:.4g}{m} wide, "

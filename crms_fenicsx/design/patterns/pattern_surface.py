@@ -19,6 +19,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints, pointe
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface
 from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
     Edge,
     EdgePoint,
     Support,
@@ -43,10 +44,8 @@ class PatternSurface(CheckedSurface):
     """A surface with its groups, for geodesics, sections and distances."""
 
     @classmethod
-    def of(cls, call: str, mesh: MembraneMesh, **arguments: object) -> PatternSurface:
-        """The whole surface of a mesh; the arguments must agree on all ranks. Collective."""
-        checks.of_type(f"{call}: mesh", mesh, MembraneMesh)
-        checks.same(mesh.comm, call, **arguments)
+    def of(cls, mesh: MembraneMesh) -> PatternSurface:
+        """The whole surface of a mesh. Collective."""
         return cls(**vars(mesh.comm.bcast(gathered(mesh)[0])))
 
     @cached_property
@@ -59,25 +58,18 @@ class PatternSurface(CheckedSurface):
         """The surface for tracing routes."""
         return TargetSurface.of(np.arange(len(self.points)), self.points, self.cells)
 
-    @cached_property
-    def rim_vertices(self) -> frozenset[int]:
-        """Vertices of edges with one cell."""
-        return frozenset(self.table.vertices[self.table.counts == 1].ravel().tolist())
-
     def length(self, edge: Edge) -> float:
         """Length of an edge, as `IntrinsicSurface`."""
         return float(np.linalg.norm(self.points[edge[1]] - self.points[edge[0]]))
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge, as `IntrinsicSurface`."""
-        rows = sorted(self.target.around[edge[0]] & self.target.around[edge[1]])
+        rows = sorted(self.target.cells_with(edge))
         return tuple(v for cell in lists(self.cells[rows]) for v in cell if v not in edge)
 
     def ring(self, vertex: int) -> Ring:
         """The neighbours around a vertex in order, as `IntrinsicSurface`."""
-        rows = sorted(self.target.around[vertex])
-        cells = lists(self.cells[rows])
-        return ring_of(vertex, [tuple(v for v in cell if v != vertex) for cell in cells])  # type: ignore[misc]
+        return ring_of(vertex, lists(self.cells[sorted(self.target.around[vertex])]))
 
     def places(self, points: tuple[SurfacePoint, ...]) -> Array:
         """Coordinates (k, 3) of surface points."""
@@ -86,9 +78,8 @@ class PatternSurface(CheckedSurface):
 
     def on_rim(self, point: SurfacePoint) -> bool:
         """Whether a point lies on the boundary or on a branching edge (three or more cells)."""
-        if isinstance(point, VertexPoint):
-            return point.vertex in self.rim_vertices
-        return isinstance(point, EdgePoint) and len(self.opposite_vertices(point.edge)) != 2
+        branches = isinstance(point, EdgePoint) and len(self.target.cells_with(point.edge)) > 2
+        return branches or self.target.on_boundary(point)
 
     def line_of_group(self, call: str, group: str) -> tuple[SurfacePoint, ...]:
         """The vertices of an edge group from end to end, or around to the first again."""
@@ -104,9 +95,7 @@ class PatternSurface(CheckedSurface):
         places, n = self.places(line), len(self.points)
         known = np.full(n, np.inf)
         for p, q, x, y in zip(line[:-1], line[1:], places[:-1], places[1:], strict=True):
-            both = {*p.support, *q.support}
-            rows = [r for r in self.target.around[min(both)] if both <= {*self.cells[r].tolist()}]
-            corners = self.cells[rows].ravel()
+            corners = self.cells[list(self.target.cells_with(p.support, q.support))].ravel()
             flat = np.broadcast_to(np.stack([x, y, y]), (len(corners), 3, 3))
             np.minimum.at(known, corners, closest(flat, self.points[corners])[2])
         order = np.argsort(self.cells.ravel(), kind="stable")
@@ -211,16 +200,24 @@ def _front(p, q, da, db):  # type: ignore[no-untyped-def]
     return d if inside else np.inf
 
 
-def straight_walk(
-    surface: PatternSurface,
-    start: SurfacePoint,
-    direction: Array,
-    direction_at: Callable[[Array], Array] | None = None,
-) -> tuple[SurfacePoint, ...]:
-    """Edge crossings from a point to the rim, none if the direction leaves the surface. A function
-    `direction_at` of points (3,), if given, sets the direction in each cell."""
+Way = Array | Callable[[Array], Array]
+"""A direction (3,), or a function that returns that at a point (3,)."""
+
+
+def straight_line(surface: PatternSurface, point: SurfacePoint, way: Way) -> list[SurfacePoint]:
+    """The line through a point from rim to rim, straight on or along directions."""
+    back, ahead = (_walk(surface, point, way, sense) for sense in (-1.0, 1.0))
+    return [*back[::-1], *([] if isinstance(point, CellPoint) else [point]), *ahead]
+
+
+def _walk(
+    surface: PatternSurface, start: SurfacePoint, way: Way, sense: float
+) -> list[SurfacePoint]:
+    """Edge crossings from a point to the rim along a direction, or against it if `sense` is -1;
+    none if it leaves the surface. A function sets the direction in each cell."""
     x, at = surface.points, surface.places((start,))[0]
-    for row in sorted(surface.target.cells_at(start)):
+    direction = sense * (way(at) if callable(way) else way)
+    for row in sorted(surface.target.cells_with(start.support)):
         cell: Support = tuple(surface.cells[row].tolist())
         normal, along = _normal(surface, cell), _within(surface, cell, direction)
         # on the inner side of the cell's sides at the point
@@ -229,7 +226,7 @@ def straight_walk(
         if all(np.cross(normal, x[b] - x[a]) @ along >= 0.0 for a, b in met):
             break
     else:
-        return ()
+        return []
     points: list[SurfacePoint] = []
     entered: Support = start.support if len(start.support) < 3 else ()
     for _ in range(4 * len(surface.cells)):
@@ -237,13 +234,13 @@ def straight_walk(
         points.append(EdgePoint(edge, fraction))
         at = surface.places((points[-1],))[0]
         if surface.on_rim(points[-1]):
-            return tuple(points)
+            return points
         beyond = [v for v in surface.opposite_vertices(edge) if v not in cell]
         ahead = (*edge, beyond[0])
-        if direction_at is None:
-            along = _unfolded(surface, cell, edge, beyond[0], along)
+        if callable(way):
+            along = _within(surface, ahead, sense * way(x[list(ahead)].mean(axis=0)))
         else:
-            along = _within(surface, ahead, direction_at(x[list(ahead)].mean(axis=0)))
+            along = _unfolded(surface, cell, edge, beyond[0], along)
         cell, entered = ahead, edge
     raise PathError(
         f"the line straight on from {as_text(surface.places((start,))[0])} does not reach a rim; "

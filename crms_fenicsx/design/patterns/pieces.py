@@ -18,15 +18,10 @@ from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, EMPTY, CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import cross, double_areas, lists, norm
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.runtime.checks import counted
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PathError,
-    as_text,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, as_text, raised_together
 from crms_fenicsx.foundation.surface.points import Edge, edge_of
 
 COLUMNS = 16
@@ -197,7 +192,7 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     --------
     >>> pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=2.5))
     """
-    surface = PatternSurface.of("cut", mesh, seams=seams)
+    surface = PatternSurface.of(mesh)
     checks.collection("cut: seams", seams, Sequence, "[patterns.geodesic(...)]")
     for seam in seams:
         checks.of_type("cut: a seam", seam, Seam)

@@ -8,19 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
-from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Axis, Positive, Vector, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import PathError, as_text, collective
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import places_in_space
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
-from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint
+from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.foundation.surface.trace import checked_route, trace
-
-SNAP = 1e-3
-"""Distance, relative to the mesh size, within which a seam's points snap to vertices and edges."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +90,12 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
     --------
     >>> patterns.geodesic(found.mesh, [(-18.0, -6.0), (18.0, -6.0)], name="seam 1")
     """
-    surface = PatternSurface.of("geodesic", mesh, points=points, name=name)
-    route = checked_route(points, SNAP)
+    surface = PatternSurface.of(mesh)
+    route = checked_route(points)
     found: list[SurfacePoint] = []
     for k in range(len(route) - 1):
         ids = surface.target.ids
-        section = trace(ids, surface.points, surface.cells, route[k : k + 2], snap=SNAP)
+        section = trace(ids, surface.points, surface.cells, route[k : k + 2])
         anchor = section.end_anchor if section.start_anchor is None else section.start_anchor
         if anchor is not None:
             raise PathError(
@@ -111,9 +108,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
 
 
 @collective
-def geodesic_along(
-    mesh: MembraneMesh, start: ArrayLike, direction: ArrayLike, *, name: str
-) -> Seam:
+def geodesic_along(mesh: MembraneMesh, start: Vector, direction: Vector, *, name: str) -> Seam:
     """Make a seam that runs straight through a point, from rim to rim. Collective.
 
     In the surface it turns neither left nor right: along the warp it follows the fabric.
@@ -133,19 +128,16 @@ def geodesic_along(
         On all ranks: a point off the surface, a direction normal to it, or a line that does not
         reach the rim.
     """
-    surface = PatternSurface.of("geodesic_along", mesh, start=start, direction=direction, name=name)
-    place = checks.vector("geodesic_along: start", start)
-    along = checks.vector("geodesic_along: direction", direction)
-    found = places_in_space(surface.target, place[None], SNAP, {})[0].point
+    surface = PatternSurface.of(mesh)
+    place, along = np.asarray(start), np.asarray(direction)
+    found = places_in_space(surface.target, place[None], {})[0].point
     if found is None:
         raise PathError(f"geodesic_along: start = {as_text(place)} does not lie on the surface.")
-    back, ahead = (straight_walk(surface, found, sign * along) for sign in (-1.0, 1.0))
-    middle = () if isinstance(found, CellPoint) else (found,)
-    return seam_of(surface, name, (*back[::-1], *middle, *ahead))
+    return seam_of(surface, name, straight_line(surface, found, along))
 
 
 @collective
-def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, name: str) -> Seam:
+def plane_section(mesh: MembraneMesh, origin: Vector, normal: Axis, *, name: str) -> Seam:
     """Make a seam along the surface's section with a plane. Collective.
 
     Parameters
@@ -162,9 +154,8 @@ def plane_section(mesh: MembraneMesh, origin: ArrayLike, normal: ArrayLike, *, n
     PathError
         On all ranks: a plane that does not cut the surface.
     """
-    surface = PatternSurface.of("plane_section", mesh, origin=origin, normal=normal, name=name)
-    point = checks.vector("plane_section: origin", origin)
-    across = checks.direction("plane_section: normal", normal)
+    surface = PatternSurface.of(mesh)
+    point, across = np.asarray(origin), np.asarray(normal)
     lines = surface.crossings((surface.points - point) @ (across / np.linalg.norm(across)))
     if not lines:
         raise PathError(
@@ -202,14 +193,14 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
     PathError
         On all ranks: a group that is not one line.
     """
-    surface = PatternSurface.of("edge_line", mesh, group=group, name=name)
+    surface = PatternSurface.of(mesh)
     points = surface.line_of_group("edge_line", group)
     return seam_of(surface, group if name is None else name, points)
 
 
 @collective
 def parallel(
-    mesh: MembraneMesh, line: Line, distance: float, *, toward: ArrayLike, name: str
+    mesh: MembraneMesh, line: Line, distance: Positive, *, toward: Vector, name: str
 ) -> Seam:
     """Make a seam at a distance from a line, such as the width of the fabric. Collective.
 
@@ -232,16 +223,12 @@ def parallel(
     PathError
         On all ranks: no part of the surface is that far from the line.
     """
-    surface = PatternSurface.of(
-        "parallel", mesh, line=line, distance=distance, toward=toward, name=name
-    )
-    apart = checks.positive("parallel: distance", distance)
-    point = checks.vector("parallel: toward", toward)
+    surface = PatternSurface.of(mesh)
     away = surface.distances(points_of(surface, "parallel", line))
-    lines = surface.crossings(away - apart)
+    lines = surface.crossings(away - distance)
     if not lines:
         raise PathError(
             f"parallel: the surface ends {away.max():.6g} from the line, less than distance = "
-            f"{apart:.6g}."
+            f"{distance:.6g}."
         )
-    return seam_of(surface, name, _nearest(surface, lines, point))
+    return seam_of(surface, name, _nearest(surface, lines, np.asarray(toward)))

@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.design.patterns.conformal import gradients
+from crms_fenicsx.design.patterns.flattening import gradients
 from crms_fenicsx.design.patterns.pattern import Materials, Pattern
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, Whole, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    ConvergenceError,
-    InputError,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, raised_together
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.model.tolerances import UNSTRAINED
 from crms_fenicsx.model.ufl_material import UflMembrane
@@ -57,8 +53,6 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     >>> scene.fix("boundary")
     >>> Solver(scene).advance(pressure=0.3)
     """
-    checks.of_type("sew: pattern", pattern, Pattern)
-    checks.same(pattern.comm, "sew", material=material)
     given = pattern.material if material is None else material
     for one in given.values() if isinstance(given, Mapping) else [given]:
         if isinstance(one, UflMembrane) and (
@@ -184,9 +178,6 @@ def compare(
     InputError
         On all ranks: a solver of another scene.
     """
-    checks.of_type("compare: solver", solver, Solver)
-    checks.of_type("compare: pattern", pattern, Pattern)
-    checks.same(pattern.comm, "compare", forces=forces)
     if solver.scene.mesh is not pattern.pieces.mesh:
         raise InputError(
             "compare: the solver's scene is not sewn of these pieces; use that of "
@@ -271,8 +262,8 @@ def adjust(
     *,
     forces: float | tuple[float, float] | None = None,
     each: bool = False,
-    tolerance: float = 1e-4,
-    updates: int = 10,
+    tolerance: Positive = 1e-4,
+    updates: Whole = 10,
 ) -> Adjusted:
     """Adjust compensation until the sewn roof meets its target. Collective.
 
@@ -318,11 +309,7 @@ def adjust(
     ...     return solver
     >>> patterns.adjust(pattern, build, forces=(2.0, 2.0)).pattern
     """
-    checks.of_type("adjust: pattern", pattern, Pattern)
     comm = pattern.comm
-    checks.same(comm, "adjust", forces=forces, tolerance=tolerance, updates=updates)
-    checks.positive("adjust: tolerance", tolerance)
-    most = checks.whole("adjust: updates", updates, 0)
     if forces is not None and isinstance(pattern.material, Mapping):
         raise InputError("adjust: the roof has several materials; adjust its form, without forces.")
     found: list[Comparison] = []
@@ -341,9 +328,9 @@ def adjust(
         errors.append(max(_error(found[-1].wanted, one) for one in judged))
         if errors[-1] <= tolerance:
             return Adjusted(pattern, solver, tuple(found), tuple(errors))
-        if len(errors) > most:
+        if len(errors) > updates:
             raise ConvergenceError(
-                f"adjust: after {most} updates of the compensation the roof still differs by "
+                f"adjust: after {updates} updates of the compensation the roof still differs by "
                 f"{errors[-1]:.2g} from the wanted one (before: {errors[0]:.2g})."
             )
         changes.append(

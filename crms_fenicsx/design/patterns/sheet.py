@@ -13,6 +13,7 @@ from crms_fenicsx.design.patterns.pieces import PieceEdge
 from crms_fenicsx.design.patterns.strip_layout import usable_width
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, NonNegative, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
 from crms_fenicsx.foundation.runtime.errors import InputError
 
@@ -20,6 +21,7 @@ SHARP = 3.0
 """Mitre limit relative to the larger allowance; sharper corners of the cut line are bevelled."""
 
 
+@checked
 @dataclass(frozen=True)
 class Sheet:
     """Options for cutting pieces from the roll.
@@ -45,20 +47,17 @@ class Sheet:
         A roll narrower than twice the allowance, or an invalid length.
     """
 
-    roll: float
-    allowance: float = 0.0
-    rim: float = 0.0
+    roll: Positive
+    allowance: Finite = 0.0
+    rim: NonNegative = 0.0
     edges: Mapping[str, float] = field(default_factory=dict)
-    marks: float = 1.0
-    gap: float = 0.0
+    marks: Positive = 1.0
+    gap: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         usable_width("Sheet", self.roll, self.allowance)
-        checks.positive("Sheet: marks", self.marks)
-        edges = {f"edges: {name}": value for name, value in self.edges.items()}
-        for name, value in ({"rim": self.rim, "gap": self.gap} | edges).items():
-            if checks.finite(f"Sheet: {name}", value) < 0.0:
-                raise InputError(f"Sheet: {name} = {value:g} is negative.")
+        for name, allowance in self.edges.items():
+            checks.non_negative(f"Sheet: edges: {name}", allowance)
 
     def of(self, edge: PieceEdge) -> float:
         """Allowance at an edge (length)."""
@@ -206,6 +205,7 @@ class Nesting:
     rows: tuple[float, ...] = field(repr=False)
 
 
+@checked
 def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     """Lay pieces on the roll, warp along it, the longest first.
 
@@ -228,8 +228,6 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     InputError
         A piece wider than the roll, or allowances of unknown edges.
     """
-    checks.of_type("nest: pattern", pattern, Pattern)
-    checks.of_type("nest: sheet", sheet, Sheet)
     pieces = drawings(pattern, sheet)
     wide = [one for one in pieces if one.extent[1] > sheet.roll * (1.0 + 1e-9)]
     if wide:

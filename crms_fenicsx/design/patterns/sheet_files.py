@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +11,9 @@ from crms_fenicsx.design.patterns.pattern import FlatPiece, Pattern
 from crms_fenicsx.design.patterns.sewn import Comparison
 from crms_fenicsx.design.patterns.sheet import Drawing, Nesting, Sheet, nest
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import File, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import (
     DXF_UNITS,
     absolute,
@@ -39,7 +39,7 @@ TEXT = 0.04
 
 @collective
 def draw_sheets(
-    pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
+    pattern: Pattern, filename: File | None, sheet: Sheet, *, unit: str = ""
 ) -> Figure | None:
     """Draw the layout on the roll. Collective.
 
@@ -69,11 +69,9 @@ def draw_sheets(
         On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
         file that cannot be written.
     """
-    checks.of_type("draw_sheets: pattern", pattern, Pattern)
     comm = pattern.comm
-    checks.same(comm, "draw_sheets", filename=filename, sheet=sheet, unit=unit)
     if filename is not None:
-        filename = absolute(checks.file("draw_sheets: filename", filename), comm)
+        filename = absolute(filename, comm)
     nesting = nest(pattern, sheet)
     with raised_together(comm):
         if comm.rank > 0:
@@ -216,7 +214,7 @@ def _draw(axes: Any, one: Drawing, names: bool) -> None:
 
 
 @collective
-def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str = "m") -> None:
+def write_dxf(pattern: Pattern, filename: File, sheet: Sheet, *, unit: str = "m") -> None:
     """Write the layout on the roll to a DXF file. Collective.
 
     Layers: CUT, the cutting line with allowances; SEAM, seam lines; OVERLAP, the end of the other
@@ -240,11 +238,9 @@ def write_dxf(pattern: Pattern, filename: str | Path, sheet: Sheet, *, unit: str
     ImportError
         On all ranks: ezdxf is not installed.
     """
-    checks.of_type("write_dxf: pattern", pattern, Pattern)
     comm = pattern.comm
-    checks.same(comm, "write_dxf", filename=filename, sheet=sheet, unit=unit)
     checks.one_of("write_dxf: unit", unit, DXF_UNITS)
-    path = absolute(checks.file("write_dxf: filename", filename), comm)
+    path = absolute(filename, comm)
     if path.suffix.lower() != ".dxf":
         raise InputError(f"write_dxf: filename = {str(path)!r} does not end in .dxf.")
     nesting = nest(pattern, sheet)

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.design.patterns.compensation import warp_moduli
-from crms_fenicsx.design.patterns.conformal import aligned, conformal
+from crms_fenicsx.design.patterns.flattening import aligned, conformal
 from crms_fenicsx.design.patterns.pattern import Materials, Warp, of_cells
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_walk
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_line
 from crms_fenicsx.design.patterns.pieces import Pieces
 from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PathError,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, raised_together
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
 from crms_fenicsx.foundation.surface.points import SurfacePoint
 from crms_fenicsx.model.materials import Direction, check_warp
@@ -44,11 +39,11 @@ def strips(
     mesh: MembraneMesh,
     first: Line,
     last: Line,
-    width: float,
+    width: Positive,
     *,
     kind: Literal["geodesic", "parallel"] = "geodesic",
     warp: Direction | None = None,
-    allowance: float = 0.0,
+    allowance: Finite = 0.0,
     name: str = "seam",
 ) -> list[Seam]:
     """Make seams between two lines for the fewest strips of a given width. Collective.
@@ -92,12 +87,8 @@ def strips(
     --------
     >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5, allowance=0.04)
     """
-    surface = PatternSurface.of(
-        "strips", mesh, first=first, last=last, width=width, kind=kind, warp=warp,
-        allowance=allowance, name=name,
-    )  # fmt: skip
+    surface = PatternSurface.of(mesh)
     usable = usable_width("strips", width, allowance)
-    checks.one_of("strips: kind", kind, ("geodesic", "parallel"))
     if warp is not None:
         check_warp("strips", warp)
     ends = [points_of(surface, "strips", line) for line in (first, last)]
@@ -135,14 +126,12 @@ def strips(
 
 def usable_width(call: str, width: float, allowance: float) -> float:
     """Width of the roll less the allowances of both sides (length)."""
-    roll = checks.positive(f"{call}: width", width)
-    taken = checks.finite(f"{call}: allowance", allowance)
-    if not 0.0 <= 2.0 * taken < roll:
+    if not 0.0 <= 2.0 * allowance < width:
         raise InputError(
-            f"{call}: a roll {roll:.6g} wide with an allowance of {taken:.6g} on both sides leaves "
-            "no fabric; the width must be more than twice the allowance."
+            f"{call}: a roll {width:.6g} wide with an allowance of {allowance:.6g} on both sides "
+            "leaves no fabric; the width must be more than twice the allowance."
         )
-    return roll - 2.0 * taken
+    return width - 2.0 * allowance
 
 
 def _at(point: SurfacePoint, values: Array) -> float:
@@ -171,16 +160,11 @@ def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Point
     lengths = arc_lengths(surface.places(line))
     middle = line[int(np.abs(lengths - lengths[-1] / 2).argmin())]
 
-    def at(place: Array, sense: float) -> Array:
+    def at(place: Array) -> Array:
         given = np.ravel(warp(place[:, None])) if callable(warp) else warp
-        return sense * checks.vector("strips: warp", given)
+        return checks.vector("strips: warp", given)
 
-    place = surface.places((middle,))[0]
-    back, ahead = (
-        straight_walk(surface, middle, at(place, sense), partial(at, sense=sense))
-        for sense in (-1.0, 1.0)
-    )
-    return (*back[::-1], middle, *ahead)
+    return tuple(straight_line(surface, middle, at))
 
 
 @dataclass(frozen=True)
@@ -233,14 +217,11 @@ def estimates(
     --------
     >>> {name: one.strain for name, one in patterns.estimates(pieces, fabric).items()}
     """
-    checks.of_type("estimates: pieces", pieces, Pieces)
-    checks.same(pieces.comm, "estimates", material=material, warp=warp)
     stiffness, warps = of_cells(pieces, material, warp)
     found = {}
     with raised_together(pieces.comm):
         for piece in pieces.pieces:
-            own = None if warps is None else warps[piece.cells]
-            flat = aligned(piece, conformal(piece.points, piece.triangles), own)
+            flat = aligned(piece, conformal(piece.points, piece.triangles), warps)
             widths, K = _widths(flat[piece.outline]), piece.curvature
             modulus = float(piece.areas @ warp_moduli(stiffness[piece.cells])) / piece.area
             fourth = float(np.sum(widths**5) / np.sum(widths))

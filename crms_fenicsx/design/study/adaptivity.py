@@ -10,7 +10,7 @@ from mpi4py import MPI
 from crms_fenicsx.design.study.values import Build, built
 from crms_fenicsx.foundation.meshes.cell_division import refine
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
-from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Count, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.solver import Solver
@@ -20,12 +20,13 @@ SAME = 1e-4
 tolerance and summation order on several ranks cause such differences."""
 
 
+@collective
 def adapt(
     build: Build,
     mesh: MembraneMesh,
     *,
-    tolerance: float = 0.01,
-    levels: int = 8,
+    tolerance: Positive = 0.01,
+    levels: Count = 8,
     share: float = 0.5,
     project: Callable[[Array], Array] | None = None,
 ) -> Solver:
@@ -65,18 +66,13 @@ def adapt(
     >>> solver = adapt(build, meshes.rectangle(comm, 10.0, 10.0, 1.0), tolerance=0.005)
     >>> solver.estimate_error().relative
     """
-    checks.of_type("adapt: mesh", mesh, MembraneMesh)
-    comm = mesh.comm
-    checks.same(comm, "adapt", tolerance=tolerance, levels=levels, share=share, project=project)
-    tolerance = checks.positive("adapt: tolerance", tolerance)
-    levels = checks.whole("adapt: levels", levels, 1)
     solver = built("adapt", build, mesh)
     for _ in range(levels - 1):
         if solver.estimate_error().relative <= tolerance:
             break
         cells = marked_cells(solver, share)
         own, there = (one.mesh.topology.index_map(2) for one in (mesh, solver.scene.mesh))
-        with raised_together(comm):
+        with raised_together(mesh.comm):
             if own.size_local != there.size_local:
                 raise InputError(
                     f"adapt: build made a scene of {there.size_global} cells on a mesh of "
@@ -87,7 +83,8 @@ def adapt(
     return solver
 
 
-def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
+@collective
+def marked_cells(solver: Solver, share: Positive = 0.5) -> Indices:
     """Find the fewest cells that have a given share of the estimated error. Collective.
 
     Cells are marked by decreasing error in `Solver.estimate_error`, equal ones together
@@ -114,12 +111,9 @@ def marked_cells(solver: Solver, share: float = 0.5) -> Indices:
     --------
     >>> finer = meshes.refine(solver.scene.mesh, marked_cells(solver))
     """
-    comm = solver.comm
-    checks.same(comm, "marked_cells", share=share)
-    share = checks.positive("marked_cells: share", share)
     if share > 1.0:
         raise InputError(f"marked_cells: share = {share} is more than 1, all of the error.")
-    return _fewest(comm, solver.estimate_error().cells, share)
+    return _fewest(solver.comm, solver.estimate_error().cells, share)
 
 
 def _fewest(comm: MPI.Intracomm, shares: Array, share: float) -> Indices:

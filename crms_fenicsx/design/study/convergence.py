@@ -30,6 +30,7 @@ from crms_fenicsx.design.study.values import Build, Quantities, built
 from crms_fenicsx.foundation.meshes.cell_division import refine
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import DoubtWarning
 from crms_fenicsx.model.tolerances import SAME_VALUE
@@ -219,6 +220,7 @@ class Convergence:
         return draw_convergence(self.comm, filename, self.cells, series, title=title, width=width)
 
 
+@collective
 def convergence(
     build: Build,
     mesh: MembraneMesh,
@@ -287,13 +289,7 @@ def convergence(
     >>> study = convergence(build, meshes.spherical_cap(comm, 20.0, 10.0, size=4.0))
     >>> study["tension ridge"].limit, study["tension ridge"].bar
     """
-    checks.of_type("convergence: mesh", mesh, MembraneMesh)
-    comm = mesh.comm
-    checks.same(
-        comm, "convergence", levels=levels, points=points, reactions=reactions, stresses=stresses,
-        quantities=quantities, project=project,
-    )  # fmt: skip
-    levels = checks.whole("convergence: levels", levels, 2)
+    comm, levels = mesh.comm, checks.whole("convergence: levels", levels, 2)
     rows, cells, seconds, scattered = [], [], [], False
     for level in range(levels):
         began = time.perf_counter()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -13,20 +12,22 @@ from crms_fenicsx.analysis.steps.load_cases import check_combinations
 from crms_fenicsx.design.study.values import Build, built
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, redistributed
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Count, File, collective
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.results.output.report.case import Case
 
 
+@collective
 def combine_in_groups(
     build: Build,
     mesh: MembraneMesh,
     combinations: Mapping[str, Mapping[str, float]],
     *,
-    groups: int,
-    steps: int = 1,
-    report: str | Path | None = None,
+    groups: Count,
+    steps: Count = 1,
+    report: File | None = None,
     **options: Any,
 ) -> dict[str, Case]:
     """Solve combinations of loads in groups of processes side by side. Collective.
@@ -85,11 +86,8 @@ def combine_in_groups(
         write_files,
     )
 
-    checks.of_type("combine_in_groups: mesh", mesh, MembraneMesh)
     comm = mesh.comm
-    checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
-                report=report)  # fmt: skip
-    if checks.whole("combine_in_groups: groups", groups, 1) > comm.size:
+    if groups > comm.size:
         raise InputError(
             f"combine_in_groups: groups = {groups} is more than the {comm.size} processes; use "
             "fewer groups, or start more processes."

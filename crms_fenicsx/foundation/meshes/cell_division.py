@@ -8,7 +8,6 @@ independent of the number of ranks. Child cells stay on the rank of their parent
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from dolfinx.cpp.refinement import RefinementOption
@@ -21,6 +20,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribut
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.surface import EMPTY, CheckedSurface, Projection, check_areas
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
@@ -32,17 +32,10 @@ QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 """Rows of `CORNERS` of a cell's four children."""
 
 
-@dataclass(frozen=True)
-class _Division:
-    """Child cells; an undivided cell is its own only child."""
-
-    parents: Integers  # (k,) parent cell of each child, ascending
-    corners: Integers  # (k, 3) rows of `CORNERS`, in the parent's orientation
-
-
+@collective
 def refine(
     mesh: MembraneMesh,
-    cells: ArrayLike | None = None,
+    cells: PerRank[ArrayLike | None] = None,
     *,
     project: Callable[[Array], Array] | None = None,
 ) -> MembraneMesh:
@@ -84,23 +77,24 @@ def refine(
     >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
     >>> meshes.refine(mesh, mesh.parts["corner"])
     """
-    checks.same(mesh.comm, "refine", whole=cells is None, project=project)
     with raised_together(mesh.comm):
         chosen = None if cells is None else _checked_cells(mesh, cells)
         onto = mesh.project if project is None else _checked(project)
     bisected = None if chosen is None else _bisected(mesh, chosen)
     surface, ranks = gathered(mesh)
     finer, m = EMPTY, len(surface.cells)
-    division = _Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
+    parents, corners = np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1))
     with raised_together(mesh.comm):
         if mesh.comm.rank == 0:
-            division = division if bisected is None else _fitted(surface, *bisected)
-            finer = _divided(surface, division, onto)
-    return distribute(mesh.comm, finer, ranks[division.parents], onto)
+            if bisected is not None:
+                parents, corners = _fitted(surface, *bisected)
+            finer = _divided(surface, parents, corners, onto)
+    return distribute(mesh.comm, finer, ranks[parents], onto)
 
 
-def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> _Division:
-    """The division given by DOLFINx's children: parents (k,), positions of corners (k, 3, 3)."""
+def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> tuple[Integers, Integers]:
+    """Parents and corners, as of `_divided`, from parents (k,) and positions of corners (k, 3, 3)
+    of DOLFINx's child cells."""
     corners = surface.points[surface.cells]
     around = np.einsum("ck,mki->mci", CORNERS, corners)[parents]
     gaps = ((places[:, :, None] - around[:, None]) ** 2).sum(axis=-1)
@@ -110,7 +104,7 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> _Divis
     start = found.argmin(axis=1)[:, None]
     found = np.take_along_axis(found, (start + np.arange(3)) % 3, axis=1)
     order = np.lexsort((*found.T[::-1], parents))
-    return _Division(parents[order], found[order])
+    return parents[order], found[order]
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
@@ -167,28 +161,29 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
 
 
 def _divided(
-    surface: CheckedSurface, division: _Division, onto: Projection | None
+    surface: CheckedSurface, parents: Integers, corners: Integers, onto: Projection | None
 ) -> CheckedSurface:
-    """Return the surface with divided cells."""
-    n, parents = len(surface.points), division.parents
+    """The surface of child cells: their parents (k,), ascending, and corners as rows of `CORNERS`
+    (k, 3), in the parent's orientation. An undivided cell is its own only child."""
+    n = len(surface.points)
     table = EdgeTable.of(surface.cells)
     sides = np.empty((len(surface.cells), 3), dtype=np.int64)  # edge of each side
     sides.ravel()[table.order] = np.repeat(np.arange(len(table.counts)), table.counts)
     middle = np.full(len(table.counts), -1)
-    own, k = np.nonzero(division.corners >= 3)
-    middle[sides[parents[own], division.corners[own, k] - 3]] = 0
+    own, k = np.nonzero(corners >= 3)
+    middle[sides[parents[own], corners[own, k] - 3]] = 0
     split = np.flatnonzero(middle == 0)
     middle[split] = n + np.arange(len(split))
     around = np.concatenate([surface.cells, middle[sides]], axis=1)
-    cells = np.take_along_axis(around[parents], division.corners, axis=1)
+    cells = np.take_along_axis(around[parents], corners, axis=1)
     ends = table.vertices[split]
     middles = surface.points[ends].mean(axis=1)
     if onto is not None:
         middles = onto(middles.T, table.counts[split] == 1).T
     else:
         smooth = SmoothSurface.of(surface.points, surface.cells)
-        corners = np.column_stack([ends, ends[:, 0]])
-        middles = middles + smooth.raised(corners, np.tile([0.5, 0.5, 0.0], (len(corners), 1)))[0]
+        both = np.column_stack([ends, ends[:, 0]])
+        middles = middles + smooth.raised(both, np.tile([0.5, 0.5, 0.0], (len(both), 1)))[0]
     points = np.concatenate([surface.points, middles])
     check_areas(points, cells)
 
@@ -198,15 +193,5 @@ def _divided(
         halves = edge_keys(np.stack([ends, np.broadcast_to(at[at >= 0], ends.shape)], axis=-1))
         return np.unique(np.concatenate([keys[at < 0], halves]))
 
-    def children(numbers: Integers) -> Integers:
-        return np.flatnonzero(np.isin(parents, numbers))
-
-    return CheckedSurface(
-        points,
-        cells,
-        {name: parts(keys) for name, keys in surface.edges.items()},
-        {name: children(members) for name, members in surface.parts.items()},
-        surface.point_groups,
-        EdgeTable.of(cells).seam_links(),
-        children(surface.hidden),
-    )
+    edges = {name: parts(keys) for name, keys in surface.edges.items()}
+    return surface.divided(points, cells, parents, edges)

@@ -19,10 +19,10 @@ from crms_fenicsx.foundation.meshes.plane import (
     rectangle_corners,
 )
 from crms_fenicsx.foundation.meshes.refinement import (
+    Length,
+    PlanPoint,
     Refinement,
     TargetSize,
-    check_point,
-    check_positive,
     check_size,
 )
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
@@ -32,11 +32,11 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 @mesh_generator
 def spherical_cap(
     comm: MPI.Intracomm,
-    radius: float,
-    height: float,
-    size: float,
+    radius: Length,
+    height: Length,
+    size: Length,
     *,
-    center: Sequence[float] = (0.0, 0.0),
+    center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
@@ -63,9 +63,8 @@ def spherical_cap(
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than `radius`.
     """
-    check_positive("the spherical cap", radius=radius, height=height)
     check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
-    x, y = check_point("the spherical cap's centre", center)
+    x, y = map(float, center)
     origin = np.array([x, y, 0.0])
     diameter = (radius**2 + height**2) / height  # of the sphere
     target = TargetSize(size, refinements)
@@ -103,12 +102,12 @@ def _onto_sphere(
 @mesh_generator
 def air_hall(
     comm: MPI.Intracomm,
-    width: float,
-    depth: float,
-    height: float,
-    size: float,
+    width: Length,
+    depth: Length,
+    height: Length,
+    size: Length,
     *,
-    corner: Sequence[float] = (0.0, 0.0),
+    corner: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
@@ -144,10 +143,9 @@ def air_hall(
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than a side.
     """
-    check_positive("the air hall", width=width, depth=depth, height=height)
     area = width * depth + 2.0 * height * (width + depth)
     check_size("the air hall", size, min(width, depth), area)
-    x, y = check_point("the air hall's corner", corner)
+    x, y = map(float, corner)
     with own_model() as gmsh:
         _add_hall(gmsh, x, y, width, depth, height)
         mesh_with_sizes(gmsh, TargetSize(size, refinements))

@@ -23,7 +23,7 @@ def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     return (pairs[:, 0] << 32) | pairs[:, 1]
 
 
-def _line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
+def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:
     """Order the vertices along distinct edges, given as pairs, and count the line's ends. The line
     starts at the smallest end, or for a loop at the smallest vertex, and stops at a branch. The
     edges form one line if there is one vertex more."""
@@ -44,7 +44,7 @@ def whole_line(
     call: str, group: str, pairs: Collection[tuple[int, int]], *, closed: bool = False
 ) -> list[int]:
     """Order the vertices of a group of edges, which must be one line and may be `closed` if so."""
-    line, ends = _line_of(pairs)
+    line, ends = line_of(pairs)
     single = len(line) == len(pairs) + 1
     if not single or (ends != 2 and not closed):
         what = "closed" if single else f"not a single line: it branches or has gaps ({ends} ends)"

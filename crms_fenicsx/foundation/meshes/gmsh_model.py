@@ -128,14 +128,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
 def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
     """The distinct triangles, in the given order, and the index of each triangle among them."""
     corners = np.sort(triangles, axis=1)
-    order = np.lexsort(corners.T)
-    is_new = np.ones(len(triangles), dtype=bool)
-    is_new[1:] = (np.diff(corners[order], axis=0) != 0).any(axis=1)
-    # the sort is stable: of equal triangles the first given comes first
-    first_given = order[is_new][np.cumsum(is_new) - 1]
-    representative = np.empty(len(triangles), dtype=np.int64)
-    representative[order] = first_given
-    kept, place = np.unique(representative, return_inverse=True)
+    _, first, same = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    kept, place = np.unique(first[same.ravel()], return_inverse=True)
     return triangles[kept], place.astype(np.int64)
 
 

@@ -26,6 +26,7 @@ from crms_fenicsx.foundation.meshes.surface import (
     checked_surface,
 )
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Arguments
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.compat import (
     create_mesh,
@@ -259,7 +260,7 @@ def _checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
 
 def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMesh]:
     """Turn a function that meshes a shape on rank 0 into a collective mesh generator."""
-    signature = inspect.signature(shape)
+    signature, its = inspect.signature(shape), Arguments(shape, shape.__name__)
 
     @functools.wraps(shape)
     def generate(*args: P.args, **kwargs: P.kwargs) -> MembraneMesh:
@@ -267,7 +268,8 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
         given.apply_defaults()
         comm, ranks = given.arguments.pop("comm"), given.arguments.pop("ranks")
         checks.same(comm, shape.__name__, **given.arguments)
-        return build_and_distribute(comm, lambda: shape(*args, **kwargs), ranks=ranks)
+        places, named = its.checked(args, kwargs)
+        return build_and_distribute(comm, lambda: shape(*places, **named), ranks=ranks)
 
     generate.__signature__ = signature.replace(  # type: ignore[attr-defined]
         return_annotation=MembraneMesh

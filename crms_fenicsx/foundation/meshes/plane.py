@@ -13,10 +13,10 @@ from mpi4py import MPI
 from crms_fenicsx.foundation.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
 from crms_fenicsx.foundation.meshes.membrane_mesh import Ranks, mesh_generator
 from crms_fenicsx.foundation.meshes.refinement import (
+    Length,
+    PlanPoint,
     Refinement,
     TargetSize,
-    check_point,
-    check_positive,
     check_size,
 )
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
@@ -75,11 +75,11 @@ RECTANGLE_CORNERS = ("front left", "front right", "back right", "back left")
 @mesh_generator
 def rectangle(
     comm: MPI.Intracomm,
-    width: float,
-    depth: float,
-    size: float,
+    width: Length,
+    depth: Length,
+    size: Length,
     *,
-    corner: Sequence[float] = (0.0, 0.0),
+    corner: PlanPoint = (0.0, 0.0),
     structured: bool = False,
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
@@ -113,9 +113,8 @@ def rectangle(
         On all ranks, if an argument is not finite or positive, `size` is larger than a side, or a
         structured mesh is given refinements.
     """
-    check_positive("the rectangle", width=width, depth=depth)
     check_size("the rectangle", size, min(width, depth), width * depth)
-    x, y = check_point("the rectangle's corner", corner)
+    x, y = map(float, corner)
     if structured:
         if refinements:
             raise InputError(
@@ -131,11 +130,11 @@ def rectangle(
 @mesh_generator
 def ellipse(
     comm: MPI.Intracomm,
-    a: float,
-    b: float,
-    size: float,
+    a: Length,
+    b: Length,
+    size: Length,
     *,
-    center: Sequence[float] = (0.0, 0.0),
+    center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
@@ -158,19 +157,18 @@ def ellipse(
         On all ranks, if an argument is not finite or positive, or `size` is larger than a
         semi-axis.
     """
-    check_positive("the ellipse", a=a, b=b)
     check_size("the ellipse", size, min(a, b), math.pi * a * b)
-    x, y = check_point("the ellipse's centre", center)
+    x, y = map(float, center)
     return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
 
 
 @mesh_generator
 def circle(
     comm: MPI.Intracomm,
-    radius: float,
-    size: float,
+    radius: Length,
+    size: Length,
     *,
-    center: Sequence[float] = (0.0, 0.0),
+    center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
@@ -192,9 +190,8 @@ def circle(
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than the radius.
     """
-    check_positive("the circle", radius=radius)
     check_size("the circle", size, radius, math.pi * radius**2)
-    x, y = check_point("the circle's centre", center)
+    x, y = map(float, center)
     return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
 
 
@@ -202,7 +199,7 @@ def circle(
 def polygon(
     comm: MPI.Intracomm,
     corners: Sequence[Sequence[float]],
-    size: float,
+    size: Length,
     *,
     names: Sequence[str] | None = None,
     refinements: Sequence[Refinement] = (),

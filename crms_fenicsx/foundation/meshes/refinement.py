@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
 
@@ -16,20 +20,17 @@ _RANGE = 1e-100, 1e100
 """Range of lengths whose squares and cubes neither overflow nor underflow."""
 
 
-def check_positive(what: str, **numbers: float) -> None:
-    """Refuse named lengths that are not positive and finite, or outside `_RANGE`."""
-    for name, value in numbers.items():
-        try:
-            good = _RANGE[0] < value < _RANGE[1]
-        except (TypeError, ValueError):
-            good = False
-        if not good:
-            raise InputError(f"{what} has {name} = {value!r}: give a positive, finite number")
+def _length(what: str, value: object) -> float:
+    """Return a positive number within `_RANGE`."""
+    return checks.within(what, checks.positive(what, value), *_RANGE)
+
+
+Length = Annotated[float, _length]
+PlanPoint = Annotated[Sequence[float], partial(checks.vector, sizes=(2,))]
 
 
 def check_size(what: str, size: float, shortest: float, area: float) -> None:
     """Refuse a mesh size that is too large for a shape, or would need too many cells."""
-    check_positive(what, size=size)
     if size > shortest:
         raise MeshError(
             f"{what} has size = {size}, more than its smallest extent {shortest:.6g}: "
@@ -43,18 +44,7 @@ def check_size(what: str, size: float, shortest: float, area: float) -> None:
         )
 
 
-def check_point(what: str, point: Sequence[float]) -> tuple[float, float]:
-    """Check and return the two coordinates of a point in the plan."""
-    try:
-        x, y = (float(value) for value in point)
-        good = math.isfinite(x) and math.isfinite(y)
-    except (TypeError, ValueError, OverflowError):
-        good = False
-    if not good:
-        raise InputError(f"{what} is {point!r}: give two finite coordinates (x, y)")
-    return x, y
-
-
+@checked
 @dataclass(frozen=True)
 class Refinement:
     """Smaller triangles near a line, for instance below a cable.
@@ -77,8 +67,8 @@ class Refinement:
     """
 
     line: Sequence[Sequence[float]]
-    size: float
-    distance: float
+    size: Length
+    distance: Length
 
     def __post_init__(self) -> None:
         try:
@@ -91,7 +81,6 @@ class Refinement:
             )
         if not np.isfinite(line).all():
             raise InputError(f"the refinement's line {self.line!r} has a coordinate not finite")
-        check_positive("a refinement", size=self.size, distance=self.distance)
 
 
 class TargetSize:

@@ -51,6 +51,26 @@ class CheckedSurface:
     # indices of the cells of pieces behind seams, see `hidden_cells`
     hidden: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
+    def divided(
+        self, points: Array, cells: Integers, parents: Integers, edges: dict[str, Integers]
+    ) -> CheckedSurface:
+        """The surface with other points, and the cells (m, 3) into which its cells `parents` (m,)
+        have been divided."""
+
+        def children(numbers: Integers) -> Integers:
+            return np.flatnonzero(np.isin(parents, numbers))
+
+        table = EdgeTable.of(cells)
+        return CheckedSurface(
+            points,
+            cells,
+            edges | {BOUNDARY: table.keys[table.counts == 1]},
+            {name: children(members) for name, members in self.parts.items()},
+            self.point_groups,
+            table.seam_links(),
+            children(self.hidden),
+        )
+
 
 EMPTY = CheckedSurface()
 """The surface on ranks other than 0."""
@@ -202,7 +222,7 @@ def _members(
 def _edge_groups(
     groups: Mapping[str, ArrayLike], points: Array, table: EdgeTable
 ) -> dict[str, Integers]:
-    checked = {BOUNDARY: edge_keys(table.vertices[table.counts == 1])}
+    checked = {BOUNDARY: table.keys[table.counts == 1]}
     for name, pairs in _members(groups, "edge group", "edges"):
         if pairs.size == 0:
             raise MeshError(f"edge group '{name}' is empty: leave it out or give it an edge")

@@ -74,12 +74,6 @@ def altitudes(triangles: Array) -> Array:
     return np.asarray(quotient, dtype=np.float64)
 
 
-def balls(triangles: Array) -> tuple[Array, Array]:
-    """Centres (m, 3) and radii (m,) of balls around the triangles."""
-    centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
-    return centre, np.asarray(np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
-
-
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
     """Weights (m, 3), positions (m, 3) and distances (m,) of the points closest to `target`."""
     every = np.arange(len(triangles))

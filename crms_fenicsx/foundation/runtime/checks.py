@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from hashlib import blake2b
 from itertools import count, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -57,6 +58,14 @@ def positive(what: str, value: object) -> float:
     return number
 
 
+def non_negative(what: str, value: object) -> float:
+    """Return a finite float that is not negative; `what` and errors as for `finite`."""
+    number = finite(what, value)
+    if number < 0:
+        raise InputError(f"{what} = {value!r} is negative; give 0 or more.")
+    return number
+
+
 def within(what: str, value: object, low: float, high: float, unit: str = "") -> float:
     """Return a float in [low, high], up to rounding; `what` and errors as for `finite`."""
     number = finite(what, value)
@@ -94,6 +103,14 @@ def direction(what: str, value: object, sizes: Sequence[int] = (3,)) -> Array:
     numbers = vector(what, value, sizes)
     if not numbers.any():
         raise InputError(f"{what} = {value!r} is zero, expected a direction.")
+    return numbers
+
+
+def plan_direction(what: str, value: object) -> Array:
+    """Return the `direction` (2,) in plan of a vector (2,) or (3,)."""
+    numbers = vector(what, value, (2, 3))[:2]
+    if not numbers.any():
+        raise InputError(f"{what} = {value!r} is zero in plan, expected a direction.")
     return numbers
 
 
@@ -140,17 +157,19 @@ def options_prefix(what: str, value: object) -> str:
     return value
 
 
-def one_of(what: str, value: object, known: Iterable[object]) -> None:
-    """Refuse a value that is not among the known ones."""
+def one_of(what: str, value: Any, known: Iterable[object]) -> Any:
+    """Return a value if it is one of the known ones."""
     if value not in (known := list(known)):
         *others, last = map(repr, known)
         raise InputError(f"{what} = {value!r} is not known; use {', '.join(others)} or {last}.")
+    return value
 
 
-def of_type(what: str, value: object, kind: type) -> None:
-    """Refuse a value of another type."""
+def of_type(what: str, value: Any, kind: type) -> Any:
+    """Return a value if it is of a type."""
     if not isinstance(value, kind):
         raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")
+    return value
 
 
 def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
@@ -187,9 +206,14 @@ def file(what: str, value: object) -> Path:
 
 def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
     """Refuse arguments that differ between the ranks. Collective."""
-    if comm.size == 1:
+    if comm.size == 1 or not arguments:
         return
     own = {name: _text(value) for name, value in arguments.items()}
+    digest = int.from_bytes(blake2b(repr(sorted(own.items())).encode(), digest_size=7).digest())
+    extremes = np.array([digest, -digest])
+    comm.Allreduce(MPI.IN_PLACE, extremes, op=MPI.MAX)
+    if extremes[0] == -extremes[1]:
+        return
     first = comm.bcast(own)
     names = {**first, **own}  # a rank may omit an argument that others give
     differing = next((name for name in names if own.get(name) != first.get(name)), None)

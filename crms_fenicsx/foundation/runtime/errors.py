@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import atexit
-import functools
 import gc
 import logging
 import pickle
 import sys
 import time
-import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar, cast
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc  # noqa: F401 (registers its exit handler before ours)
@@ -23,9 +21,6 @@ PATIENCE = 60.0
 """Time a rank with an error waits for the other ranks to fail as well (s)."""
 FAILED = 30081
 """Tag of the messages by which ranks announce an error to each other."""
-
-
-Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class InputError(ValueError):
@@ -134,8 +129,10 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
                 passed_on = kind(text)
             except TypeError:  # its constructor takes more than a text, as for codec errors
                 passed_on = RuntimeError(f"{kind.__name__}: {text}")
+            passed_on.on_all_ranks = True
             raise passed_on from None  # this rank's own error is usually the same
     if error is not None:
+        error.on_all_ranks = True  # type: ignore[attr-defined]
         raise error
 
 
@@ -161,30 +158,6 @@ def garbage_kept() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
-
-
-def collective(method: Method) -> Method:
-    """Decorate a method so that an error on one rank cannot leave the others waiting for ever. This
-    package raises its errors on all ranks, but a bug, a lack of memory or an interrupt may hit one
-    rank alone while the others are in a reduction. A rank with an error waits `PATIENCE` seconds
-    for the others to fail too; otherwise it prints its traceback and aborts all ranks."""
-
-    @functools.wraps(method)
-    def guarded(*args: Any, **kwargs: Any) -> Any:
-        __tracebackhide__ = True  # IPython and pytest leave this call out of tracebacks
-        try:
-            return method(*args, **kwargs)
-        except BaseException as error:
-            # An inner collective method has already asked the other ranks. Without `comm`, the
-            # first argument is not such an object but a refused value.
-            comm: Any = getattr(next(iter((*args, *kwargs.values())), None), "comm", None)
-            if not getattr(error, "on_all_ranks", comm is None):
-                if not all_failed(comm):
-                    end_all(comm, traceback.format_exc(), method.__qualname__)
-                error.on_all_ranks = True  # type: ignore[attr-defined]
-            raise
-
-    return cast(Method, guarded)
 
 
 def all_failed(comm: MPI.Intracomm) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.foundation.meshes.triangles import (
     WALL,
     altitudes,
-    balls,
     closest,
     dot,
     double_areas,
@@ -25,15 +24,54 @@ from crms_fenicsx.foundation.meshes.triangles import (
     mix,
     norm,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
     EdgePoint,
+    Support,
     SurfacePoint,
     VertexPoint,
-    edge_of,
 )
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Balls around triangles, or points, among which near ones are found."""
+
+    centre: Array  # (m, 3)
+    radius: Array  # (m,)
+
+    @classmethod
+    def of(cls, triangles: Array) -> Balls:
+        """Balls around triangles (m, 3, 3)."""
+        centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
+        return cls(centre, np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree  # takes longer to import than scripts without cables need
+
+        return cKDTree(self.centre)
+
+    def within(self, targets: Array, reach: Array) -> tuple[Integers, Integers]:
+        """Indices (p,) of all pairs of targets (k, 3) and balls within `reach` (k,), up to
+        rounding, sorted by targets and then balls."""
+        widest = self.radius.max(initial=0.0)
+        found = self._tree.query_ball_point(targets, reach + widest, return_sorted=True)
+        target = np.repeat(np.arange(len(targets)), [len(own) for own in found])
+        ball = np.concatenate([np.zeros(0, dtype=np.int64), *found]).astype(np.int64)
+        near = norm(self.centre[ball] - targets[target]) - self.radius[ball] <= reach[target]
+        return target[near], ball[near]
+
+    def least_reach(self, targets: Array) -> Array:
+        """Upper bound of the distance from each target to the nearest triangle, (k,)."""
+        # the nearest centre is a point of the surface
+        return np.asarray(self._tree.query(targets)[0] * (1.0 + 1e-9))
+
+    def nearest(self, targets: Array) -> tuple[Integers, Integers]:
+        """Pairs of targets and triangles that may be the closest, in the form of `within`."""
+        return self.within(targets, self.least_reach(targets) + 1e-9 * self.radius.max())
 
 
 @dataclass(frozen=True)
@@ -51,8 +89,8 @@ def feet_of(
 ) -> list[_Foot]:
     """Closest points of a surface to targets (k, 3), the same on all ranks of `comm`."""
     triangles = points[cells]
-    centre, radius = balls(triangles)
-    held, position, share, corners = _nearest(triangles, centre, radius, targets)
+    balls = Balls.of(triangles)
+    held, position, share, corners = _nearest(triangles, balls, targets)
     if comm is not None:
         every = np.array(comm.allgather(held))
         mine = every.argmin(axis=0) == comm.rank
@@ -65,7 +103,7 @@ def feet_of(
     # normals are interpolated from the vertices, as facet normals differ by the angle between
     # facets; vertices are identified by position, as ranks share no other key here
     normals = np.zeros((len(targets), 3, 3))
-    target, cell = pairs_within(centre, position, (size + radius.max(initial=0.0)) * (1.0 + 1e-9))
+    target, cell = balls.within(position, size * (1.0 + 1e-6))
     area, around = double_areas(triangles[cell]), triangles[cell]
     for i in range(3):
         apart = norm(around - corners[target, i][:, None])
@@ -82,15 +120,13 @@ def feet_of(
     ]
 
 
-def _nearest(
-    triangles: Array, centre: Array, radius: Array, targets: Array
-) -> tuple[Array, Array, Array, Array]:
+def _nearest(triangles: Array, balls: Balls, targets: Array) -> tuple[Array, Array, Array, Array]:
     """Distances (k,), closest points (k, 3), weights (k, 3) and cell corners (k, 3, 3)."""
     k = len(targets)
     held = np.full(k, np.inf)
     position, share, corners = np.zeros((k, 3)), np.zeros((k, 3)), np.zeros((k, 3, 3))
     if len(triangles):
-        target, cell = nearest_pairs(centre, radius, targets)
+        target, cell = balls.nearest(targets)
         weights, places, gaps = closest(triangles[cell], targets[target])
         order = np.lexsort((gaps, target))  # of equally close cells the first
         best = order[np.unique(target[order], return_index=True)[1]]
@@ -99,33 +135,8 @@ def _nearest(
     return held, position, share, corners
 
 
-def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
-    """Pairs of targets (k, 3) and cells that may be the closest, in the form of `pairs_within`."""
-    # the nearest centre is a point of the surface as well
-    reach, widest = nearest_within(centre, targets) + 1e-9 * radius.max(), radius.max()
-    target, cell = pairs_within(centre, targets, reach + widest)
-    near = norm(centre[cell] - targets[target]) - radius[cell] <= reach[target]
-    return target[near], cell[near]
-
-
-def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers, Integers]:
-    """Indices (p,) of all pairs of targets (k, 3) and centres (m, 3) within `reach` (k,), up to
-    rounding, sorted by targets and then centres."""
-    found = _tree(centre).query_ball_point(targets, reach, return_sorted=True)
-    rows = np.repeat(np.arange(len(targets)), [len(own) for own in found])
-    return rows, np.concatenate([np.zeros(0, dtype=np.int64), *found]).astype(np.int64)
-
-
-def nearest_within(centre: Array, targets: Array) -> Array:
-    """Upper bound of the distance from each target to the nearest centre, (k,)."""
-    return np.asarray(_tree(centre).query(targets)[0] * (1.0 + 1e-9))
-
-
-def _tree(centre: Array) -> Any:
-    from scipy.spatial import cKDTree  # takes longer to import than scripts without cables need
-
-    return cKDTree(centre)
-
+SNAP = 1e-3
+"""Distance, relative to the mesh size, within which points snap to vertices and edges."""
 
 # Distance from the surface, relative to the local mesh size, up to which a point in space lies on
 # it: a faceted dome of three cells per radius is nowhere farther from the smooth one.
@@ -134,9 +145,6 @@ ON_SURFACE = 0.1
 # Distance outside, relative to the mesh size, up to which a route point in plan is moved to the
 # rim: the circle through the vertices of a disc of 20 edges is nowhere farther from them.
 RIM = 0.05
-
-# A vertex (id,) or an edge (smaller, larger).
-Node = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -147,6 +155,7 @@ class TargetSurface:
     points: Array
     cells: Integers
     size: float  # length of its longest edge
+    snap: float = SNAP
 
     @classmethod
     def of(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
@@ -169,13 +178,16 @@ class TargetSurface:
                 found[vertex].add(row)
         return found
 
-    def cells_at(self, point: SurfacePoint) -> set[int]:
-        """Rows of the cells that contain a point."""
-        return set.intersection(*(self.around[vertex] for vertex in point.support))
+    def cells_with(self, *points: Support) -> set[int]:
+        """Rows of the cells that have all vertices of the points, given by their supports."""
+        return set.intersection(*(self.around[v] for support in points for v in support))
 
-    def in_one_cell(self, points: Iterable[SurfacePoint]) -> bool:
-        """Whether one cell contains all the points."""
-        return bool(set.intersection(*(self.cells_at(point) for point in points)))
+    def on_boundary(self, point: SurfacePoint) -> bool:
+        """Whether a point of the surface lies on its boundary."""
+        rows = sorted(self.cells_with(point.support))
+        if isinstance(point, VertexPoint):  # as many cells at an edge as have its other vertex
+            return 1 in Counter(ints(self.cells[rows].ravel())).values()
+        return isinstance(point, EdgePoint) and len(rows) == 1
 
 
 @dataclass(frozen=True)
@@ -195,12 +207,12 @@ class Place:
         return None if self.point is not None else (x, y, z)
 
 
-def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
+def places_in_plan(surface: TargetSurface, course: Array) -> list[Place]:
     """Locate route points (k, 2) given in plan, on the uppermost sheet or on the rim."""
-    found = _held_in_plan(surface, course, snap)
+    found = _held_in_plan(surface, course)
     outside = [i for i, place in enumerate(found) if place is None]
     on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
-    for i, place in zip(outside, _held_in_plan(surface, on_rim, snap), strict=True):
+    for i, place in zip(outside, _held_in_plan(surface, on_rim), strict=True):
         found[i] = place
     lacking = [i for i, place in enumerate(found) if place is None]
     if lacking:
@@ -211,23 +223,23 @@ def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[P
     return [place for place in found if place is not None]
 
 
-def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place | None]:
+def _held_in_plan(surface: TargetSurface, course: Array) -> list[Place | None]:
     """Locate points in plan; None for those outside the surface."""
     corners = surface.points[surface.cells][:, :, :2]
-    least, most, reach = corners.min(axis=1), corners.max(axis=1), snap * surface.size
+    least, most, reach = corners.min(axis=1), corners.max(axis=1), surface.snap * surface.size
     inside = (least <= course[:, None] + reach) & (most >= course[:, None] - reach)
     target, near = np.nonzero(inside.all(axis=2))
     triangles = surface.points[surface.cells[near]]
     flat, targets = flattened(triangles), np.pad(course, ((0, 0), (0, 1)))
     weights, _, gap = closest(flat, targets[target])
     floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
-    holds = floor & (gap <= snap * altitudes(flat))
+    holds = floor & (gap <= surface.snap * altitudes(flat))
     held = np.flatnonzero(holds)
     heights = mix(weights[held], triangles[held])[:, 2]
     top = near[held[_least_of(target[held], len(course), -heights)[target[held]]]]
     with_top = surface.cells[near[held]][:, :, None] == surface.cells[top][:, None]
     sheet = held[with_top.any(axis=(1, 2))]
-    places = _located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
+    places = _located(surface, targets, target[sheet], near[sheet], flat[sheet])
     up = np.array([0.0, 0.0, 1.0])
     return [None if place is None else Place(*place, up) for place in places]
 
@@ -257,17 +269,12 @@ def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
 
 
 def _located(
-    surface: TargetSurface,
-    targets: Array,
-    target: Integers,
-    rows: Integers,
-    triangles: Array,
-    snap: float,
+    surface: TargetSurface, targets: Array, target: Integers, rows: Integers, triangles: Array
 ) -> list[tuple[SurfacePoint, Array] | None]:
     """Surface points at targets (k, 3), with positions: a vertex if one is near, else an edge, else
     a point in the closest of the cells given by pairs `target`, `rows` (p,)."""
     corners, at = surface.cells[rows], targets[target]
-    reach = snap * altitudes(triangles)
+    reach = surface.snap * altitudes(triangles)
     ids, (i, j) = surface.ids[corners], np.array([[0, 1, 2], [1, 2, 0]])
     turned = ids[:, i] > ids[:, j]
     i, j = np.where(turned, j, i), np.where(turned, i, j)
@@ -303,14 +310,14 @@ def _located(
 
 
 def places_in_space(
-    surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
+    surface: TargetSurface, course: Array, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
     """Locate route points (k, 3); the first and last may be anchors, `known` ones are kept."""
     feet = feet_of(surface.points, surface.cells, course)
     positions = np.array([foot.position for foot in feet])
-    target, rows = _touching(surface, positions, snap)
+    target, rows = _touching(surface, positions)
     triangles = surface.points[surface.cells[rows]]
-    points = _located(surface, positions, target, rows, triangles, snap)
+    points = _located(surface, positions, target, rows, triangles)
     altitude, longest = altitudes(triangles), longest_sides(triangles)
     places = []
     ends = np.searchsorted(target, np.arange(len(course) + 1))
@@ -326,9 +333,9 @@ def places_in_space(
         height = float(dot(offset, foot.normal))
         aside = float(norm(offset - height * foot.normal))
         # facets deviate from a smooth surface along its normal
-        is_aside = aside > max(snap * float(altitude[own].max()), 0.5 * abs(height))
+        is_aside = aside > max(surface.snap * float(altitude[own].max()), 0.5 * abs(height))
         off = foot.distance > ON_SURFACE * float(longest[own].max())
-        rim = (is_aside or off) and _on_boundary(surface, point)
+        rim = (is_aside or off) and surface.on_boundary(point)
         if not off and not (rim and is_aside):
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
@@ -349,29 +356,13 @@ def places_in_space(
     return places
 
 
-def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[Integers, Integers]:
+def _touching(surface: TargetSurface, positions: Array) -> tuple[Integers, Integers]:
     """Pairs (p,) of surface positions (k, 3) and the cells that contain or touch them."""
     triangles = surface.points[surface.cells]
-    centre, radius = balls(triangles)
-    widest = float(radius.max()) * (1.0 + 2.0 * snap)
-    target, near = pairs_within(centre, positions, np.full(len(positions), widest))
+    balls = Balls.of(triangles)
+    reach = np.full(len(positions), 2.0 * surface.snap * float(balls.radius.max()))
+    target, near = balls.within(positions, reach)
     _, _, gap = closest(triangles[near], positions[target])
     scale = np.abs(positions).max(axis=1)[target]
-    touches = gap <= snap * altitudes(triangles[near]) + 1e-14 * scale
+    touches = gap <= surface.snap * altitudes(triangles[near]) + 1e-14 * scale
     return target[touches], near[touches]
-
-
-def _on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
-    """Whether a point of the surface lies on its boundary."""
-    if isinstance(point, CellPoint):
-        return False
-    around = sorted({row for vertex in point.support for row in surface.around[vertex]})
-    count = edge_count(lists(surface.ids[surface.cells[around]]))
-    if isinstance(point, EdgePoint):
-        return count[point.edge] == 1
-    return any(n == 1 and point.vertex in edge for edge, n in count.items())
-
-
-def edge_count(cells: Iterable[Sequence[int]]) -> Counter[Node]:
-    """Number of cells at each edge (smaller, larger)."""
-    return Counter(edge_of(a, b) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))

@@ -268,14 +268,11 @@ class _Strip:
         sides = [(self.vertex[left], self.at[left]), (self.vertex[right], self.at[right])]
         self.at.append(_at(end, dict([self.end_beyond, *sides])))
 
-    def _third(self, a: int, b: int, new: int, lengths: Lengths) -> complex:
-        va, vb = self.vertex[a], self.vertex[b]
-        ab, ac, bc = lengths[edge_of(va, vb)], lengths[edge_of(va, new)], lengths[edge_of(vb, new)]
-        return _apex(self.at[a], self.at[b], ab, ac, bc)
-
     def _beyond(self, point: SurfacePoint, a: int, b: int, lengths: Lengths) -> tuple[int, complex]:
-        (new,) = {*point.support} - {self.vertex[a], self.vertex[b]}
-        return new, self._third(a, b, new, lengths)
+        va, vb = self.vertex[a], self.vertex[b]
+        (new,) = {*point.support} - {va, vb}
+        ab, ac, bc = lengths[edge_of(va, vb)], lengths[edge_of(va, new)], lengths[edge_of(vb, new)]
+        return new, _apex(self.at[a], self.at[b], ab, ac, bc)
 
     def nodes_of_string(self) -> list[int]:
         """Nodes of the shortest string, both ends included."""

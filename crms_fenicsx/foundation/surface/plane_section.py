@@ -7,6 +7,7 @@ plane, with distances below a tolerance counted as zero; coordinates cannot cont
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -17,12 +18,7 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.triangles import WALL, altitudes, cross, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import (
-    Node,
-    Place,
-    TargetSurface,
-    edge_count,
-)
+from crms_fenicsx.foundation.surface.closest_point import Place, TargetSurface
 from crms_fenicsx.foundation.surface.points import (
     LEAST,
     MOST,
@@ -141,14 +137,13 @@ def cuts(
     surface: TargetSurface,
     planes: Sequence[Plane],
     ends: Sequence[tuple[Place, Place]],
-    snap: float,
     margin: float = np.inf,
 ) -> list[Cut]:
     """Cut the surface with the planes of legs, up to `margin` (length) beyond both ends; end
     vertices lie exactly in the plane."""
     if not planes:
         return []
-    points, reach = surface.points, snap * surface.size
+    points, reach = surface.points, surface.snap * surface.size
     leg, cell = strips(planes, points, surface.cells, reach, margin)
     corners = points[surface.cells[cell]]
     origin, ahead, across, length = (values[leg] for values in Plane.arrays(planes))
@@ -161,7 +156,7 @@ def cuts(
     leg, cell, corners, offset = leg[kept], cell[kept], corners[kept], offset[kept]
     rows = surface.cells[cell]
     tolerance = np.full((len(planes), len(points)), np.inf)
-    least = snap * _altitudes(advance[kept], offset, corners)
+    least = surface.snap * _altitudes(advance[kept], offset, corners)
     np.minimum.at(tolerance, (leg[:, None], rows), least[:, None].repeat(3, axis=1))
     ids, fixed = surface.ids[rows], np.array([[_vertex(end) for end in both] for both in ends])
     touched = np.abs(offset) <= tolerance[leg[:, None], rows]
@@ -208,8 +203,8 @@ def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
     return np.where(wall, upright, altitudes(flat))
 
 
-# Nodes of a section: (vertex,), (smaller, larger) for an edge, and the ends of a leg that are
-# neither.
+Node = tuple[int, ...]
+"""A vertex (id,), an edge (smaller, larger), or an end of a leg that is neither."""
 START: Node = (-1,)
 END: Node = (-2,)
 
@@ -231,7 +226,9 @@ class Section:
     @property
     def rim(self) -> set[Node]:
         """Nodes on the surface's boundary: edges with one cell, and their vertices."""
-        count = edge_count(self.cells)
+        count: Counter[Node] = Counter(
+            edge_of(a, b) for u, v, w in self.cells for a, b in ((u, v), (v, w), (w, u))
+        )
         vertices = {v for edge, n in count.items() if n == 1 for v in edge}
         return {
             node
@@ -261,9 +258,7 @@ class Section:
                     self.join(node, other)
         return node
 
-    def nearest(
-        self, target: Array, surface: TargetSurface, snap: float
-    ) -> tuple[SurfacePoint, Array] | None:
+    def nearest(self, target: Array, surface: TargetSurface) -> tuple[SurfacePoint, Array] | None:
         """Closest point of the section to a point in its plane, preferably a node, or None."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
@@ -278,7 +273,8 @@ class Section:
         places = start + t[:, None] * side
         i = int(np.argmin(norm(places - target)))
         a, b, corners = chords[i]
-        reach = snap * float(altitudes(surface.points[[[surface.row_of[v] for v in corners]]])[0])
+        rows = [[surface.row_of[v] for v in corners]]
+        reach = surface.snap * float(altitudes(surface.points[rows])[0])
         closer = min((a, b), key=lambda node: float(norm(self.positions[node] - places[i])))
         if norm(self.positions[closer] - places[i]) <= reach:
             return self.points[closer], self.positions[closer]

@@ -15,17 +15,16 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.foundation.meshes.triangles import balls, dot, flattened, longest_sides, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.meshes.triangles import dot, flattened, longest_sides, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import (
     RIM,
-    Node,
+    SNAP,
+    Balls,
     Place,
     TargetSurface,
     feet_of,
-    nearest_within,
-    pairs_within,
     places_in_plan,
     places_in_space,
 )
@@ -34,6 +33,7 @@ from crms_fenicsx.foundation.surface.plane_section import (
     END,
     START,
     Cut,
+    Node,
     Plane,
     Section,
     cuts,
@@ -70,10 +70,8 @@ def route_points(route: object) -> Array:
     return course
 
 
-def checked_route(route: object, snap: float) -> Array:
+def checked_route(route: object) -> Array:
     """The points of a route on which a path can be traced, (k, 2) or (k, 3)."""
-    if not 0.0 < snap <= 0.1:
-        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
     course = route_points(route)
     same = np.flatnonzero((course[1:] == course[:-1]).all(axis=1))
     if len(same):
@@ -87,13 +85,12 @@ def near_section(
     cells: ArrayLike,
     route: ArrayLike,
     *,
-    snap: float = 1e-3,
     comm: MPI.Intracomm | None = None,
     along_legs: bool = False,
 ) -> Booleans:
     """Mask (m,) of cells on which `trace` finds the same path as on the whole mesh; with
     `along_legs`, of fewer cells, which suffice if the legs without an anchor are direct."""
-    course = checked_route(route, snap)
+    course = checked_route(route)
     x = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
     size = float(np.max(longest_sides(x[rows]), initial=0.0))
@@ -106,21 +103,20 @@ def near_section(
         # trace may move ends to the rim, and the plane along
         ups = np.broadcast_to(up, ends[1:].shape)
         planes = [plane for plane in Plane.of_legs(ends[:-1], ends[1:], ups, ups) if plane]
-        mask[strips(planes, x, rows, (RIM + snap) * size, margin)[1]] = True
-        flat = flattened(x[rows])
-        centre, radius = balls(flat)
-        least = nearest_within(centre, ends)
+        mask[strips(planes, x, rows, (RIM + SNAP) * size, margin)[1]] = True
+        balls = Balls.of(flattened(x[rows]))
+        least = balls.least_reach(ends)
         if comm is not None:
             comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
         # cells that trace names when the route leaves the membrane
-        mask[_in_reach(centre, radius, ends, least)] = True
+        mask[balls.within(ends, least)[1]] = True
         return mask
     feet = feet_of(x, rows, course, comm)
-    centre, radius = balls(x[rows])
+    balls = Balls.of(x[rows])
     # cells around the vertices of the nearest cell, which determine the normal
     places = np.array([foot.position for foot in feet])
     sizes = np.array([foot.size for foot in feet])
-    mask[_in_reach(centre, radius, places, sizes * (1.0 + 1e-9) + snap * size)] = True
+    mask[balls.within(places, sizes * (1.0 + 1e-9) + SNAP * size)[1]] = True
     legs, straight = [], []
     for i in range(len(course) - 1):
         # an end is an anchor depending on the boundary, which a single rank may not see
@@ -136,19 +132,12 @@ def near_section(
     planes = []
     if legs:  # of one without a plane trace says so
         planes = [plane for plane in Plane.of_legs(*np.array(legs).swapaxes(0, 1)) if plane]
-    mask[strips(planes, x, rows, snap * size, np.inf)[1]] = True
+    mask[strips(planes, x, rows, SNAP * size, np.inf)[1]] = True
     if straight:  # no point of a path is farther from the leg's middle than half the path's length
         a, b = places[straight], places[np.array(straight) + 1]
         reach = 0.5 * norm(b - a) / DETOUR + 2.0 * size
-        mask[_in_reach(centre, radius, 0.5 * (a + b), reach)] = True
+        mask[balls.within(0.5 * (a + b), reach)[1]] = True
     return mask
-
-
-def _in_reach(centre: Array, radius: Array, targets: Array, reach: Array) -> Integers:
-    """Cells, given by balls around them, that may be within reach of some target."""
-    target, cell = pairs_within(centre, targets, reach + radius.max(initial=0.0))
-    near = norm(centre[cell] - targets[target]) - radius[cell] <= reach[target]
-    return cell[near]
 
 
 class IndirectLeg(LookupError):  # noqa: N818 - no error: a request for data
@@ -161,30 +150,30 @@ def trace(
     cells: ArrayLike,
     route: ArrayLike,
     *,
-    snap: float = 1e-3,
+    snap: float = SNAP,
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
     covers: ArrayLike = (),
 ) -> Path:
     """Path of a cable over a surface along a route (k, 2) or (k, 3). Route corners inside cells are
     cut off, by at most a cell's size. Legs may cross `covers` (q, 3), more cells over holes."""
-    surface = TargetSurface.of(vertices, points, cells)
-    course = checked_route(route, snap)
+    surface = replace(TargetSurface.of(vertices, points, cells), snap=snap)
+    course = checked_route(route)
     if course.shape[1] == 2:
-        places = places_in_plan(surface, course, snap)
+        places = places_in_plan(surface, course)
     else:
-        places = places_in_space(surface, course, snap, known)
+        places = places_in_space(surface, course, known)
     more = np.asarray(covers, dtype=np.int64).reshape(-1, 3)
     if len(more):
         surface = replace(surface, cells=np.concatenate([surface.cells, more]))
     found: list[SurfacePoint] = []
-    ways = _direct_ways(surface, places, snap)
+    ways = _direct_ways(surface, places)
     for i, (first, last) in enumerate(pairwise(places)):
         leg = ways[i]
         if leg is None:
             if along_legs and first.point is not None and last.point is not None:
                 raise IndirectLeg
-            leg = _leg_points(surface, first, last, f"leg {i} of the route", snap)
+            leg = _leg_points(surface, first, last, f"leg {i} of the route")
         if found and isinstance(found[-1], CellPoint):  # cut off a corner inside a cell
             found, leg = found[:-1], leg[1:]
         found += leg
@@ -213,7 +202,8 @@ def _refuse_shortcuts(
     longest = longest_sides(surface.points[surface.cells])
     on = [(i, place.point) for i, place in enumerate(places) if place.point is not None]
     targets = np.array([places[i].position for i, _ in on]).reshape(-1, 1, 3)
-    reach = np.array([longest[list(surface.cells_at(point))].max() for _, point in on])[:, None]
+    around = [list(surface.cells_with(point.support)) for _, point in on]
+    reach = np.array([longest[rows].max() for rows in around])[:, None]
     middles = dot(targets - start, side) / square
     aside = norm(start + middles[..., None] * side - targets)
     halves = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
@@ -231,9 +221,7 @@ def _refuse_shortcuts(
         passed = k + float(first[k])
 
 
-def _leg_points(
-    surface: TargetSurface, first: Place, last: Place, name: str, snap: float
-) -> list[SurfacePoint]:
+def _leg_points(surface: TargetSurface, first: Place, last: Place, name: str) -> list[SurfacePoint]:
     """Surface points of one leg, including its ends unless they are anchors."""
     if np.array_equal(first.position, last.position):
         raise PathError(
@@ -242,16 +230,16 @@ def _leg_points(
         )
     for anchor, other in ((first, last), (last, first)):
         if other.point is not None and anchor.foot is not None:
-            if norm(anchor.foot.position - other.position) <= snap * anchor.foot.size:
+            if norm(anchor.foot.position - other.position) <= surface.snap * anchor.foot.size:
                 return [other.point]  # directly below the anchor
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
-    section = section_of(cuts(surface, [plane], [(first, last)], snap)[0], name)
+    section = section_of(cuts(surface, [plane], [(first, last)])[0], name)
     gaps = section.gaps()
-    start = _end_node(section, first, START, surface, snap)
-    end = _end_node(section, last, END, surface, snap)
+    start = _end_node(section, first, START, surface)
+    end = _end_node(section, last, END, surface)
     if start is not None and end is not None:
         points = [section.points[node] for node in dict.fromkeys((start, end))]
-        if surface.in_one_cell(points):
+        if surface.cells_with(*(point.support for point in points)):
             return points
     advance = {
         node: float(dot(x - plane.origin, plane.ahead)) for node, x in section.positions.items()
@@ -284,9 +272,7 @@ def _leg_points(
     return [section.points[node] for node in way_back(before, end)]
 
 
-def _direct_ways(
-    surface: TargetSurface, places: list[Place], snap: float
-) -> list[list[SurfacePoint] | None]:
+def _direct_ways(surface: TargetSurface, places: list[Place]) -> list[list[SurfacePoint] | None]:
     """Points of the direct legs; None for others."""
     ways: list[list[SurfacePoint] | None] = [None] * (len(places) - 1)
     others: list[tuple[int, Place, Place]] = []
@@ -295,10 +281,10 @@ def _direct_ways(
             continue
         if np.array_equal(first.position, last.position):
             continue
-        if surface.in_one_cell((first.point, last.point)):
+        if surface.cells_with(first.point.support, last.point.support):
             ways[i] = [first.point, last.point]
-            continue
-        others.append((i, first, last))
+        else:
+            others.append((i, first, last))
     if not others:
         return ways
     ends = [(first, last) for _, first, last in others]
@@ -308,9 +294,7 @@ def _direct_ways(
     legs = [
         (*o, plane) for o, plane in zip(others, Plane.of_legs(a, b, *normals), strict=True) if plane
     ]
-    along = cuts(
-        surface, [leg[3] for leg in legs], [leg[1:3] for leg in legs], snap, 2.0 * surface.size
-    )
+    along = cuts(surface, [leg[3] for leg in legs], [leg[1:3] for leg in legs], 2.0 * surface.size)
     for (i, first, last, plane), cut in zip(legs, along, strict=True):
         ways[i] = _direct_way(surface, plane, first, last, cut)
     return ways
@@ -335,14 +319,12 @@ def _direct_way(
     if reached.get(end, np.inf) > longest:
         return None
     points = [section.points[node] for node in dict.fromkeys((start, end))]
-    if surface.in_one_cell(points):
+    if surface.cells_with(*(point.support for point in points)):
         return points
     return [section.points[node] for node in way_back(before, end)]
 
 
-def _end_node(
-    section: Section, place: Place, own: Node, surface: TargetSurface, snap: float
-) -> Node | None:
+def _end_node(section: Section, place: Place, own: Node, surface: TargetSurface) -> Node | None:
     """The section's node at an end of the leg; None for an anchor beyond the boundary."""
     if place.point is not None:
         return section.put(place.point, place.position, own)
@@ -350,7 +332,7 @@ def _end_node(
         return None
     # not at the foot itself, which generally lies beside the plane: spans hanging from the anchor
     # shall be above the path
-    found = section.nearest(place.position, surface, snap)
+    found = section.nearest(place.position, surface)
     return None if found is None else section.put(*found, own)
 
 

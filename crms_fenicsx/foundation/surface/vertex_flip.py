@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from crms_fenicsx.foundation.meshes.edge_table import line_of
 from crms_fenicsx.foundation.runtime.errors import MeshError, PathError
 from crms_fenicsx.foundation.surface.corridor import (
     Corridor,
@@ -57,26 +58,16 @@ class IntrinsicSurface(Protocol):
         """Ordered neighbours of a vertex; raises `MissingCells` if some are unknown."""
 
 
-def ring_of(vertex: int, link: Iterable[Edge]) -> Ring:
-    """Ring of a vertex from the opposite sides in its cells, in any order."""
-    beside: dict[int, list[int]] = {}
-    for a, b in link:
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
-    ends = [v for v, others in beside.items() if len(others) == 1]
-    fan = len(ends) in (0, 2) and beside and max(map(len, beside.values())) <= 2
-    walk = [min(ends or beside)] if fan else []
-    while fan:
-        onward = [v for v in beside[walk[-1]] if v not in walk[-2:]]
-        if not onward or onward[0] == walk[0]:
-            break
-        walk.append(onward[0])
-    if not fan or len(walk) != len(beside):
+def ring_of(vertex: int, cells: Iterable[Sequence[int]]) -> Ring:
+    """Ring of a vertex from the corners of its cells, in any order; it may be left out of these."""
+    link = [edge_of(*(v for v in cell if v != vertex)) for cell in cells]
+    line, ends = line_of(link)
+    if len(line) != len(link) + 1:
         raise MeshError(
             f"the cells around vertex {vertex} do not form one fan; "
             "give a surface on which every vertex has its cells side by side."
         )
-    return Ring(tuple(walk), closed=not ends)
+    return Ring(tuple(line if ends else line[:-1]), closed=not ends)
 
 
 @dataclass(frozen=True)

@@ -74,9 +74,7 @@ class Contents:
 
 def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
     """Write a checkpoint; see `Solver.save`. Collective."""
-    checks.same(scene.comm, "save", folder=folder)
-    place = checks.file("save: folder", folder).resolve()
-    with replaced_folder(place, scene.comm, STATE) as partial:
+    with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
         storage = _SceneStorage(partial, scene)
         contents = Contents(
             fingerprint(scene),
@@ -297,8 +295,7 @@ def read(folder: Path, comm: MPI.Intracomm) -> Contents:
 
 def load(folder: str | Path, scene: Scene) -> Run:
     """Restore a scene from a folder and return its run; see `Solver.load`. Collective."""
-    checks.same(scene.comm, "load", folder=folder)
-    place = complete(checks.file("load: folder", folder).resolve())
+    place = complete(Path(folder).resolve())
     return restore(place, read(place, scene.comm), scene)
 
 

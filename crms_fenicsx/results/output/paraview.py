@@ -26,8 +26,9 @@ from crms_fenicsx.analysis.steps.load_cases import (
     checked_states,
 )
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import File, PerRank, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import (
     PARTIAL,
     absolute,
@@ -78,7 +79,7 @@ def _grid_of(surface: Surface | None, lines: Sequence[Line] | None, texts: Texts
             on_cells["line"] = np.full(len(cells[0]), -1)
         data.append((on_points, on_cells))
     if lines is not None:
-        places, pairs, *on_lines = joined([line.checked() for line in lines])
+        places, pairs, *on_lines = joined(lines)
         cells.append(pairs + sum(map(len, points)))
         points.append(places)
         data.append((on_lines[0], on_lines[1]))
@@ -326,7 +327,9 @@ def _entry(time: float, name: str) -> str:
 
 @collective
 def write_vtkhdf(
-    solver: Solved, filename: str | Path, combinations: Mapping[str, Combination] | None = None
+    solver: Solved,
+    filename: File,
+    combinations: PerRank[Mapping[str, Combination] | None] = None,
 ) -> None:
     """Write combinations, or the current state, as a VTKHDF file for ParaView. Collective.
 
@@ -358,8 +361,7 @@ def write_vtkhdf(
     """
     comm, scene = solver.comm, solver.scene
     states = checked_states("write_vtkhdf", scene, combinations)
-    checks.same(comm, "write_vtkhdf", filename=filename)
-    path = absolute(checks.file("write_vtkhdf: filename", filename), comm)
+    path = absolute(filename, comm)
     checks.one_of("write_vtkhdf: the suffix", path.suffix.lower(), (".vtkhdf",))
     with raised_together(comm):
         if comm.rank == 0:

@@ -83,6 +83,21 @@ def test_towards_anchors(comm) -> None:
 
 
 @pytest.mark.ranks
+@pytest.mark.parametrize("height", [9.0, 90.0])
+def test_the_foot_is_below_the_anchor_however_steep_the_span_is(comm, height: float) -> None:
+    _, shape = whole(comm, "unstructured")
+    points = route(shape, (0, 13), (100, 71))
+    node = CableNode("fold", points[len(points) // 2])
+    at = node_place(shape, node)
+    for way in (0.01, 2.0, 25.0):
+        below = at + way * np.array([0.8, 0.6, 0.0])
+        found = project_span(shape, node, at, CableNode("anchor"), below + height * UP)
+        assert found is not None
+        foot = node_place(shape, CableNode("tied", found[-1]))
+        np.testing.assert_allclose(foot, below, atol=1e-6)
+
+
+@pytest.mark.ranks
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
     between = np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)])

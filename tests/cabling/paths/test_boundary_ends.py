@@ -123,6 +123,19 @@ def test_an_anchor_moved_far_over_the_membrane(comm) -> None:
     assert set(cable.state.nodes[1].point.support) == set(there.state.nodes[1].point.support)
 
 
+def test_anchors_pulled_up_from_the_boundary_keep_their_slack_cable(comm) -> None:
+    """However steeply they rise, the path's ends stay below them, and the cable slack."""
+    scene, cable, solver = solved(comm, "unstructured", [(0, 30), (100, 30)], 140.0)
+    free = scene.energy
+    for _ in range(2):
+        solver.advance(move={cable.start: (0.5, 0, 9.0), cable.end: (-0.5, 0, 9.0)})
+        assert not cable.taut and scene.energy == pytest.approx(free, rel=1e-6)
+        shape = scene.net.strip_shape()
+        for k, x in ((1, 0.0), (-2, 100.0)):
+            foot = shape.mean(*cable.state.nodes[k].interpolation())
+            assert abs(foot[0] - x) < 100 / N and foot[1] == pytest.approx(30.0, abs=1.0)
+
+
 @pytest.mark.ranks
 @pytest.mark.parametrize("last", [False, True])
 def test_an_anchor_moved_off_the_membrane_over_cells_without_cables(comm, last: bool) -> None:

@@ -128,7 +128,6 @@ def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
 
 def test_bad_input() -> None:
     for arguments, message in (
-        ({"rules": "en1990"}, "rules is of type str"),
         (
             {"variable": ["tornado"]},
             "load 'tornado' has the kind 'tornado', which EN 1990 does not",

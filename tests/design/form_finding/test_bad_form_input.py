@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bad_calls import NAN, NO_GROUPS, NO_NUMBERS, NO_VECTORS, NOT_POSITIVE, functions
+from bad_calls import NO_GROUPS, functions
+from bad_values import NAN, NO_NUMBERS, NO_VECTORS, NOT_POSITIVE
 from form_meshes import CORNERS, SIDES
 from mpi4py import MPI
 

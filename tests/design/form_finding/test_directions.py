@@ -72,7 +72,7 @@ def test_matrix_across(comm: MPI.Intracomm) -> None:
             line.measure(film.positions(), comm)
             real += line.tension * film.gathered(line.slope(all_n))
             line.length = length  # constant in its stiffness
-            even += line.tension * film.gathered(line.even_slope(all_n))
+            even += line.tension * film.gathered(line.slope(all_n, even=True))
         return real, elastic, even
 
     values = []

@@ -15,8 +15,12 @@ from crms_fenicsx import (
     meshes,
     patterns,
 )
-from crms_fenicsx.design.patterns.conformal import conformal
-from crms_fenicsx.design.patterns.flattening import FlatProblem, divided, fine_energies
+from crms_fenicsx.design.patterns.flattening import (
+    FlatProblem,
+    conformal,
+    divided,
+    fine_energies,
+)
 
 FILM = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
 
@@ -254,11 +258,6 @@ def test_bad_options_are_named(options, text, comm: MPI.Intracomm) -> None:  # t
     pieces = pieces_of(hypar(comm, 4))
     with pytest.raises(InputError, match=text):
         patterns.flatten(pieces, FABRIC, **options)
-
-
-def test_surfaces_without_pieces_are_refused() -> None:
-    with pytest.raises(InputError, match="pieces is of type"):
-        patterns.flatten(3, FILM)  # type: ignore[arg-type]
 
 
 class TestCompensation:

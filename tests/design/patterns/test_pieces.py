@@ -174,7 +174,7 @@ def test_cuts_that_make_no_pieces_are_named(comm: MPI.Intracomm, case: str) -> N
 
 def _cone(disc: meshes.MembraneMesh) -> meshes.MembraneMesh:
     """A disc of radius 4 raised to a cone."""
-    surface = PatternSurface.of("test", disc)
+    surface = PatternSurface.of(disc)
     height = 4.0 - np.hypot(*surface.points[:, :2].T)
     return meshes.from_arrays(
         disc.comm, surface.points + height[:, None] * (0.0, 0.0, 0.5), surface.cells

@@ -99,7 +99,7 @@ def test_distances_over_a_sphere_converge(comm: MPI.Intracomm) -> None:
     errors = []
     for size in (2.0, 1.0, 0.5):
         cap = meshes.spherical_cap(comm, radius=R, height=8.0, size=size)
-        surface = PatternSurface.of("test", cap)
+        surface = PatternSurface.of(cap)
         away = surface.distances(surface.line_of_group("test", "boundary"))
         rim, latitude = np.arcsin(-FOOT / SPHERE), np.arcsin((surface.points[:, 2] - FOOT) / SPHERE)
         exact = SPHERE * (latitude - rim)

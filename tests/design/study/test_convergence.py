@@ -252,8 +252,3 @@ def test_functions_that_build_nothing_are_refused(comm, name):
     build, message = BUILDS[name]
     with pytest.raises(InputError, match=message):
         convergence(build, grid(comm, 2))
-
-
-def test_mesh_must_be_one():
-    with pytest.raises(InputError, match="convergence: mesh is of type str"):
-        convergence(square, "roof.msh")

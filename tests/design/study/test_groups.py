@@ -90,8 +90,6 @@ def test_more_groups_than_combinations(comm: MPI.Intracomm) -> None:
 def test_bad_groups(comm: MPI.Intracomm, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"groups = {comm.size + 1} is more than the {comm.size}"):
         combine_in_groups(build, square(comm), TABLE, groups=comm.size + 1)
-    with pytest.raises(InputError, match="groups = 0 must be a whole number"):
-        combine_in_groups(build, square(comm), TABLE, groups=0)
     with pytest.raises(InputError, match=r"'storm'.*no load 'wind'"):
         combine_in_groups(build, square(comm), TABLE | {"storm": {"wind": 1.0}}, groups=comm.size)
     with pytest.raises(InputError, match=r"build returned None, expected a Solver"):

@@ -85,14 +85,7 @@ def refused_load(scene: Scene, *words: str, **loads: Any) -> None:
     assert solver.steps == [] and solver._recorder.written == 0
 
 
-@pytest.mark.parametrize("value", [0.0, -0.1, NAN, float("inf"), "a", None, [1.0]])
-@pytest.mark.parametrize("name", ["E", "thickness"])
-def test_moduli_and_thickness(name: str, value: Any) -> None:
-    good = {"E": 300.0, "nu": 0.25, "thickness": 0.08}
-    refused(lambda: IsotropicMembrane(**{**good, name: value}), name, repr(value), "give")
-
-
-@pytest.mark.parametrize("nu", [-1.0, 1.0, 1.5, NAN, "x"])
+@pytest.mark.parametrize("nu", [-1.0, 1.0, 1.5])
 def test_poissons_ratio(nu: Any) -> None:
     refused(lambda: IsotropicMembrane(300.0, nu, 0.08), "nu", repr(nu))
 
@@ -106,11 +99,6 @@ def test_orthotropic_stiffness_is_definite() -> None:
             lambda nu21=nu21: OrthotropicMembrane(E1, E2, 12.0, nu21, 1.0),
             "nu21", repr(nu21), "indefinite", "nu12",
         )  # fmt: skip
-    for name in ("E1", "E2", "G12", "thickness"):
-        data = {"E1": E1, "E2": E2, "G12": 12.0, "nu21": 0.065, "thickness": 1.0}
-        refused(
-            lambda data=data, name=name: OrthotropicMembrane(**{**data, name: -2.0}), name, "-2"
-        )
 
 
 @pytest.mark.parametrize("warp", [(0.0, 0.0, 0.0), (1.0, 0.0), (NAN, 0.0, 0.0), "x", None])
@@ -124,33 +112,15 @@ def test_prestress(prestress: Any) -> None:
     refused(lambda: IsotropicMembrane(300.0, 0.25, 0.08, prestress=prestress), str(prestress))
 
 
-@pytest.mark.parametrize("EA", [0.0, -1.0, NAN, float("inf"), None, "32000"])
-def test_cable_stiffness(EA: Any) -> None:
-    refused(lambda: Cable(EA), "Cable", "EA", repr(EA), "give")
-
-
-@pytest.mark.ranks
-def test_laws_by_name(square) -> None:
-    refused(lambda: Cable(1.0, law="steps"), "law", "'steps'", "'total' or 'step'")
-    for name in ("strain", "pressure"):
-        refused(lambda name=name: Scene(square, MATERIAL, **{name: "x"}), name, "'x'", "'total'")
-
-
 @pytest.mark.parametrize("value", [-0.1, NAN, np.inf, "0.3", None, [0.3]])
-def test_bad_coefficients_of_friction(value) -> None:
-    for name in ("mu", "along", *(["static"] if value is not None else [])):
-        given = {"mu": 0.0, name: value}
-        refused(lambda given=given: Friction(**given), "Friction", name, str(value), "give")  # type: ignore[misc]
+def test_coefficient_of_a_cable(value: Any) -> None:
     refused(lambda: Cable(1.0, friction=value), "friction" if value != -0.1 else "mu", str(value))
 
 
 def test_bad_friction() -> None:
     refused(lambda: Friction(0.5, static=0.4), "static = 0.4", "mu = 0.5", "at least")
-    refused(lambda: Friction(0.5, law="paper"), "'paper'", "'coulomb' or 'step'")  # type: ignore[arg-type]
     for choices in ({"static": 0.6}, {"along": 0.1}):
         refused(lambda c=choices: Friction(0.5, law="step", **c), "step", "0.", "coulomb")  # type: ignore[misc]
-    for tolerance in (0.0, -1e-3, NAN, "small"):
-        refused(lambda t=tolerance: Friction(0.5, tolerance=t), "tolerance", str(tolerance), "give")  # type: ignore[misc]
     refused(lambda: Friction(0.5, tolerance=0.2), "tolerance = 0.2", "0.1", "0.003")
     Friction(0.5, static=0.5, law="step")  # what says nothing else is no contradiction
     assert Friction(0.5, static=0.6).at_rest == 0.6 and Friction(0.5).at_rest == 0.5
@@ -168,18 +138,6 @@ def test_friction_of_a_cable() -> None:
     assert Cable(1.0, friction=Friction(0.0, along=0.2)).sideways is None
     assert Cable(1.0, friction=Friction(0.1, along=0.2)).along == 0.2
     assert Cable(1.0, friction=0.3).along == 0.0
-
-
-@pytest.mark.parametrize("name", ["penalty", "literal_penalty"])
-@pytest.mark.parametrize("value", [0.0, -1.0, NAN, float("inf"), "x"])
-def test_penalty_is_positive(square, name: str, value: Any) -> None:
-    refused(lambda: Scene(square, MATERIAL, **{name: value}), "Scene", name, repr(value), "give")
-
-
-@pytest.mark.ranks
-@pytest.mark.parametrize("z", [NAN, float("-inf"), "x", None])
-def test_height_of_the_floor(scene: Scene, z: Any) -> None:
-    refused(lambda: scene.floor(z), "floor", repr(z), "give", scene=scene)
 
 
 @pytest.mark.ranks
@@ -254,12 +212,6 @@ def test_what_a_cable_is_called_and_made_of(scene: Scene) -> None:
     below = [(0.0, 20.0), (100.0, 22.0)]
     refused(lambda: scene.lay_cable(CABLE, below, name="cable 2"), "'cable 2'", scene=scene)
     assert scene.lay_cable(CABLE, below).name == "cable 3"
-
-
-@pytest.mark.parametrize("steps", [0, -1, 1.5, "2", None, True])
-@pytest.mark.usefixtures("idle")
-def test_number_of_steps(scene: Scene, steps: Any) -> None:
-    refused_load(scene, "steps", repr(steps), "1 or more", pressure=0.01, steps=steps)
 
 
 @pytest.mark.parametrize("pressure", [NAN, float("inf"), "a", (0.0, 1.0)])
@@ -341,20 +293,10 @@ def test_follower_pressure_needs_a_held_boundary(square, directions: str) -> Non
     [
         ({"rtol": 0.0}, ("rtol = 0.0", "between 0 and 1")),
         ({"rtol": 1.0}, ("rtol = 1.0", "between 0 and 1")),
-        ({"rtol": NAN}, ("rtol = nan",)),
-        ({"rtol": "x"}, ("rtol = 'x'",)),
-        ({"max_halvings": -1}, ("max_halvings = -1", "0 or more")),
-        ({"max_halvings": 1.5}, ("max_halvings = 1.5",)),
-        ({"prefix": "-crms_"}, ("prefix = '-crms_'", "leading")),
-        ({"prefix": None}, ("prefix = None",)),
     ],
 )
 def test_solver_settings(scene: Scene, arguments: Any, words: tuple[str, ...]) -> None:
     refused(lambda: Solver(scene, **arguments), "Solver", *words)
-
-
-def test_solver_takes_a_scene(square) -> None:
-    refused(lambda: Solver(square), "MembraneMesh", "Scene")
 
 
 def two_parts(comm) -> meshes.MembraneMesh:
@@ -379,10 +321,6 @@ def two_parts(comm) -> meshes.MembraneMesh:
 )
 def test_materials_of_parts(comm, material: Any, words: tuple[str, ...]) -> None:
     refused(lambda: Scene(two_parts(comm), material), "Scene", *words)
-
-
-def test_scene_takes_a_mesh_with_groups(square) -> None:
-    refused(lambda: Scene(square.mesh, MATERIAL), "Scene: mesh", "type Mesh", "MembraneMesh")
 
 
 def test_stepwise_strain_has_no_wrinkles(square) -> None:

@@ -8,7 +8,7 @@ from trace_surfaces import cap, grid, hall, scattered
 
 from crms_fenicsx.foundation.meshes.triangles import closest, double_areas, longest_sides
 from crms_fenicsx.foundation.surface import plane_section
-from crms_fenicsx.foundation.surface.closest_point import feet_of, nearest_within, pairs_within
+from crms_fenicsx.foundation.surface.closest_point import Balls, feet_of
 from crms_fenicsx.foundation.surface.plane_section import Plane, strips
 
 pytestmark = pytest.mark.ranks
@@ -80,11 +80,13 @@ def test_pairs_within_reach():
     rng = np.random.default_rng(6)
     centre, targets = rng.normal(size=(200, 3)) + 1e3, rng.normal(size=(9, 3)) + 1e3
     reach = rng.uniform(0.1, 2.0, 9)
+    radius = rng.uniform(0.0, 0.2, 200)
     apart = np.linalg.norm(centre - targets[:, None], axis=2)
+    found = Balls(centre, radius).within(targets, reach)
     np.testing.assert_array_equal(
-        np.transpose(pairs_within(centre, targets, reach)), np.argwhere(apart <= reach[:, None])
+        np.transpose(found), np.argwhere(apart - radius <= reach[:, None])
     )
-    least = nearest_within(centre, targets)
+    least = Balls(centre, radius).least_reach(targets)
     assert (apart.min(axis=1) <= least).all()
     np.testing.assert_allclose(least, apart.min(axis=1), atol=1e-5)
 

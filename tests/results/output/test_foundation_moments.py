@@ -12,7 +12,7 @@ from report_page import read_csv
 
 from crms_fenicsx import Bar, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.results.foundations import FoundationPoint
-from crms_fenicsx.results.output.report.foundation_tables import summed
+from crms_fenicsx.results.output.report.foundation_tables import _summed
 
 
 def test_a_couple() -> None:
@@ -23,10 +23,10 @@ def test_a_couple() -> None:
             FoundationPoint((name,), tuple(end.tolist()), (0.0, 0.0, force))
             for name, end, force in zip("ab", ends, (4.0, -4.0), strict=True)
         ]
-        found = summed(points)
+        found = _summed(points)
         assert found.force == (0.0, 0.0, 0.0)
         np.testing.assert_allclose(found.moment, (0.0, -12.0, 0.0), atol=1e-12)
-    assert summed(points[:1]).moment == (0.0, 0.0, 0.0)
+    assert _summed(points[:1]).moment == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.ranks

@@ -10,7 +10,7 @@ from cabled_square import sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Solver
-from crms_fenicsx.results.output.report.pictures import Scale, with_scales
+from crms_fenicsx.results.output.report.pictures import _Scale, _with_scales
 
 
 def roof(comm: MPI.Intracomm) -> Solver:
@@ -53,9 +53,9 @@ def test_a_page_of_each_combination(comm: MPI.Intracomm, tmp_path: Path) -> None
 
 def test_scales_stand_beside_the_view() -> None:
     """One below the other, with the page's name."""
-    scales = [Scale("force [kN/m]", "viridis", (0.0, 8.0)), Scale("axial", "YlOrRd", (-1.0, 1.0))]
+    scales = [_Scale("force [kN/m]", "viridis", (0.0, 8.0)), _Scale("axial", "YlOrRd", (-1.0, 1.0))]
     empty = "<html><head><title>VTK.js</title></head><body class='x'><p></p></body></html>"
-    page = with_scales(empty, "snow & wind", scales)
+    page = _with_scales(empty, "snow & wind", scales)
     assert "<title>snow &amp; wind</title>" in page and "VTK.js" not in page
     assert page.index("<body class='x'>") < page.index("force [kN/m]") < page.index("axial")
     assert page.count("linear-gradient(to right, #") == 2

@@ -27,15 +27,14 @@ from crms_fenicsx.results.output import (
 from crms_fenicsx.results.output.figures import draw_scene, plans
 from crms_fenicsx.results.output.figures.cable_lines import (
     CABLE,
-    _subdivided,
-    common_value,
-    in_words,
-    limits_of,
+    _common_value,
+    _in_words,
+    _limits_of,
     line_style,
 )
 from crms_fenicsx.results.output.figures.draw_paths import _spaced_steps
 from crms_fenicsx.results.output.figures.draw_surface import outline_of, sides_among
-from crms_fenicsx.results.output.figures.picture import Camera, brightness, visible
+from crms_fenicsx.results.output.figures.picture import Camera, brightness, subdivided, visible
 from crms_fenicsx.results.output.figures.plots import default_panels, units_of_results
 from crms_fenicsx.results.view_data import Surface
 
@@ -426,11 +425,12 @@ def test_both_sides_are_lit_alike() -> None:
 
 def test_pieces_of_a_line() -> None:
     nodes = np.array([[0, 0, 0], [3, 4, 1], [3, 4, 9], [3, 5.5, 9.0]])
-    cut, segment, middle = _subdivided(nodes, 2.0)
+    pieces, segment, middle = subdivided(np.stack([nodes[:-1], nodes[1:]], axis=1), 2.0)
     # 5 long: three pieces; end-on: one; 1.5 long: one
     assert segment.tolist() == [0, 0, 0, 1, 2]
     np.testing.assert_allclose(middle, [1 / 6, 1 / 2, 5 / 6, 1 / 2, 1 / 2])
-    np.testing.assert_allclose(cut, [nodes[0], nodes[1] / 3, nodes[1] * 2 / 3, *nodes[1:]])
+    cuts = [nodes[0], nodes[1] / 3, nodes[1] * 2 / 3, *nodes[1:]]
+    np.testing.assert_allclose(pieces, np.stack([cuts[:-1], cuts[1:]], axis=1))
 
 
 def test_outline_counts_vertices_at_one_place_once() -> None:
@@ -459,15 +459,15 @@ def test_which_sides_are_among_pairs() -> None:
 
 
 def test_values_that_are_the_same_are_told_in_words() -> None:
-    assert common_value(np.array([250.0, np.nan, 250.02])) == (250.0, 250.02)
-    assert common_value(np.zeros(3)) == (0.0, 0.0)
-    assert common_value(np.array([0.010412, 0.010424])) == (0.010412, 0.010424)
-    assert common_value(np.array([1.0, 1.02])) is None
-    assert common_value(np.array([np.nan])) is None
-    assert in_words("tension [kgf]", 249.97, 250.01) == "tension 250 kgf"
-    assert in_words("weight [kN/m²]", 0.010412, 0.010424) == "weight 0.01041 to 0.01042 kN/m²"
-    assert in_words("tension", 1.0625, 1.0625) == "tension 1.062"
-    assert in_words("", 3.0, 3.0) == "3"
+    assert _common_value(np.array([250.0, np.nan, 250.02])) == (250.0, 250.02)
+    assert _common_value(np.zeros(3)) == (0.0, 0.0)
+    assert _common_value(np.array([0.010412, 0.010424])) == (0.010412, 0.010424)
+    assert _common_value(np.array([1.0, 1.02])) is None
+    assert _common_value(np.array([np.nan])) is None
+    assert _in_words("tension [kgf]", 249.97, 250.01) == "tension 250 kgf"
+    assert _in_words("weight [kN/m²]", 0.010412, 0.010424) == "weight 0.01041 to 0.01042 kN/m²"
+    assert _in_words("tension", 1.0625, 1.0625) == "tension 1.062"
+    assert _in_words("", 3.0, 3.0) == "3"
 
 
 def test_ends_of_the_colours() -> None:
@@ -480,7 +480,7 @@ def test_ends_of_the_colours() -> None:
         ([0.0, 0.0], (0.0, 1.0)),
         ([np.nan], (0.0, 1.0)),
     ):
-        assert limits_of(np.array(values)) == pytest.approx(ends)
+        assert _limits_of(np.array(values)) == pytest.approx(ends)
 
 
 def test_units_follow_from_those_of_length_and_force() -> None:

@@ -15,7 +15,6 @@ from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.results.output.report.case import (
     Case,
-    ShapeChange,
     case_of,
     shape_of,
     verdict_on,
@@ -63,9 +62,9 @@ def test_reasons_in_plain_words(case: Case) -> None:
     ]  # fmt: skip
     assert verdict.text.startswith("Verified: the state passed all checks")
     for changed, words in (
-        (replace(good, change=ShapeChange(-0.9, 0.0)), "turned inside out"),
-        (replace(good, change=ShapeChange(0.3, 0.0)), "collapsed: of its inner volume 30.0 %"),
-        (replace(good, change=ShapeChange(None, 0.2)), "20.0 % of the membrane have turned over"),
+        (replace(good, volume=-0.9), "turned inside out"),
+        (replace(good, volume=0.3), "collapsed: of its inner volume 30.0 %"),
+        (replace(good, volume=None, turned=0.2), "20.0 % of the membrane have turned over"),
         (case, "the bar prop is used to"),
     ):
         assert words in reasons(changed)

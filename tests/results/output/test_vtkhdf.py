@@ -107,7 +107,6 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
     solver, folder = roof(comm), comm.bcast(tmp_path)
     for filename, states, message in (
         (folder / "a.vtk", None, "the suffix = '.vtk' is not known"),
-        (3, None, "is not a path"),
         (folder / "a.vtkhdf", {}, "write_vtkhdf: combinations"),
         (folder / "a.vtkhdf", {"snow": 1.0}, "of type float"),
         (folder / "a.vtkhdf", roof(comm).combine(TABLE), "is of another scene"),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 INK = "#2b2f36"
 RIM = "#1d1f24"
-"""Colour of cables."""
+"""Colour of cables' rims, held edges and supports."""
 STRIPES = (0.0, (0.9, 0.9))
 """Dashes of cables off the membrane; the rim shows between them."""
 _GRID = "#d3d7dc"
@@ -142,13 +142,9 @@ class Axes3D:
 
         # the axes fill the figure, so "tight" would crop nothing
         renderer = self.figure.canvas.get_renderer()  # type: ignore[attr-defined]
-        texts = [*self.axes.texts, *self.figure.texts]
-        drawn = [text.get_window_extent(renderer) for text in texts]
-        legend = self.axes.get_legend()
-        drawn += [legend.get_window_extent(renderer)] if legend is not None else []
-        for axes in self.figure.axes[1:]:
-            extent = axes.get_tightbbox(renderer)
-            drawn += [extent] if extent is not None else []
+        parts = [*self.axes.texts, *self.figure.texts, *self.figure.axes[1:]]
+        parts += [] if (legend := self.axes.get_legend()) is None else [legend]
+        drawn = [box for part in parts if (box := part.get_tightbbox(renderer)) is not None]
         drawn.append(self.axes.transData.transform_bbox(self.frame()))
         region = Bbox.union(drawn).transformed(self.figure.dpi_scale_trans.inverted())
         return finished(self.figure, path, dpi, region.padded(0.1))

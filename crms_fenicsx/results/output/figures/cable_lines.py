@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
-from crms_fenicsx.results.output.figures.picture import add_lines, offsets_within, visible
+from crms_fenicsx.results.output.figures.picture import add_lines, subdivided, visible
 from crms_fenicsx.results.view_data import Line
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 NO_VALUE = (0.784, 0.784, 0.784)
 
 
-def common_value(values: Array) -> tuple[float, float] | None:
+def _common_value(values: Array) -> tuple[float, float] | None:
     """Range of values that are nearly equal; None if they differ or none is finite."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0 or np.ptp(finite) > 1e-2 * np.abs(finite).max():
@@ -30,7 +30,7 @@ def common_value(values: Array) -> tuple[float, float] | None:
     return float(finite.min()), float(finite.max())
 
 
-def in_words(label: str, low: float, high: float) -> str:
+def _in_words(label: str, low: float, high: float) -> str:
     """Label with its values; a unit in brackets at the label's end is moved behind them."""
     found = re.fullmatch(r"(.*?)\s*\[(.*)\]", label)
     name, unit = found.groups() if found else (label, "")
@@ -38,7 +38,7 @@ def in_words(label: str, low: float, high: float) -> str:
     return " ".join(part for part in (name, " to ".join(ends), unit) if part)
 
 
-def limits_of(values: Array) -> tuple[float, float]:
+def _limits_of(values: Array) -> tuple[float, float]:
     """Ends of the colour scale: those of the values and 0, from which they are counted."""
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
@@ -55,11 +55,11 @@ def colouring(
 
     if values is None:
         return None, ""
-    same = common_value(values) if limits is None else None
+    same = _common_value(values) if limits is None else None
     if same is not None:
-        return None, in_words(label, *same)
+        return None, _in_words(label, *same)
     colormap = colormaps[colours].with_extremes(bad=NO_VALUE)
-    scale = Normalize(*(limits_of(values) if limits is None else limits))
+    scale = Normalize(*(_limits_of(values) if limits is None else limits))
     return ScalarMappable(scale, colormap), ""
 
 
@@ -140,7 +140,10 @@ def paint_lines(
     run_values: list[float] = []
     run_off: list[bool] = []
     for number, line in enumerate(lines):
-        nodes, segment, middle = _subdivided(axes3d.camera.project(line.points), 2.5 * axes3d.point)
+        flat = axes3d.camera.project(line.points)
+        ends = np.stack([flat[:-1], flat[1:]], axis=1)
+        pieces, segment, middle = subdivided(ends, 2.5 * axes3d.point)
+        nodes = np.concatenate([pieces[:, 0], flat[-1:]])
         seen = _seen(axes3d, 0.5 * (nodes[1:] + nodes[:-1]), triangles, tolerance, clip)
         values: Array = np.zeros(len(segment))
         if style.paint is not None:
@@ -203,13 +206,3 @@ def _interpolated(given: Array, segment: Integers, middle: Array, count: int) ->
     if given.shape == (count,):
         return given[segment] + middle * (given[segment + 1] - given[segment])
     return np.broadcast_to(given, count - 1)[segment]
-
-
-def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Nodes (s + 1, 3) of pieces up to `step`, their segments, and midpoints along these (s,)."""
-    lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
-    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
-    segment, k = offsets_within(counts)
-    start = (k / counts[segment])[:, None]
-    cut = nodes[segment] + start * (nodes[segment + 1] - nodes[segment])
-    return np.vstack([cut, nodes[-1:]]), segment, (k + 0.5) / counts[segment]

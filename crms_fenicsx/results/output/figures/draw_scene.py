@@ -15,13 +15,9 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
-from crms_fenicsx.foundation.runtime.errors import (
-    InputError,
-    PictureWarning,
-    collective,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, PictureWarning, raised_together
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.axes3d import FLAT, with_unit
@@ -142,10 +138,6 @@ def draw(
     """
     if not hasattr(type(solver), "system"):
         raise InputError(f"draw: solver is of type {type(solver).__name__}; pass a Solver.")
-    checks.same(
-        solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
-        tensions=tensions, directions=directions, **options,
-    )  # fmt: skip
     loads = [f"{LOAD}{name}" for name in solver.system.scene.loads.factors]
     checks.one_of("draw: colour", colour, (None, *COLOURS, *loads))
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
@@ -156,10 +148,12 @@ def draw(
     if _too_large(scene, f"{filename or 'the scene'} is not drawn"):
         return None
     shape = current_surface(scene.net)
-    fields: dict[str, Array] = {}
+    fields: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
     if colour in loads:
-        fields["values"] = load_values(scene, str(colour).removeprefix(LOAD))
-    smooth = _recovered(system, colour) if colour in QUANTITY_OF else None
+        own = load_values(scene, str(colour).removeprefix(LOAD))
+        fields["values"] = own[shape.parents]
+    elif colour in QUANTITY_OF:
+        fields["values"] = _recovered(system, colour)
     if directions:
         options["strokes"] = _principal_strokes(system)
     if colour is not None:
@@ -178,10 +172,8 @@ def draw(
     if any(cable.state.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
-    piece = surface_piece(scene.membrane, shape, fields)
-    more: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
-    more |= {} if smooth is None else {"values": smooth}
-    surface = whole_surface(scene.comm, replace(piece, cell_data={**piece.cell_data, **more}))
+    piece = replace(surface_piece(scene.membrane, shape, {}), cell_data=fields)
+    surface = whole_surface(scene.comm, piece)
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
     with raised_together(scene.comm):
         if surface is not None:
@@ -202,9 +194,9 @@ def draw(
     return None
 
 
-def _recovered(system: System, colour: str | None) -> Array:
+def _recovered(system: System, colour: str) -> Array:
     """Values (m, 3) of a colour at the corners of the current surface's facets. Collective."""
-    results, name = membrane_results(system), QUANTITY_OF[str(colour)]
+    results, name = membrane_results(system), QUANTITY_OF[colour]
     if name == "state":
         values = results.values(name)[results.surface.parents]
         return np.repeat(values[:, None], 3, axis=1)
@@ -266,8 +258,8 @@ def _signed_colours(scene: Scene) -> dict[str, Any]:
 def draw_paths(
     scene: Scene,
     filename: str | Path | None = None,
-    lines: Sequence[Line] = (),
-    paths: Sequence[Line] = (),
+    lines: PerRank[Sequence[Line]] = (),
+    paths: PerRank[Sequence[Line]] = (),
     **options: Any,
 ) -> Figure | None:
     """Draw cables and paths of points over the stress-free mesh, in plan. Collective.
@@ -300,8 +292,6 @@ def draw_paths(
     PictureWarning
         The mesh is omitted, as it has more than `MOST_CELLS` cells.
     """
-    checks.of_type("draw_paths: scene", scene, Scene)
-    checks.same(scene.comm, "draw_paths", filename=filename, **options)
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")

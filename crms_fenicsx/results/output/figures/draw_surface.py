@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import (
@@ -32,10 +33,10 @@ from crms_fenicsx.results.output.figures.picture import (
     add_polygons,
     brightness,
     checked_picture,
-    offsets_within,
+    subdivided,
     visible,
 )
-from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points, edges_of
+from crms_fenicsx.results.view_data import Line, Surface, checked_integers, checked_points
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
@@ -271,12 +272,8 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
 
 def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
     """Whether the triangles' sides (corner k to k + 1) are among pairs of vertices, (m, 3)."""
-    if len(triangles) == 0 or len(pairs) == 0:
-        return np.zeros((len(triangles), 3), dtype=bool)
-    n = int(triangles.max()) + 1 + int(pairs.max())
-    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
-    wanted = np.sort(pairs, axis=1)
-    return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
+    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1)
+    return np.isin(edge_keys(sides), edge_keys(pairs)).reshape(-1, 3)
 
 
 def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
@@ -368,15 +365,9 @@ def _paint_seen(
 ) -> None:
     """Paint the parts of strokes (k, 2, 3) that no triangle hides."""
     if len(strokes):
-        ends = axes3d.camera.project(strokes)
-        pieces = np.ceil(np.linalg.norm(np.diff(ends[..., :2], axis=1), axis=(1, 2)) / 6.0
-                         / axes3d.point).astype(np.int64)  # fmt: skip
-        stroke, k = offsets_within(np.maximum(pieces, 1))
-        share = np.stack([k, k + 1], axis=1) / np.maximum(pieces, 1)[stroke, None]
-        way = ends[stroke, 1] - ends[stroke, 0]
-        ends = ends[stroke, :1] + share[..., None] * way[:, None]
-        seen = visible(ends.mean(axis=1), flat, tolerance)
-        add_lines(axes3d.axes, ends[seen, :, :2], colors=[colour], linewidths=thick,
+        pieces, _, _ = subdivided(axes3d.camera.project(strokes), 6.0 * axes3d.point)
+        seen = visible(pieces.mean(axis=1), flat, tolerance)
+        add_lines(axes3d.axes, pieces[seen, :, :2], colors=[colour], linewidths=thick,
                   capstyle="round", zorder=2)  # fmt: skip
 
 
@@ -408,5 +399,5 @@ def outline_of(surface: Surface) -> Array:
     _, first, same = np.unique(
         np.round(points / step), axis=0, return_index=True, return_inverse=True
     )
-    pairs, counts = edges_of(same.reshape(-1)[triangles])
-    return points[first[pairs[counts == 1]]]
+    table = EdgeTable.of(same.reshape(-1)[triangles])
+    return points[first[table.vertices[table.counts == 1]]]

@@ -201,7 +201,7 @@ def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
 
     first, last = bin_of(corners[..., :2].min(axis=1)), bin_of(corners[..., :2].max(axis=1))
     across, upright = (last - first + 1).T
-    triangle, k = offsets_within(across * upright)
+    triangle, k = _offsets_within(across * upright)
     in_bin = (first[triangle, 0] + k % across[triangle]) * bins + (
         first[triangle, 1] + k // across[triangle]
     )
@@ -210,11 +210,23 @@ def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
 
     column, row = bin_of(samples[:, :2]).T
     home = column * bins + row
-    sample, k = offsets_within(starts[home + 1] - starts[home])
+    sample, k = _offsets_within(starts[home + 1] - starts[home])
     return sample, triangle[starts[home[sample]] + k]
 
 
-def offsets_within(counts: Integers) -> tuple[Integers, Integers]:
+def _offsets_within(counts: Integers) -> tuple[Integers, Integers]:
     """Each index i `counts[i]` times, and a counter 0, 1, ... of the repetitions."""
     index = np.repeat(np.arange(len(counts)), counts)
     return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def subdivided(ends: Array, step: float) -> tuple[Array, Integers, Array]:
+    """Pieces (s, 2, 3) of segments (k, 2, 3), each up to `step` long in the picture, the segment of
+    each piece, and where along it the piece has its middle, 0 to 1, (s,)."""
+    lengths = np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
+    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+    segment, k = _offsets_within(counts)
+    share = np.stack([k, k + 1], axis=1) / counts[segment, None]
+    way = ends[segment, 1] - ends[segment, 0]
+    pieces = ends[segment, :1] + share[..., None] * way[:, None]
+    return pieces, segment, (k + 0.5) / counts[segment]

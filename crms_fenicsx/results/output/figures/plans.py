@@ -12,6 +12,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.output.figures.axes3d import (
     DISTINCT,
     INK,
+    RIM,
     annotate,
     style_axes,
     with_unit,
@@ -20,7 +21,6 @@ from crms_fenicsx.results.output.figures.picture import add_lines, add_polygons,
 from crms_fenicsx.results.view_data import Line
 
 UPLIFT, DOWNWARD, CABLE, BAR = DISTINCT[1], DISTINCT[0], "#444b55", DISTINCT[3]
-HELD = "#1d1f24"
 ROOM = 0.16
 """Longest arrow and highest ordinate of a diagram, relative to the plan's size."""
 
@@ -61,7 +61,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         add_polygons(axes, quads, facecolors=colours, alpha=0.35, edgecolors="none")
         add_lines(axes, outer, colors=INK, linewidths=0.6)
     add_lines(axes, plan.outline[..., :2], colors="#9aa3ad", linewidths=0.7, zorder=1)
-    add_lines(axes, plan.rim[..., :2], colors=HELD, linewidths=1.4)
+    add_lines(axes, plan.rim[..., :2], colors=RIM, linewidths=1.4)
     for name, (at, one) in plan.points.items():
         size_of = float(np.linalg.norm(one))
         colour = INK if size_of == 0.0 else UPLIFT if one[2] > 0.0 else DOWNWARD
@@ -117,11 +117,11 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
     half = 0.02 * size * way[:, :2]
     strokes = np.stack([at[:, :2] - half, at[:, :2] + half], axis=1)
     add_lines(axes, strokes, colors=DISTINCT[2], linewidths=1.4, zorder=2)
-    add_lines(axes, plan.rim[..., :2], colors=HELD, linewidths=2.2, zorder=3)
+    add_lines(axes, plan.rim[..., :2], colors=RIM, linewidths=2.2, zorder=3)
     colours = [CABLE] * len(plan.cables) + [BAR] * len(plan.bars)
     add_lines(axes, lines, colors=colours, linewidths=1.2, zorder=3)
     for _, place in plan.points:
-        axes.plot(place[0], place[1], "^", color=HELD, markersize=5, zorder=4)
+        axes.plot(place[0], place[1], "^", color=RIM, markersize=5, zorder=4)
     named = _line_names(plan, centre, 1e-3 * size)
     names = named if len(named) <= 80 else []
     if len(plan.points) <= 30:
@@ -129,7 +129,7 @@ def draw_model(plan: ModelPlan, unit: str, dpi: int, width: float = 6.0) -> byte
                   for name, place in plan.points if name]  # fmt: skip
     _write_apart(axes, names, plan.rim[..., :2])
     told = [
-        (HELD, "held edges", len(plan.rim)), (CABLE, "cables", len(plan.cables)),
+        (RIM, "held edges", len(plan.rim)), (CABLE, "cables", len(plan.cables)),
         (BAR, "bars", len(plan.bars)), (DISTINCT[2], "warp", len(at)),
     ]  # fmt: skip
     handles = [Line2D([], [], color=c, linewidth=2, label=text) for c, text, n in told if n]

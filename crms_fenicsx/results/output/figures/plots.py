@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.results.output.figures.axes3d import (
     DISTINCT,
     FLAT,
@@ -137,8 +137,6 @@ def draw_history(
         On all ranks: an empty history, a missing or non-numeric column, or a file that cannot be
         written.
     """
-    checks.of_type("draw_history: history", history, History)
-    checks.same(history.comm, "draw_history", filename=filename, x=x, panels=panels, **options)
     how = HistoryOptions(**options)
     if len(history) == 0:
         raise InputError("the history is empty; draw it after the first step")

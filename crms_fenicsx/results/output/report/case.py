@@ -31,7 +31,10 @@ class Case:
     # checks of this state; None if not verified in this run
     verification: Verification | None
     foundations: Foundations  # forces on foundations
-    change: ShapeChange  # since the base state
+    # since the base state: volume between roof and rim, relative to that before, None if the roof
+    # enclosed none; share of the former area turned by more than 90 degrees
+    volume: float | None
+    turned: float
     # largest smoothed cell values, by part and quantity but the utilisation
     recovered: Mapping[str, Mapping[str, float]]
     # corners of the bounding box of membrane, cables and bars (length)
@@ -51,7 +54,7 @@ def case_of(solver: Solved, name: str, before: Shape) -> Case:
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
     return Case(
-        name, found, checked, foundations(system), shape_change(before, scene),
+        name, found, checked, foundations(system), *_shape_change(before, scene),
         recovered(membrane_results(system), found), *box(comm, places),
     )  # fmt: skip
 
@@ -128,7 +131,7 @@ def verdict_on(
 
 def _doubts(case: Case) -> Iterator[str]:
     """Reasons why a state is unusable."""
-    summary, checked, change = case.summary, case.verification, case.change
+    summary, checked, volume = case.summary, case.verification, case.volume
     if not summary.in_equilibrium:
         yield "the scene has been changed since its last load step, or there was none."
     for one in () if checked is None else checked.failed:
@@ -139,12 +142,12 @@ def _doubts(case: Case) -> Iterator[str]:
         )
     for warning in summary.warnings:
         yield f"{warning}."
-    if change.volume is not None and change.volume < 0.0:
+    if volume is not None and volume < 0.0:
         yield "the roof has turned inside out: it lies on the other side of its supports."
-    elif change.volume is not None and change.volume < 0.5:
-        yield f"the roof has collapsed: of its inner volume {per_cent(change.volume)} are left."
-    elif change.turned > 0.01:
-        yield f"{per_cent(change.turned)} of the membrane have turned over."
+    elif volume is not None and volume < 0.5:
+        yield f"the roof has collapsed: of its inner volume {per_cent(volume)} are left."
+    elif case.turned > 0.01:
+        yield f"{per_cent(case.turned)} of the membrane have turned over."
 
 
 def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterator[str]:
@@ -232,15 +235,6 @@ class Shape:
     area: float  # of the cells (length squared)
 
 
-@dataclass(frozen=True)
-class ShapeChange:
-    """Change of a shape."""
-
-    # volume between roof and rim, relative to that before; None if the roof enclosed none
-    volume: float | None
-    turned: float  # share of the former area turned by more than 90 degrees
-
-
 def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
     """Present shape and volume, about the held vertices' mean or a given apex. Collective."""
     comm, own = scene.comm, scene.mesh.mesh.topology.index_map(2).size_local
@@ -256,10 +250,10 @@ def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
     return Shape(apex, vectors, volume, area)
 
 
-def shape_change(before: Shape, scene: Scene) -> ShapeChange:
-    """Change since an earlier shape. Collective."""
+def _shape_change(before: Shape, scene: Scene) -> tuple[float | None, float]:
+    """`Case.volume` and `Case.turned` since an earlier shape. Collective."""
     now = shape_of(scene, before.apex)
     turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
     share = scene.comm.allreduce(float(norm(before.vectors)[turned].sum())) / before.area
     encloses = abs(before.volume) > 0.02 * before.area**1.5
-    return ShapeChange(now.volume / before.volume if encloses else None, share)
+    return (now.volume / before.volume if encloses else None), share

@@ -50,7 +50,7 @@ class FoundationTables:
             for case, points in of_case.items():
                 own = [x for x in points if self._carries(name, x) or labels.get(x.members) == name]
                 if own:
-                    found.setdefault(name, {})[case] = summed(own)
+                    found.setdefault(name, {})[case] = _summed(own)
         return found
 
     def _carries(self, name: str, point: FoundationPoint) -> bool:
@@ -72,7 +72,7 @@ class FoundationTables:
         turned = any(any(one.moment) for _, found in every for one in found.values())
         rows: list[Row] = [
             (
-                label, case, *with_size(one.force, NOTHING), *inclined(one.force),
+                label, case, *with_size(one.force, NOTHING), *_inclined(one.force),
                 *(clean(one.moment, math.hypot(*one.moment), NOTHING) if turned else ()),
             )
             for label, found in every for case, one in found.items()
@@ -142,7 +142,7 @@ class FoundationTables:
         return Table("Balance of loads and foundations", columns, rows, "balance", headings=2)
 
 
-def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
+def _summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
     """Points of one foundation, summed up, with their moment about the mean of their places."""
     places, forces = (np.array([getattr(one, x) for one in points]) for x in ("at", "force"))
     centre = places.mean(axis=0)
@@ -155,7 +155,7 @@ def summed(points: Sequence[FoundationPoint]) -> FoundationPoint:
     )
 
 
-def inclined(force: Force) -> tuple[float | None, float | None, float]:
+def _inclined(force: Force) -> tuple[float | None, float | None, float]:
     """Horizontal component, direction in plan from the x axis and inclination (degrees)."""
     x, y, z = clean(force, math.hypot(*force), NOTHING)
     flat = math.hypot(x, y)
@@ -188,7 +188,7 @@ def anchors(results: ResultTables) -> Table:
     """Anchor forces on the cables' ends."""
     cases = results.cases
     rows: list[Row] = [
-        (name, which, case.name, *with_size(force), *inclined(force))
+        (name, which, case.name, *with_size(force), *_inclined(force))
         for name in results.names("cables") for which in ("start", "end") for case in cases
         if (force := getattr(case.summary.cables.get(name), which, None)) is not None
     ]  # fmt: skip

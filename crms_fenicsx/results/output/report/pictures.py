@@ -19,6 +19,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import raised_together
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
+from crms_fenicsx.results.output.figures.axes3d import RIM
 from crms_fenicsx.results.output.figures.draw_scene import (
     LOAD,
     MOST_STROKES,
@@ -90,7 +91,7 @@ def with_view(
         if blocks is not None:
             limits = {"membrane": _limits(every, colour), "lines": _common(every)[1]}
             view, scales = _view(blocks, colour, limits, units)
-            page = with_scales(view, case.name, scales)
+            page = _with_scales(view, case.name, scales)
     return replace(case, view=page)
 
 
@@ -247,8 +248,8 @@ INSTALL = (
 )
 FABRIC_MAP, LINES_MAP, TICKS = "viridis", "YlOrRd", 5
 """Colour maps of the fabric and of cables and bars, and number of ticks of a scale."""
-PLAIN, EDGES, SUPPORT, SHAPE = "#dfe5ec", "#8a94a0", "#1d1f24", (1100, 760)
-"""Colours of plain fabric, cell edges and supports; window size (pixels)."""
+PLAIN, EDGES, SHAPE = "#dfe5ec", "#8a94a0", (1100, 760)
+"""Colours of plain fabric and cell edges; window size (pixels)."""
 
 
 def check_interactive() -> None:
@@ -283,7 +284,7 @@ def _export(plotter: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Scale:
+class _Scale:
     """A colour scale, shown beside the view, as vtk.js would put all scales in one place."""
 
     label: str  # with unit
@@ -304,7 +305,7 @@ class Scale:
         return [float(x) for x in np.linspace(*self.limits, TICKS)]
 
 
-def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
+def _with_scales(page: str, title: str, scales: Sequence[_Scale]) -> str:
     """A vtk.js page with its title and colour scales."""
     shown = rendered("scales.html", title=title, scales=scales)
     page = re.sub("<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", page, count=1)
@@ -313,13 +314,13 @@ def with_scales(page: str, title: str, scales: Sequence[Scale]) -> str:
 
 def _view(
     blocks: Any, colour: str, limits: Mapping[str, tuple[float, float] | None], units: Units
-) -> tuple[str, list[Scale]]:
+) -> tuple[str, list[_Scale]]:
     """Interactive page, with the ranges of "membrane" and "lines", and its colour scales."""
     import pyvista
 
-    scales: list[Scale] = []
+    scales: list[_Scale] = []
 
-    def scaled(mesh: Any, name: str, scale: Scale, **look: Any) -> None:
+    def scaled(mesh: Any, name: str, scale: _Scale, **look: Any) -> None:
         scales.append(scale)
         plotter.add_mesh(mesh, scalars=name, cmap=scale.map, clim=scale.limits,
                          show_scalar_bar=False, **look)  # fmt: skip
@@ -332,14 +333,14 @@ def _view(
         if name in fabric.cell_data:
             label = f"{QUANTITIES[name].label}{units[QUANTITIES[name].unit]}"
             own = limits["membrane"] or fabric.get_data_range(name)
-            scaled(fabric, name, Scale(label, FABRIC_MAP, own), line_width=0.5, **edges)
+            scaled(fabric, name, _Scale(label, FABRIC_MAP, own), line_width=0.5, **edges)
         else:
             plotter.add_mesh(fabric, color=PLAIN, **edges)
         present = blocks.keys()
         for kind in (one for one in ("cables", "bars") if one in present):
             own = limits["lines"] or blocks[kind].get_data_range("tension")
-            scaled(blocks[kind], "tension", Scale(f"axial force{units['force']}", LINES_MAP, own))
+            scaled(blocks[kind], "tension", _Scale(f"axial force{units['force']}", LINES_MAP, own))
         if "supports" in present:
-            plotter.add_mesh(blocks["supports"], color=SUPPORT, point_size=6.0)
+            plotter.add_mesh(blocks["supports"], color=RIM, point_size=6.0)
         plotter.view_isometric()
         return _export(plotter), list(dict.fromkeys(scales))

@@ -51,7 +51,6 @@ NOW = "Current state"
 
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
     """Checked options of a report. Collective on `comm`."""
-    checks.same(comm, "report", filename=filename, **options)
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
     for name in ("title", "unit", "force"):
@@ -79,7 +78,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     checks.positive("report: strain_limit", plan.strain_limit)
     checks.of_type("report: pdf", plan.pdf, bool)
     checks.of_type("report: interactive", plan.interactive, bool)
-    path = absolute(checks.file("report: filename", filename), comm)
+    path = absolute(Path(filename), comm)
     with raised_together(comm):  # last, as it creates the folder
         if comm.rank == 0:
             if path.suffix.lower() not in (".html", ".htm"):
