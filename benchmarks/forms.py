@@ -21,7 +21,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.design.form_finding import FormCableFound, find_form
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "form_finding"))  # and closed forms
+sys.path.append(str(Path(sys.path[-1]).parent / "design" / "form_finding"))  # and closed forms
 from form_meshes import cylinder, nodes, sail
 from test_hypar import sag as mean_sag
 from test_sharp_corners import arc

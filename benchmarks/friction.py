@@ -41,6 +41,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their surfaces
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "cabling" / "friction"))  # and the drum
+from model_3 import say
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
 from test_cone import dragged, steady
 
@@ -49,12 +50,6 @@ LATITUDES = (10.0, 20.0, 30.0, 45.0)
 SLID = 0.02
 """Mean way, in cells, from which on a cable counts as slid."""
 STRAIN = 0.01
-
-
-def say(*texts: object) -> None:
-    """Print on one rank, at once."""
-    if COMM.rank == 0:
-        print(*texts, flush=True)
 
 
 def tightened(way: Curve, mesh: Mesh, mu: float) -> tuple[LaidCable, Outcome] | None:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Iterable
@@ -28,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from parallel import roof
-from skip import most_memory
+from skip import fresh, most_memory
 
 PRESSURES = {"square": (0.008, 0.01), "cap": (0.3, 0.5)}
 WIDTHS = (10, 10, 7, 7, 7, 8, 10, 7, 7, 7, 8, 8)
@@ -37,11 +36,7 @@ WIDTHS = (10, 10, 7, 7, 7, 8, 10, 7, 7, 7, 8, 8)
 
 def run(shape: str, size: float, cables: int = 0) -> Any:
     """The figures of a fresh process."""
-    command = [sys.executable, __file__, "--work", shape, str(size), str(cables)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(done.stdout + done.stderr)
-    return json.loads(done.stdout.splitlines()[-1])
+    return fresh([__file__, "--work", shape, str(size), str(cables)])
 
 
 def make(shape: str, unknowns: float, cables: int) -> Any:

@@ -24,8 +24,7 @@ from crms_fenicsx import IsotropicMembrane, patterns
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
-from pattern_surfaces import two_gores
-from sewn_sphere import inflated_sphere
+from pattern_surfaces import inflated_sphere, two_gores
 
 LIMITS = {16: 6.94e-3, 32: 4.389e-4, 64: 2.7505e-5}
 """Energies per area of gores laid flat."""

@@ -37,24 +37,15 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import (
-    Cable,
-    ConvergenceError,
-    IsotropicMembrane,
-    PathWarning,
-    Scene,
-    Solver,
-)
+from crms_fenicsx import ConvergenceError, PathWarning, Solver
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and checks
+from cabled_square import CABLE, KINDS, PRESSURE, sheet
 from contact_checks import deepest, strongest_pull
-from reference_meshes import square
+from model_3 import say
 
 COMM = MPI.COMM_WORLD
-KINDS = ("structured", "unstructured", "rotated")
 T_EXACT, W_EXACT, Y_EXACT, Z_EXACT = 103.0532, -298.76483, 29.60632, 3.51323
-CABLE = Cable(EA=32000.0)
-PRESSURE = 0.01
 
 CASES = {
     "ends (0,30), (100,30)": ([(0, 30), (100, 30)], 1.0),
@@ -66,19 +57,6 @@ STARTS = (0.0, 15.0, -12.0, 30.0)
 WAYS = ("laid before", "laid after", "in 5 steps")
 
 
-def say(*texts: object) -> None:
-    """Print on one rank, at once."""
-    if COMM.rank == 0:
-        print(*texts, flush=True)
-
-
-def sheet(n: int, kind: str) -> Scene:
-    """The flat square, clamped."""
-    scene = Scene(square(COMM, n, kind), IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
-    return scene
-
-
 def accuracy(sizes: Sequence[int]) -> None:
     """Errors of tension, energy and position in the middle."""
     say(f"\n{'cells a side':22}{'T, %':>10}{'W, %':>10}{'y / h':>10}{'z, cm':>10}{'solves':>8}"
@@ -86,7 +64,7 @@ def accuracy(sizes: Sequence[int]) -> None:
     for kind in KINDS:
         errors = []
         for n in sizes:
-            scene = sheet(n, kind)
+            scene = sheet(COMM, n, kind)
             cable = scene.lay_cable(CABLE, [(0, 30), (100, 30)], L0=100.0)
             began = time.perf_counter()
             done = Solver(scene).advance(pressure=PRESSURE).outcome
@@ -105,7 +83,7 @@ def accuracy(sizes: Sequence[int]) -> None:
 
 def on_line(n: int, y: float, L0: float, way: str = "straight") -> tuple[float, float, float]:
     """Tension, energy and place in the middle of a cable laid from (0, y) to (100, y)."""
-    scene = sheet(n, "structured")
+    scene = sheet(COMM, n, "structured")
     solver = Solver(scene)
     if way == "laid after":
         solver.advance(pressure=PRESSURE)
@@ -152,7 +130,7 @@ def starts(sizes: Sequence[int]) -> None:
         chord = float(np.hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]))
         found: list[tuple[float, float]] = []
         for way, aside in itertools.product(WAYS, STARTS):
-            scene = sheet(n, kind)
+            scene = sheet(COMM, n, kind)
             solver = Solver(scene)
             if way == "laid after":
                 solver.advance(pressure=PRESSURE)
@@ -186,7 +164,7 @@ def cost(n: int = 33) -> None:
     for kind in KINDS:
         for way in (0.3, 15.0, 30.0):
             for slide in (True, False):
-                scene = sheet(n, kind)
+                scene = sheet(COMM, n, kind)
                 cable = scene.lay_cable(CABLE, [(-5, 35, 8), (105, 35, 8)], L0=109.5)
                 solver = Solver(scene, slide=slide)
                 try:
@@ -221,7 +199,7 @@ def anchors(count: int) -> None:
     pulls, depths, work, began = [0.0], [0.0], [], time.perf_counter()
     for number in range(count):
         n, kind, path, L0 = anchored(rng)
-        scene = sheet(n, kind)
+        scene = sheet(COMM, n, kind)
         cable = scene.lay_cable(CABLE, path, L0=L0)
         try:
             step = Solver(scene).advance(pressure=PRESSURE)
@@ -262,7 +240,7 @@ def nets(count: int, most: int, n: int = 17) -> None:
     work, began = [], time.perf_counter()
     for number in range(count):
         kind = str(rng.choice(KINDS))
-        scene = sheet(n, kind)
+        scene = sheet(COMM, n, kind)
         for path, layer in net(rng, most):
             chord = float(np.linalg.norm(np.subtract(*path)))
             scene.lay_cable(CABLE, path, L0=chord * rng.uniform(1.0, 1.01), layer=layer)

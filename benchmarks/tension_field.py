@@ -28,7 +28,7 @@ from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.model.materials import MembraneMaterial
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and references
-from reference_meshes import square
+from cabled_square import square
 from twisted_annulus import radial, reference, twisted
 
 FABRIC = OrthotropicMembrane(1394.0, 140.0, 12.0, 0.065, 1.0)

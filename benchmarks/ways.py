@@ -54,7 +54,7 @@ from crms_fenicsx.foundation.runtime import errors
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
-from reference_meshes import rotated_lattice
+from cabled_square import rotated_lattice
 
 HALF = WIDTH / 2
 WAYS = ("direct", "steps", "after", "beyond", "out", "detour")

@@ -1,6 +1,7 @@
 """Fixtures that all tests share, and the rule which tests run under mpirun."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from mpi4py import MPI
@@ -12,6 +13,12 @@ from crms_fenicsx.foundation.runtime import errors
 def comm() -> MPI.Intracomm:
     """All ranks. A test that has it passes on any number of them, and every other runs on one."""
     return MPI.COMM_WORLD
+
+
+@pytest.fixture
+def folder(comm: MPI.Intracomm, tmp_path: Path) -> Path:
+    """A folder that all ranks have in common."""
+    return Path(comm.bcast(str(tmp_path)))
 
 
 @pytest.hookimpl(tryfirst=True)

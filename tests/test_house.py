@@ -71,8 +71,8 @@ RATCHETS = {
     "public functions and classes": 997,
     "classes": 404,
     "module constants": 249,
-    "numbers in values": 85,
-    "numbers that decide the answer": 33,
+    "numbers in values": 84,
+    "numbers that decide the answer": 32,
 }
 """What may only fall."""
 

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from cabled_square import CABLE, sheet
+from cabled_square import CABLE, advanced, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, Scene, Solver, meshes
@@ -31,9 +31,7 @@ def solved() -> Solver:
     scene.lay_cable(CABLE, [(0.0, 45.0), (100.0, 52.0)], name="ridge", L0=99.5)
     top = scene.add_joint((0.0, 0.0, 80.0), name="top", held="xyz")
     scene.add_bar(Bar(EA=1.0), (0.0, 0.0, 90.0), top, name="rod")
-    solver = Solver(scene)
-    solver.advance(pressure=0.01, load={"snow": 1.0})
-    return solver
+    return advanced(Solver(scene), pressure=0.01, load={"snow": 1.0})
 
 
 def form() -> Any:

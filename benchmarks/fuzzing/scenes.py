@@ -124,18 +124,17 @@ def drawn(draws: Draws, number: int = 0) -> SceneData:
     has_floor = kind != "cap" and _percent(draws, 15)
     floor = (("floor", {"below": draws.real(0.01, 6.0)}),) if has_floor else ()
     events: list[Event] = []
-    loads = _Loads(draws, held)
     count = of(draws, (0, 1, 1, 1, 2, 2, 3))
     first = draws.integer(0, count)  # laid before anything else, the others after the first step
     for n in range(count):
         if n == first:
-            events.append(loads.next(n))
+            events.append(_step(draws, held, n))
         events.append(("lay", cable(draws, points, cells)))
     has_load = _percent(draws, 30)
     if has_load:
         downward = draws.real(-4e-3, -1e-4)
         events.append(("load", {"F": (draws.real(-1e-3, 1e-3), 0.0, downward)}))
-    events += [loads.next(count, has_load) for _ in range(draws.integer(1, 3))]
+    events += [_step(draws, held, count, has_load) for _ in range(draws.integer(1, 3))]
     twin = of(draws, (*TWINS, *[""] * len(TWINS)))
     return SceneData(
         number, kind, points, cells, material, laws, held,
@@ -168,31 +167,24 @@ def _material(draws: Draws, held: str) -> tuple[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-class _Loads:
-    """Draws load steps."""
-
-    def __init__(self, draws: Draws, held: str) -> None:
-        self.draws, self.held = draws, held
-
-    def next(self, cables: int, has_load: bool = False) -> Event:
-        """A load step of a scene with so many cables."""
-        draws = self.draws
-        loads: dict[str, Any] = {"steps": of(draws, (1, 1, 1, 2, 3))}
-        if self.held == "all" and _percent(draws, 80):
-            loads["pressure"] = of(draws, (0.0, 1e-4, 2e-3, 5e-3, 0.01, 0.01, 0.03))
-        if has_load:
-            loads["load"] = {"load": of(draws, (0.0, 0.5, 1.0))}
-        if cables and _percent(draws, 40):
-            loads["ends"] = {
-                (draws.integer(0, cables - 1), of(draws, ("both", "start", "end"))): tuple(
-                    draws.real(-6.0, 6.0) for _ in range(3)
-                )
-            }
-        if cables and _percent(draws, 25):
-            loads["lengths"] = {draws.integer(0, cables - 1): draws.real(0.97, 1.03)}
-        if _percent(draws, 10):
-            loads["boundary"] = tuple(draws.real(-1.0, 1.0) for _ in range(3))
-        return "advance", loads
+def _step(draws: Draws, held: str, cables: int, has_load: bool = False) -> Event:
+    """A load step of a scene with so many cables."""
+    loads: dict[str, Any] = {"steps": of(draws, (1, 1, 1, 2, 3))}
+    if held == "all" and _percent(draws, 80):
+        loads["pressure"] = of(draws, (0.0, 1e-4, 2e-3, 5e-3, 0.01, 0.01, 0.03))
+    if has_load:
+        loads["load"] = {"load": of(draws, (0.0, 0.5, 1.0))}
+    if cables and _percent(draws, 40):
+        loads["ends"] = {
+            (draws.integer(0, cables - 1), of(draws, ("both", "start", "end"))): tuple(
+                draws.real(-6.0, 6.0) for _ in range(3)
+            )
+        }
+    if cables and _percent(draws, 25):
+        loads["lengths"] = {draws.integer(0, cables - 1): draws.real(0.97, 1.03)}
+    if _percent(draws, 10):
+        loads["boundary"] = tuple(draws.real(-1.0, 1.0) for _ in range(3))
+    return "advance", loads
 
 
 def cable(draws: Draws, points: Array, cells: Integers) -> dict[str, Any]:

@@ -423,7 +423,7 @@ class World:
         self, ends: Any = None, lengths: Any = None, boundary: Any = None, **_: Any
     ) -> dict[str, Any]:
         """Of cables by number. What concerns a cable that does not hold by its end is left out."""
-        cables, move, L0 = self.scene.cables, dict[Any, Array](), {}
+        cables, move, L0 = self.scene.cables, dict[Any, Array](), dict[Any, float]()
         for (c, which), d in (ends or {}).items():
             for end in (cables[c].start, cables[c].end):
                 node = cables[c].state.nodes[cables[c].node_of(end.which)]

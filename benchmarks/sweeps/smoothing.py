@@ -14,17 +14,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import STABLE_PENALTY
 from crms_fenicsx.model.tolerances import TOL
 from sweeps.judge import Judge, Point
-from sweeps.scenes import (
-    COMM,
-    MODULUS,
-    PRESSURE,
-    ROPE,
-    SIDE,
-    across,
-    clamped,
-    crossed,
-    square,
-)
+from sweeps.scenes import COMM, MODULUS, PRESSURE, ROPE, SIDE, across, clamped, crossed, square
 
 FACTORS = 10.0 ** np.arange(-6, 7)
 LOCKED = 1e3

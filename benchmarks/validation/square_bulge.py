@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.design.study import Quantity, convergence
 from crms_fenicsx.foundation.meshes import MembraneMesh
+from validation.disks import rise
 from validation.table import COMM, OURS, PUBLISHED, Row, labels, panels, report, save
 
 POISSONS = (0.0, 0.25, 0.4)
@@ -46,11 +47,6 @@ def bulge(mesh: MembraneMesh, nu: float, prestress: float) -> Solver:
     solver = Solver(scene)
     solver.advance(pressure=TINY if prestress else SMALL)
     return solver
-
-
-def rise(solver: Solver) -> float:
-    """Height of the middle."""
-    return float(solver.scene.positions()[:, 2].max())
 
 
 def quarter(n: int) -> MembraneMesh:

@@ -1,8 +1,8 @@
 """The numbers that decide in which of several states a load step ends, or what is refused.
 
 None is a property of cloth, rope or air: they belong to the discretisation, a membrane of cells
-with cables along its edges and across them. `docs/theory/constants.md` says what becomes of thirty
-random scenes when each is halved and doubled.
+with cables along its edges and across them. `docs/theory/constants.md` says what becomes of random
+scenes when each is halved and doubled.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ LEAST_WEIGHT = 1e-6
 """Least weight of an edge's end, or of a cell's corner, at a point that must lie inside."""
 SAME_VALUE = 1e-7
 """Relative difference of results due to the solver's tolerance, or to rounding on another number of
-processes."""
+processes. A state with less energy by this part of the sum of all kinds is another one, or has
+another arrangement of crossings: rough states of the same arrangement differ by less."""
 UNSTRAINED = 1e-12
 """Strain that counts as zero. At it the tangent of a membrane is that of the taut one, whatever the
 sign of rounding errors, and cables are slack; smaller loads and prestresses count as none."""
@@ -117,9 +118,6 @@ class Discretisation:
     for another one. Meshes of 64 cells a side have a hundred times that error. On a roof of 30 000
     unknowns under 28 cables the rounds below this take a quarter of a load step, for 3e-5 of its
     energy."""
-    lower_energy: float = 1e-7
-    """Fall of the energy, relative to the sum of all its kinds, that is another state's, also one
-    with another arrangement of crossings: rough states of the same arrangement differ by less."""
 
     path_residual: float = 1e-3
     """Residual, relative to the force scale, below which paths are examined. Contacts are updated
@@ -166,7 +164,7 @@ class Budget:
     changes: int = 60
     """Path changes, and projections of lifted parts' paths below their spans."""
     switches: int = 6
-    """Switches between slack and taut of each cable in one solve."""
+    """Switches between slack and taut of each cable in one solve on given paths."""
     halvings: int = 2
     """Times that a rejected set of runs that pass vertices is halved."""
     there_and_back: int = 3

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import collective
+from crms_fenicsx.foundation.runtime.arguments import Name, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -217,7 +217,7 @@ class MembraneResults:
         return self.membrane.comm
 
     @collective
-    def function(self, name: str, *, smooth: bool = False) -> fem.Function:
+    def function(self, name: Name, *, smooth: bool = False) -> fem.Function:
         """Values as a DOLFINx function on the stress-free mesh. Collective.
 
         Parameters

@@ -7,19 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 
-from crms_fenicsx import (
-    Bar,
-    Cable,
-    InputError,
-    IsotropicMembrane,
-    MeshError,
-    Scene,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, MeshError, Scene, Solver, meshes
 from crms_fenicsx.design.exchange import from_compas, read_dxf, to_vertices_and_faces, write_shape
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=1.0)
@@ -29,19 +20,18 @@ def roof(comm: MPI.Intracomm) -> Solver:
     """A sheet under pressure with a cable across it, and a mast beside it."""
     scene = sheet(comm, 4, material=FOIL, side=8.0)
     scene.add_bar(Bar(EA=1e4), (9.0, 0.0, 0.0), (9.0, 0.0, 4.0), name="mast")
-    solver = Solver(scene)
-    solver.advance(pressure=0.1)
+    solver = advanced(Solver(scene), pressure=0.1)
     scene.lay_cable(Cable(1e4), [(0.0, 3.3), (8.0, 4.2)], tension=1.0, name="ridge/1")
     solver.advance(pressure=0.2)
     return solver
 
 
 @pytest.mark.ranks
-def test_a_shape_as_dxf(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_a_shape_as_dxf(comm: MPI.Intracomm, folder: Path) -> None:
     """Faces with the area of the surface, the cable's line, the bar and the supports; no error."""
     ezdxf = pytest.importorskip("ezdxf")
     solver = roof(comm)
-    scene, path = solver.scene, comm.bcast(tmp_path) / "form.dxf"
+    scene, path = solver.scene, folder / "form.dxf"
     write_shape(scene, path, unit="mm")
     document = ezdxf.readfile(path)
     assert not document.audit().errors
@@ -81,11 +71,11 @@ def test_names_with_line_breaks(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
-def test_a_shape_as_triangles(comm: MPI.Intracomm, tmp_path: Path, suffix: str) -> None:
+def test_a_shape_as_triangles(comm: MPI.Intracomm, folder: Path, suffix: str) -> None:
     """Reading it gives a mesh with the same area."""
     meshio = pytest.importorskip("meshio")
     scene = roof(comm).scene
-    path = comm.bcast(tmp_path) / f"form{suffix}"
+    path = folder / f"form{suffix}"
     write_shape(scene, path)
     content = meshio.read(path)
     corners = content.points[content.cells_dict["triangle"]]
@@ -311,9 +301,8 @@ def test_a_step_file(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 
 @pytest.mark.ranks
-def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_bad_input(comm: MPI.Intracomm, folder: Path) -> None:
     scene = Scene(meshes.rectangle(comm, 4.0, 4.0, 2.0, structured=True), FOIL)
-    folder = comm.bcast(tmp_path)
     for arguments, message in (
         ({"filename": folder / "a.doc"}, "suffix = '.doc' is not known"),
         ({"filename": folder / "a.dxf", "unit": "mile"}, "unit = 'mile' is not known"),
@@ -331,13 +320,12 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 
 @pytest.mark.ranks
-def test_steps_name_combinations_and_cables(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_steps_name_combinations_and_cables(comm: MPI.Intracomm, folder: Path) -> None:
     """As texts of the files, which VTK gives as field data; the history has both."""
-    folder = comm.bcast(tmp_path) / "run"
+    folder = folder / "run"
     scene = sheet(comm, 4, material=FOIL, side=8.0)
     scene.put_load((0.0, 0.0, -0.05), name="snow")
-    solver = Solver(scene, results=folder)
-    solver.advance(pressure=0.1)
+    solver = advanced(Solver(scene, results=folder), pressure=0.1)
     scene.lay_cable(Cable(1e4), [(0.0, 3.3), (8.0, 4.2)], tension=1.0, name="ridge")
     solver.combine({"heavy snow": {"snow": 1.0}})
 

@@ -10,7 +10,7 @@ from typing import Any
 import dolfinx.fem
 import numpy as np
 import pytest
-from cabled_square import FOIL, LINEAR, clamped, sheet
+from cabled_square import FOIL, LINEAR, advanced, clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -43,8 +43,7 @@ def scene_of(comm: MPI.Intracomm, material: Any) -> Scene:
 def roof(comm: MPI.Intracomm, material: MembraneMaterial, cable: Cable = CABLE) -> Solver:
     """Inflated under a cable of a given length."""
     scene = scene_of(comm, material)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     scene.lay_cable(cable, [(0.0, 47.0), (100.0, 52.0)], L0=101.0, name="ridge")
     solver.advance()
     return solver
@@ -114,8 +113,7 @@ def test_stiffness_of_cables_and_bars(comm: MPI.Intracomm, what: str) -> None:
             return solver, solver.scene.cable("ridge")
         scene = scene_of(comm, FOIL)
         bar = scene.add_bar(Bar(EA=EA), (50.0, 50.0, -20.0), scene.vertex_at((50.0, 50.0, 0.0)))
-        solver = Solver(scene)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene), pressure=0.01)
         return solver, bar
 
     (solver, one), (twin, other) = build(9000.0), build(500.0)
@@ -158,9 +156,8 @@ def test_a_branch_takes_it_back(comm: MPI.Intracomm) -> None:
 
 
 @pytest.mark.ranks
-def test_in_checkpoints(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_in_checkpoints(comm: MPI.Intracomm, folder: Path) -> None:
     """A script that builds the scene as at first goes on with the materials of the checkpoint."""
-    folder = Path(comm.bcast(str(tmp_path)))
     solver = roof(comm, FABRIC)
     solver.scene.set_material(softer(FABRIC))
     solver.scene.set_stiffness({solver.scene.cable("ridge"): 500.0})
@@ -177,12 +174,12 @@ def test_in_checkpoints(comm: MPI.Intracomm, tmp_path: Path) -> None:
         Solver(scene_of(comm, softer(FABRIC))).load(folder)
 
 
-def test_a_resumed_script_must_change_it_alike(comm: MPI.Intracomm, tmp_path: Path) -> None:
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_a_resumed_script_must_change_it_alike(comm: MPI.Intracomm, folder: Path) -> None:
 
     def script(E: float, resume: bool) -> Solver:
-        solver = Solver(scene_of(comm, FOIL), results=folder, resume=resume)
-        solver.advance(pressure=0.01)
+        solver = advanced(
+            Solver(scene_of(comm, FOIL), results=folder, resume=resume), pressure=0.01
+        )
         solver.scene.set_material(replace(FOIL, E=E))
         solver.advance()
         return solver

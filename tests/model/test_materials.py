@@ -9,11 +9,9 @@ from dolfinx import fem
 from term_scene import FABRIC, ISOTROPIC, STIFF, STIFF_FABRIC, irregular_square
 from term_twins import density, energy_at_angle, relaxed_energy
 
-from crms_fenicsx import meshes
-from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx import InputError, Scene, meshes
 from crms_fenicsx.energy.terms import stress_laws as compiled
 from crms_fenicsx.foundation.runtime.compat import interpolation_points
-from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import (
     LINEAR,
     TENSION_FIELD,

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from cabled_square import clamped
+from cabled_square import advanced, clamped
+from grids import grid
 from mpi4py import MPI
 from taylor import OnMesh, gradient_order, noise, stiffness_error
 
@@ -74,8 +75,7 @@ def test_same_answer_as_the_material_of_the_package(comm: MPI.Intracomm) -> None
     for material in (STIFF, UflMembrane(isotropic)):
         scene = square(comm, material)
         scene.fix("boundary")
-        solver = Solver(scene, rtol=1e-12)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene, rtol=1e-12), pressure=0.01)
         found = solver.results()
         answers.append(
             (scene.energy, found.true_forces, found.strains, solver.reactions("boundary").total)
@@ -110,9 +110,7 @@ def stretched(comm: MPI.Intracomm, psi: Any, F: np.ndarray, sides: str) -> Solve
         scene.fix("boundary")
     inner = ~scene.held
     scene.u.x.array.reshape(-1, 3)[inner] += (0.3 * noise(X, 5))[inner]
-    solver = Solver(scene)
-    solver.advance()
-    return solver
+    return advanced(Solver(scene))
 
 
 def test_uniaxial_stretch_of_rubber(comm: MPI.Intracomm) -> None:
@@ -173,11 +171,7 @@ def test_bad_densities_are_refused(comm: MPI.Intracomm) -> None:
 def halves(comm: MPI.Intracomm) -> Any:
     """A square of two parts."""
     line = np.linspace(0.0, 100.0, 9)
-    X, Y = np.meshgrid(line, line, indexing="ij")
-    points = np.column_stack([X.ravel(), Y.ravel(), 0.0 * X.ravel()])
-    n = np.arange(81).reshape(9, 9)
-    a, b, c, d = n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]
-    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
+    points, cells = grid(line, line)
     left = np.flatnonzero(points[cells, 0].mean(axis=1) < 50.0)
     right = np.setdiff1d(np.arange(len(cells)), left)
     return from_arrays(comm, points, cells, parts={"left": left, "right": right})
@@ -192,14 +186,12 @@ def test_parts_and_cables(comm: MPI.Intracomm) -> None:
     with pytest.raises(PathError, match=r"'across': part 'right' has a UflMembrane.*other parts"):
         scene.lay_cable(Cable(1000.0), [(3.0, 0.0), (97.0, 100.0)], name="across")
     assert scene.cables == ()
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(Cable(32000.0), [(20.0, 0.0), (23.0, 100.0)], tension=1.0)
     step = solver.advance(L0={cable: 0.99 * cable.L0})
     assert step.verification is not None and step.verification.passed
     twin = clamped(mesh, {"left": STIFF, "right": STIFF})
-    other = Solver(twin)
-    other.advance(pressure=0.01)
+    other = advanced(Solver(twin), pressure=0.01)
     rope = twin.lay_cable(Cable(32000.0), [(20.0, 0.0), (23.0, 100.0)], tension=1.0)
     other.advance(L0={rope: 0.99 * rope.L0})
     assert cable.tension == pytest.approx(rope.tension, rel=1e-5)
@@ -208,8 +200,7 @@ def test_parts_and_cables(comm: MPI.Intracomm) -> None:
 def test_a_cable_that_slides_into_such_a_part(comm: MPI.Intracomm) -> None:
     mesh, fabric = halves(comm), UflMembrane(isotropic)
     scene = clamped(mesh, {"left": STIFF, "right": fabric})
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(Cable(32000.0), [(30.0, 0.0), (30.0, 100.0)], tension=1.0)
     before = scene.u.x.array.copy()
     with pytest.raises(PathError, match="slid too far: part 'right'"):
@@ -217,8 +208,8 @@ def test_a_cable_that_slides_into_such_a_part(comm: MPI.Intracomm) -> None:
     np.testing.assert_array_equal(scene.u.x.array, before)
 
 
-def test_checkpoints_know_the_density(comm: MPI.Intracomm, tmp_path: Path) -> None:
-    folder = Path(comm.bcast(str(tmp_path))) / "kept"
+def test_checkpoints_know_the_density(comm: MPI.Intracomm, folder: Path) -> None:
+    folder = folder / "kept"
 
     def made(psi: Any) -> Solver:
         scene = square(comm, UflMembrane(psi))

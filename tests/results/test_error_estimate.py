@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from dome import HEIGHT, RADIUS, dome
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
@@ -16,9 +16,7 @@ CIRCLE, SQUARE = -2908.73474049, -375.64923
 
 def inflated(mesh, **how):
     scene = clamped(mesh, FABRIC)
-    solver = Solver(scene, **how)
-    solver.advance(pressure=0.01)
-    return solver
+    return advanced(Solver(scene, **how), pressure=0.01)
 
 
 def square(comm, cells, **how):
@@ -61,8 +59,7 @@ def test_cap_with_a_cable(comm):
     material = IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3)
     scene = clamped(dome(comm, 3.0), material)
     scene.lay_cable(Cable(EA=30e3), nets.great_circle(RADIUS, HEIGHT, 0.3, 0.0))
-    solver = Solver(scene)
-    solver.advance(pressure=0.4)
+    solver = advanced(Solver(scene), pressure=0.4)
     assert 0.3 < effectivity(solver, -31.102) < 3.0
 
 
@@ -79,8 +76,7 @@ def test_states_that_a_mesh_has_exactly_have_no_error(comm):
         scene.fix(lambda x: x[0] < 0.1, "x")
         scene.fix(lambda x: x[0] > 1.9, "x")
         scene.u.x.array[0::3] = 0.01 * scene.membrane.stress_free[:, 0]
-        solver = Solver(scene)
-        solver.advance()
+        solver = advanced(Solver(scene))
         assert scene.energy > 0.0
         assert solver.estimate_error().total < 1e-9 * scene.energy
 

@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet
+from grids import grid
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -68,9 +69,7 @@ def pipe(
     for edge in ("left", "right"):
         scene.fix(edge)
     scene.fix(lambda x: x[2] > -1.0, "y")
-    solver = Solver(scene)
-    solver.advance(pressure=P)
-    return solver
+    return advanced(Solver(scene), pressure=P)
 
 
 def test_forces_along_a_turned_warp_at_places(comm: MPI.Intracomm) -> None:
@@ -118,8 +117,7 @@ def test_lengths_of_held_edges_count_by_direction(comm: MPI.Intracomm) -> None:
 
 def folded(comm: MPI.Intracomm) -> Solver:
     scene = sheet(comm, 5, "unstructured")
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], name="ridge")
     scene.lay_cable(Cable(5.0), [(30.0, 0.0), (35.0, 100.0)], L0=150.0, name="loose")
     solver.advance(L0={cable: 100.4})
@@ -182,16 +180,9 @@ def test_places_under_a_cable_are_those_of_folded_cells(comm: MPI.Intracomm) -> 
 
 def saddle(comm: MPI.Intracomm) -> Solver:
     """A hypar with a tight cable over its arch, between two lines of the mesh."""
-    n = 7
-    at = np.linspace(-5.0, 5.0, n + 1)
-    x, y = (part.ravel() for part in np.meshgrid(at, at))
-    first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    below, above = (
-        np.stack([first, first + 1, first + n + 2], 1),
-        np.stack([first, first + n + 2, first + n + 1], 1),
-    )
-    points = np.column_stack([x, y, 0.04 * (y**2 - x**2)])
-    mesh = meshes.from_arrays(comm, points, np.concatenate([below, above]))
+    at = np.linspace(-5.0, 5.0, 8)
+    surface = grid(at, at, lambda x, y: 0.04 * (y**2 - x**2), by_rows=True)
+    mesh = meshes.from_arrays(comm, *surface)
     scene = clamped(mesh, IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0, prestress=5.0))
     solver = Solver(scene)
     cable = scene.lay_cable(Cable(1e4), [(-5.0, 0.3), (5.0, 0.3)], name="valley")

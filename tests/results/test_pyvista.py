@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, sheet
+from cabled_square import CABLE, advanced, sheet
 from mpi4py import MPI
 from vtu_file import VtuFile, read_vtu
 
@@ -30,9 +30,7 @@ def crossed(results: Path | None = None) -> Solver:
     scene.set_strengths((2.0, 1.0))
     scene.lay_cable(CABLE, [(0.0, 45.0), (100.0, 52.0)], name="ridge", L0=99.5)
     scene.lay_cable(CABLE, [(45.0, 0.0), (52.0, 100.0)], name="loose", L0=140.0)
-    solver = Solver(scene, results=results)
-    solver.advance(pressure=0.01)
-    return solver
+    return advanced(Solver(scene, results=results), pressure=0.01)
 
 
 def corners(block: Any, of: str, n: int) -> np.ndarray:
@@ -52,8 +50,7 @@ def same(block: Any, of: str, file: VtuFile) -> None:
             np.testing.assert_allclose(has[name], values, rtol=1e-12, atol=1e-12, err_msg=name)
 
 
-def test_blocks_have_what_paraview_gets(pyvista: Any, tmp_path: Path) -> None:
-    folder = Path(COMM.bcast(str(tmp_path)))
+def test_blocks_have_what_paraview_gets(pyvista: Any, folder: Path) -> None:
     solver = crossed(folder)
     blocks = solver.to_pyvista(radius=0.0)
     assert (blocks is None) == (COMM.rank > 0)
@@ -131,7 +128,7 @@ def test_a_picture_off_screen(pyvista: Any, tmp_path: Path) -> None:
 
 def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = Solver(sheet(COMM, 2))
-    for radius, words in ((-1.0, "radius = -1 is negative"), (np.nan, "radius"), ("a", "radius")):
+    for radius, words in ((-1.0, "radius = -1.0 is negative"), (np.nan, "radius"), ("a", "radius")):
         with pytest.raises(InputError, match=words):
             solver.to_pyvista(radius=radius)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "pyvista", None)

@@ -6,20 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from cabled_square import FOIL, clamped, sheet
+from cabled_square import FOIL, advanced, clamped, sheet
 from mpi4py import MPI
 from petsc4py import PETSc
 from taylor import noise
 
-from crms_fenicsx import (
-    Bar,
-    Cable,
-    EnergyTerm,
-    Friction,
-    OrthotropicMembrane,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Bar, Cable, EnergyTerm, Friction, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.results.reactions import Tangent
 
 CLOTH = OrthotropicMembrane(E1=300.0, E2=200.0, G12=20.0, nu21=0.2, thickness=0.08)
@@ -36,8 +28,7 @@ def inflated(comm: MPI.Intracomm) -> Solver:
 def braced(comm: MPI.Intracomm) -> Solver:
     """The same of cloth with cables that cross and a mast whose head is a joint under guys."""
     scene = sheet(comm, 4, "unstructured", CLOTH)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], tension=20.0)
     scene.lay_cable(Cable(9000.0), [(44.0, 0.0), (53.0, 100.0)], tension=5.0)
     head = scene.add_joint((20.0, 20.0, 40.0), name="head")
@@ -188,8 +179,7 @@ def test_says_of_what_it_is_not_exact(comm: MPI.Intracomm) -> None:
     solver.advance()
     assert set(said(solver)) == {"springs", "gust", "cables", "friction"}
     paper = clamped(scene.mesh, IRON, strain="step", pressure="step")
-    other = Solver(paper)
-    other.advance(pressure=0.01)
+    other = advanced(Solver(paper), pressure=0.01)
     assert said(other) == ("membrane", "pressure")
 
 

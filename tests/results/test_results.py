@@ -1,11 +1,12 @@
-"""Stresses, reactions, volume and surface of a state, against slow twins and exact values."""
+"""Stresses, reactions, loads per area, volume, surface and turned shapes of a state, against slow
+twins and exact values."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -21,6 +22,8 @@ from crms_fenicsx.cabling.cables.deformed_surface import current_surface, gained
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.surface.polygons import best_fan
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.results.output.report.case import _shape_change, shape_of
+from crms_fenicsx.results.quantities import load_label, load_values
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
@@ -124,8 +127,7 @@ def test_warp_and_weft_of_a_cylinder(turned: float) -> None:
     scene = Scene(mesh, fabric)
     scene.fix(lambda x: x[2] < 1e-9)
     scene.fix(lambda x: x[2] > -1.0, "y")
-    solver = Solver(scene)
-    solver.advance(pressure=p)
+    solver = advanced(Solver(scene), pressure=p)
     results = solver.results()
     crown = np.abs(corners(scene)[0].mean(axis=1)[:, 0]) < R * np.pi / n
     hoop, axial = p * R, nu * p * R
@@ -244,8 +246,7 @@ def test_centre_of_an_inflated_circle() -> None:
     found = []
     for size in (20.0, 10.0):
         scene = clamped(meshes.circle(COMM, 100.0, size=size), FOIL)
-        solver = Solver(scene)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene), pressure=0.01)
         results = solver.results()
         radius = np.hypot(*corners(scene)[1].mean(axis=1)[:, :2].T)
         values = (results.second_piola, results.true_forces)
@@ -258,8 +259,7 @@ def test_centre_of_an_inflated_circle() -> None:
 def loaded_solver() -> Solver:
     """An inflated square with two cables, one of which is pulled off its held edges."""
     scene = square_scene(size=100 / 7)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     first = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)])
     second = scene.lay_cable(Cable(EA=32000.0), [(0.0, 22.0), (100.0, 15.0)])
     solver.advance(L0={first: 100.8, second: 100.9})
@@ -324,8 +324,7 @@ def test_reactions_only_in_held_directions() -> None:
     scene = Scene(mesh, FOIL)
     scene.fix("left")
     scene.fix("right", directions="x")
-    solver = Solver(scene)
-    solver.advance(move={"left": (-1.0, 0.0, 0.0)})
+    solver = advanced(Solver(scene), move={"left": (-1.0, 0.0, 0.0)})
     right = solver.reactions("right")
     assert (right.forces[:, 1:] == 0.0).all()
     np.testing.assert_allclose(right.total + solver.reactions("left").total, 0.0, atol=1e-6)
@@ -411,3 +410,62 @@ def test_fan_avoids_triangles_without_area() -> None:
         areas = np.cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0])[:, 2] / 2
         assert areas.min() > 0.5
         assert areas.sum() == pytest.approx(4.0)
+
+
+@pytest.mark.ranks
+def test_loads_per_area(comm: MPI.Intracomm) -> None:
+    scene = sheet(comm, 8, material=IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0), side=4.0)
+    scene.put_load((0.0, 0.3, -0.4), name="snow", per="plan")
+    scene.put_wind(0.5, lambda x, n: np.where(x[0] < 2.0, 0.7, -0.9))
+    scene.put_pond(10.0, level=0.1, name="water")
+    np.testing.assert_allclose(load_values(scene, "snow"), 0.5, rtol=1e-12)
+    wind = load_values(scene, "wind")
+    assert {*np.concatenate(comm.allgather(wind)).round(12)} == {0.7, -0.9}
+    np.testing.assert_allclose(load_values(scene, "water"), 1.0, rtol=1e-12)
+    with pytest.raises(InputError, match="'load hail' is not known"):
+        Solver(scene).draw(None, colour="load hail")
+    labels = [load_label(scene, name) for name in ("snow", "wind", "water")]
+    assert labels == [
+        ("snow per area", "pressure"), ("c_p of wind", ""), ("water per area", "pressure"),
+    ]  # fmt: skip
+    scene.u.x.array[2::3] = 0.01 * scene.V.tabulate_dof_coordinates()[:, 0]
+    figure = Solver(scene).draw(None, colour="load wind", directions=True)
+    assert (figure is not None) == (comm.rank == 0)
+    if figure is not None:
+        assert [axes.get_ylabel() for axes in figure.axes[1:]] == ["c_p of wind"]
+
+
+def cap(comm: MPI.Intracomm, rise: float) -> Scene:
+    """A paraboloid over a square, far from the origin."""
+    mesh = meshes.rectangle(comm, 2.0, 2.0, 0.25, structured=True, corner=(-1.0, -1.0))
+    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0))
+    lift(scene, rise)
+    return scene
+
+
+def lift(scene: Scene, rise: float) -> None:
+    x = scene.V.tabulate_dof_coordinates()
+    scene.u.x.array[2::3] = rise * (1.0 - x[:, 0] ** 2) * (1.0 - x[:, 1] ** 2)
+
+
+@pytest.mark.ranks
+def test_volume_and_sides(comm: MPI.Intracomm) -> None:
+    scene = cap(comm, 0.5)
+    before = shape_of(scene)
+    assert before.volume == pytest.approx(0.5 * (4.0 / 3.0) ** 2, rel=0.05)
+    for rise in (0.5, 0.2, -0.5):
+        lift(scene, rise)
+        volume, turned = _shape_change(before, scene)
+        assert volume == pytest.approx(rise / 0.5)
+        assert turned == 0.0
+    scene.u.x.array[1::3] = -2.0 * scene.V.tabulate_dof_coordinates()[:, 1]  # mirrored
+    assert _shape_change(before, scene)[1] == pytest.approx(1.0)
+
+
+@pytest.mark.ranks
+def test_a_flat_roof_encloses_nothing(comm: MPI.Intracomm) -> None:
+    scene = cap(comm, 0.0)
+    before = shape_of(scene)
+    lift(scene, -0.3)
+    assert _shape_change(before, scene)[0] is None
+    assert np.isfinite(before.area)

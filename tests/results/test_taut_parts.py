@@ -7,20 +7,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 from scipy.optimize import brentq
 
-from crms_fenicsx import (
-    Bar,
-    Cable,
-    IsotropicMembrane,
-    Joint,
-    PlacedBar,
-    Scene,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Joint, PlacedBar, Scene, Solver, meshes
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.cable import Hold
 from crms_fenicsx.results.taut_parts import _strains_of
@@ -42,8 +33,7 @@ def sheet(
     side = 6.0 * unit
     mesh = meshes.rectangle(comm, side, side, size * unit, structured=structured)
     scene = clamped(mesh, IsotropicMembrane(200.0 * stress, 0.3, 1.0, prestress=2.0 * stress))
-    solver = Solver(scene, rtol=1e-12)
-    solver.advance(pressure=pressure * stress / unit)
+    solver = advanced(Solver(scene, rtol=1e-12), pressure=pressure * stress / unit)
     return scene, solver
 
 
@@ -225,8 +215,7 @@ def guyed(
 def test_guys_without_force(comm: MPI.Intracomm, unit: float, force: float, spring: float) -> None:
     """One of them carries a pull, with a spring or alone; shortened, it pulls at the other."""
     scene, _, a, b = guyed(comm, unit, force, "yz", spring)
-    solver = Solver(scene, stability="ignore")
-    solver.advance()
+    solver = advanced(Solver(scene, stability="ignore"))
     found = solver.sensitivities([a, b], ["pull", a])
     k, c, s = 100.0, 50.0, spring
     shorter = np.array([-k * (c + s), -k * c]) / (k + c + s) * force / unit
@@ -248,8 +237,7 @@ def test_a_mast_that_guys_without_force_keep_upright(comm: MPI.Intracomm) -> Non
     scene, top, a, b = guyed(comm, 1.0, 1.0, "y")
     scene.add_bar(Bar(1e9), (5.0, 0.0, 0.0), top)
     scene.put_joint_load({top: (0.0, 0.0, -6.0)}, name="weight")
-    solver = Solver(scene, stability="ignore")
-    solver.advance(load={"weight": 1.0})
+    solver = advanced(Solver(scene, stability="ignore"), load={"weight": 1.0})
     found = solver.sensitivities([a, b], ["pull"])
     exact = np.array([100.0, -50.0]) / (100.0 + 50.0 - 6.0 / 2.0)
     np.testing.assert_allclose(found.increasing[:, 0], exact, rtol=1e-6)

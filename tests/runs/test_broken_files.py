@@ -15,9 +15,8 @@ import broken_files
 import numpy as np
 import pytest
 
-from crms_fenicsx import ConvergenceError, InputError
+from crms_fenicsx import ConvergenceError, InputError, MeshError
 from crms_fenicsx.foundation.meshes import mesh_files
-from crms_fenicsx.foundation.runtime.errors import MeshError
 from crms_fenicsx.results.output import History
 
 

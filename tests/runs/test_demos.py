@@ -61,7 +61,7 @@ MARKS = {"air_hall": [DENTED]}
 def test_demo(
     comm: MPI.Intracomm,
     demo: str,
-    tmp_path: Path,
+    folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
@@ -69,7 +69,6 @@ def test_demo(
     from matplotlib.image import imread
 
     pictures, runs, arguments = PROMISED[demo]
-    folder = Path(comm.bcast(str(tmp_path)))
     monkeypatch.chdir(folder)
     script = str(ROOT / "demos" / f"{demo}.py")
     kernel = ["ipykernel_launcher.py", "-f", str(folder / "kernel.json")]  # of a notebook

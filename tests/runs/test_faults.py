@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 from processes import MPIRUN, run
 from vtu_file import read_vtu
@@ -29,16 +29,10 @@ pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def script(folder: Path, resume: bool) -> Solver:
     """Two calls, three load steps and a cable."""
     scene = sheet(COMM, 3)
-    solver = Solver(scene, results=folder, resume=resume)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, results=folder, resume=resume), pressure=0.01)
     scene.lay_cable(Cable(9000.0), [(0, 33), (100, 41)], tension=20.0)
     solver.advance(pressure=0.012, steps=2)
     return solver
@@ -113,8 +107,7 @@ def test_a_disk_that_is_full_at_some_write(
 def test_a_folder_that_goes_away(folder: Path) -> None:
     """In the middle of the run a file is where the folder was; the scene is as it was computed."""
     scene = sheet(COMM, 3)
-    solver = Solver(scene, results=folder / "out", resume=False)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, results=folder / "out", resume=False), pressure=0.01)
     COMM.barrier()
     if COMM.rank == 0:
         shutil.move(folder / "out", folder / "moved")
@@ -130,8 +123,7 @@ def test_a_folder_that_goes_away(folder: Path) -> None:
         shutil.move(folder / "moved", folder / "out")
     del solver
     COMM.barrier()
-    again = Solver(sheet(COMM, 3), results=folder / "out", resume=True)
-    again.advance(pressure=0.01)
+    again = advanced(Solver(sheet(COMM, 3), results=folder / "out", resume=True), pressure=0.01)
     again.advance(pressure=0.011)
     assert again.scene.energy == pytest.approx(scene.energy, rel=1e-9)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import advanced
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -33,11 +34,6 @@ CALLS, STEPS = 3, 5
 
 class Killed(BaseException):
     """Stands for the end of the process."""
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
 
 
 @pytest.fixture
@@ -74,8 +70,11 @@ def script(
     scene.fix("boundary")
     scene.fix(lambda x: np.hypot(x[0] - 50.0, x[1] - 50.0) < 1.0, given["held"])
     scene.floor(given["floor"])
-    solver = Solver(scene, results=folder / "out", resume=resume, rtol=given["rtol"])
-    solver.advance(pressure=given["pressure"], steps=given["steps"])
+    solver = advanced(
+        Solver(scene, results=folder / "out", resume=resume, rtol=given["rtol"]),
+        pressure=given["pressure"],
+        steps=given["steps"],
+    )
     scene.put_load((0.0, 0.0, given["snow"]))
     friction = Friction(given["friction"], along=given["along"]) if laws == "total" else 0.0
     rough = scene.lay_cable(
@@ -257,8 +256,10 @@ def test_a_step_that_has_failed_fails_again(folder: Path, solves: list[float]) -
     def run(resume: bool) -> Solver:
         scene = scene_of()
         scene.fix("boundary")
-        solver = Solver(scene, results=folder / "out", resume=resume, max_halvings=0, rtol=1e-10)
-        solver.advance(pressure=0.001)
+        solver = advanced(
+            Solver(scene, results=folder / "out", resume=resume, max_halvings=0, rtol=1e-10),
+            pressure=0.001,
+        )
         if not resume:
             solver.system.minimizer.max_stages = 1
         with pytest.raises(ConvergenceError, match="step 2: no equilibrium"):
@@ -291,8 +292,9 @@ def test_halved_increments_go_on(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     def run(resume: bool) -> np.ndarray:
         scene = scene_of()
         scene.fix("boundary")
-        solver = Solver(scene, results=folder / "out", resume=resume)
-        solver.advance(pressure=0.02, steps=2)
+        solver = advanced(
+            Solver(scene, results=folder / "out", resume=resume), pressure=0.02, steps=2
+        )
         return np.asarray(solver.history["pressure"])
 
     killed(monkeypatch, 1, lambda: run(False))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from cabled_square import advanced
 from sweeps.judge import Judge, Point, judged
 from sweeps.register import SWEEPS
 from sweeps.scenes import PRESSURE, clamped, square
@@ -19,8 +20,7 @@ def test_quick_points(name: str, point: Point) -> None:
 
 
 def moved_after_the_step(judge: Judge) -> None:
-    solver = Solver(clamped(square(4)))
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(clamped(square(4))), pressure=PRESSURE)
     solver.scene.u.x.array[~solver.scene.held.ravel()] *= 1.0001
     judge.solved(solver)
 

@@ -141,7 +141,8 @@ class Call:
 
     def __post_init__(self) -> None:
         for name, values in bad_arguments(self.function).items():
-            self.bad[name] = (*values, *self.bad.get(name, ()))
+            if not hasattr(self.good.get(name), "comm"):  # without, a rank cannot tell the others
+                self.bad[name] = (*values, *self.bad.get(name, ()))
 
 
 def data() -> list[Call]:

@@ -11,10 +11,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx import Scene
+from crms_fenicsx import LaidCable, Scene
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.model.laid_cable import LaidCable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

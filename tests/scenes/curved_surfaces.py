@@ -1,19 +1,29 @@
-"""Triangulated surfaces by formulas, geodesics of the smooth ones, and paths along mesh lines."""
+"""Triangulated surfaces by formulas or from arrays, geodesics of the smooth ones, and paths along
+mesh lines."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from grids import grid, numbered, triangles
+from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull, Delaunay
 
-from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
+    Edge,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+)
+from crms_fenicsx.foundation.surface.vertex_flip import MissingCells, Ring, ring_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -22,13 +32,9 @@ Mesh = tuple[Ints, Floats]
 
 def structured(n: int, size: float = 100.0) -> Mesh:
     """A square of n x n squares, all cut by the same diagonal; vertex (i, j) is i (n + 1) + j."""
-    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    first = (i * (n + 1) + j).ravel()
-    lower = np.stack([first, first + n + 1, first + n + 2], axis=1)
-    upper = np.stack([first, first + n + 2, first + 1], axis=1)
     x = np.linspace(0.0, size, n + 1)
-    points = np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((n + 1, n + 1))], axis=-1)
-    return np.concatenate([lower, upper]), points.reshape(-1, 3)
+    points, cells = grid(x, x)
+    return cells, points
 
 
 def unstructured(n: int, rng: np.random.Generator, width: float = 100.0) -> Mesh:
@@ -66,8 +72,7 @@ def torus(n: int, R: float, r: float, rng: np.random.Generator) -> Mesh:
     v = 2 * np.pi * (j + rng.uniform(-0.3, 0.3, i.shape)) / n
     out = R + r * np.cos(v)
     points = np.stack([out * np.cos(u), out * np.sin(u), r * np.sin(v)], axis=-1).reshape(-1, 3)
-    a, b, c, d = (((i + di) % (2 * n) * n + (j + dj) % n).ravel() for di in (0, 1) for dj in (0, 1))
-    return np.concatenate([np.stack([a, c, d], 1), np.stack([a, d, b], 1)]), points
+    return triangles(np.pad(numbered(2 * n, n), (0, 1), mode="wrap")), points
 
 
 def mesh_lines(mesh: Mesh) -> csr_matrix:
@@ -140,3 +145,91 @@ def geodesic_length(
     result = root(miss, [np.arctan2(first[1], first[0]), guess], tol=1e-9)
     assert result.success and np.all(np.abs(result.fun) < 1e-8), result.message
     return float(result.x[1])
+
+
+class ArraySurface:
+    """A surface from arrays; its edges are straight where no other length is given.
+
+    Parameters
+    ----------
+    cells
+        (m, 3) vertex ids.
+    points
+        (n, 3) or (n, 2) positions (length); a vertex's id is its row.
+    lengths
+        Lengths of edges (a, b), a < b, that are not straight.
+    complete
+        Vertices around which all cells are given; None for all.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, or ids that are no rows of `points`.
+    """
+
+    def __init__(
+        self,
+        cells: ArrayLike,
+        points: ArrayLike,
+        lengths: Mapping[Edge, float] | None = None,
+        complete: Container[int] | None = None,
+    ) -> None:
+        self._cells = np.asarray(cells, dtype=np.int64)
+        self._points = np.asarray(points, dtype=np.float64)
+        for name, array, columns in (
+            ("cells", self._cells, (3,)),
+            ("points", self._points, (2, 3)),
+        ):
+            if array.ndim != 2 or array.shape[1] not in columns:
+                raise InputError(
+                    f"{name} of a surface have shape {array.shape}; give one row for each, of "
+                    f"{' or '.join(map(str, columns))} numbers."
+                )
+        if self._cells.size and not 0 <= self._cells.min() <= self._cells.max() < len(self._points):
+            raise InputError(
+                f"cells of a surface use ids from {self._cells.min()} to {self._cells.max()}; "
+                f"give rows of the {len(self._points)} points."
+            )
+        self._lengths = {} if lengths is None else lengths
+        self._complete = complete
+        corners = self._cells.ravel()
+        self._order = np.argsort(corners, kind="stable") // 3
+        self._start = np.searchsorted(np.sort(corners), np.arange(len(self._points) + 1))
+        self._rings: dict[int, Ring] = {}
+
+    def length(self, edge: Edge) -> float:
+        """Return the length of an edge; see `Surface.length`."""
+        given = self._lengths.get(edge)
+        if given is not None:
+            return float(given)
+        return float(np.linalg.norm(self._points[edge[1]] - self._points[edge[0]]))
+
+    def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
+        """Return the vertices opposite to an edge; see `Surface.opposite_vertices`."""
+        a, b = edge
+        return tuple(next(v for v in pair if v != b) for pair in self._link(a) if b in pair)
+
+    def ring(self, vertex: int) -> Ring:
+        """Return the neighbours of a vertex in order; see `Surface.ring`.
+
+        Raises
+        ------
+        MissingCells
+            Not all cells around it are given.
+        MeshError
+            They do not form one fan.
+        """
+        if self._complete is not None and vertex not in self._complete:
+            raise MissingCells([vertex])
+        if vertex not in self._rings:
+            self._rings[vertex] = ring_of(vertex, self._link(vertex))
+        return self._rings[vertex]
+
+    def _link(self, vertex: int) -> list[Edge]:
+        """Return the sides opposite to a vertex in its cells."""
+        if not 0 <= vertex < len(self._points):
+            return []
+        rows = self._order[self._start[vertex] : self._start[vertex + 1]]
+        corners = self._cells[rows]
+        others = corners[corners != vertex].reshape(-1, 2)
+        return list(zip(others[:, 0].tolist(), others[:, 1].tolist(), strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from grids import alternating, numbered, triangles
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
@@ -18,14 +19,10 @@ def cylinder(comm: MPI.Intracomm, n: int, rows: int, radius: float, height: floa
     angles, levels = 2 * np.pi * np.arange(n) / n, np.linspace(0.0, height, rows + 1)
     ring = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     points = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in levels])
-    a = (n * np.arange(rows)[:, None] + np.arange(n)).ravel()
-    b = (n * np.arange(rows)[:, None] + (np.arange(n) + 1) % n).ravel()
-    even = ((a // n + a % n) % 2 == 0)[:, None, None]
-    one = np.stack([np.stack([a, b, a + n], 1), np.stack([b, b + n, a + n], 1)], 1)
-    other = np.stack([np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)], 1)
+    rings = np.pad(numbered(n, rows + 1, by_rows=True), ((0, 1), (0, 0)), mode="wrap")
     first = np.stack([np.arange(n), (np.arange(n) + 1) % n], 1)
     return meshes.from_arrays(
-        comm, points, np.where(even, one, other).reshape(-1, 3),
+        comm, points, triangles(rings, ~alternating(n, rows)),
         edges={"below": first, "above": first + n * rows},
         outside=meshes.AwayFrom((0.0, 0.0, height / 2)),
     )  # fmt: skip

@@ -6,17 +6,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from cable_edits import put
-from cabled_square import clamped
+from cabled_square import clamped, put
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
+from crms_fenicsx import Cable, Friction, Scene
 from crms_fenicsx.analysis.equilibrium.system import System
-from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.friction.lateral import start_step
-from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.friction import Friction
 
 PATHS = (
     [(0, 31), (SIDE, 52)],

@@ -1,13 +1,15 @@
-"""Surfaces that cutting patterns are tested on, with seams along mesh lines."""
+"""Surfaces that cutting patterns are tested on, with seams along mesh lines; a sphere of gores."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import numpy as np
+from cabled_square import advanced
+from grids import alternating, numbered, triangles
 from mpi4py import MPI
 
-from crms_fenicsx import OrthotropicMembrane, meshes
+from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Solver, meshes, patterns
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
@@ -19,16 +21,12 @@ FABRIC = OrthotropicMembrane(
 def grid(columns: int, rows: int, strips: int = 0) -> Integers:
     """Cells of a grid whose node (i, j) is i (rows + 1) + j, with diagonals in turn, or those of
     strips symmetric to their middles."""
-    i, j = (a.ravel() for a in np.meshgrid(range(columns), range(rows), indexing="ij"))
-    a = i * (rows + 1) + j
-    b, up = a + rows + 1, (i + j) % 2 == 0
+    other = alternating(columns, rows)
     if strips:
         width = columns // strips
-        up = (i % width < width // 2) == (j >= rows // 2)
-    up = up[:, None]
-    one = np.where(up, np.stack([a, b, b + 1], 1), np.stack([a, b, a + 1], 1))
-    two = np.where(up, np.stack([a, b + 1, a + 1], 1), np.stack([b, b + 1, a + 1], 1))
-    return np.concatenate([one, two])
+        early = np.arange(columns) % width < width // 2
+        other = np.not_equal.outer(early, np.arange(rows) >= rows // 2)
+    return triangles(numbered(columns + 1, rows + 1), other)
 
 
 def lines(columns: int, rows: int, strips: int) -> dict[str, list[tuple[int, int]]]:
@@ -54,6 +52,11 @@ def half_cylinder(
     y = y + inner * rng.uniform(-jitter, jitter, a.shape) * 8.0 / rows
     x = np.stack([-5.0 * np.cos(a), y, 5.0 * np.sin(a)], axis=-1).reshape(-1, 3)
     return meshes.from_arrays(comm, x, grid(n, rows), edges=lines(n, rows, strips))
+
+
+def pieces_of(mesh: MembraneMesh) -> patterns.Pieces:
+    """Cut along all edge groups but the boundary."""
+    return patterns.cut(mesh, [patterns.edge_line(mesh, k) for k in mesh.edges if k != "boundary"])
 
 
 def cone(comm: MPI.Intracomm, half_angle: float, columns: int, rows: int) -> MembraneMesh:
@@ -139,3 +142,24 @@ def minimal(points: Array, cells: Integers, held: Array) -> Array:
         points = points.copy()
         points[free] = spsolve(K[free][:, free].tocsc(), -(K[free][:, held] @ points[held]))
     return points
+
+
+def inflated_sphere(
+    comm: MPI.Intracomm, gores: int, wrinkling: bool, extra: float = 1.0
+) -> tuple[Solver, patterns.Pattern, Array]:
+    """A quarter of a sphere of radius 10 cut for section forces of 1.5, stretched more by a factor,
+    under the pressure .3, and the radii of its vertices."""
+    film = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, wrinkling=wrinkling)
+    mesh = quarter_sphere(comm, gores, 8)
+    seams = [patterns.edge_line(mesh, name) for name in mesh.edges if name.startswith("seam")]
+    pattern = patterns.flatten(
+        patterns.cut(mesh, seams), film, shrink=patterns.shrink_for(film, 1.5)
+    ).adjusted({f"piece {k + 1}": (extra, extra) for k in range(gores // 4)})
+    scene = patterns.sew(pattern)
+    scene.fix("x0", "x")
+    scene.fix("y0", "y")
+    scene.fix(lambda x: np.abs(x[2]) < 1e-9, "z")
+    solver = advanced(Solver(scene), pressure=0.3)
+    own = scene.V.dofmap.index_map.size_local
+    radii = comm.allgather(np.linalg.norm(scene.positions()[:own], axis=1))
+    return solver, pattern, np.concatenate(radii)

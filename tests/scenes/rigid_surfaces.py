@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from grids import numbered, triangles
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from scipy.spatial import Delaunay, cKDTree
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx import Cable, Friction, IsotropicMembrane, LaidCable, Scene, meshes
 from crms_fenicsx.model.materials import MembraneMaterial
 
 Floats = NDArray[np.float64]
@@ -278,11 +277,7 @@ def band(
         turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
         cells[turned] = cells[turned, ::-1]
     else:
-        first = (np.arange(n[0])[:, None] * (n[1] + 1) + np.arange(n[1])).ravel()
-        right, up = first + n[1] + 1, first + 1
-        cells = np.concatenate(
-            [np.stack([first, right, right + 1], 1), np.stack([first, right + 1, up], 1)]
-        )
+        cells = triangles(numbered(*i.shape))
     aside = np.asarray(cKDTree(plan).query(points[cells].mean(axis=1))[0])
     cells = cells[aside < 3.0 + 0.15 / h]
     used, numbers = np.unique(cells, return_inverse=True)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from grids import numbered, triangles
 from mpi4py import MPI
 from scipy.optimize import brentq
 
-from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, meshes
+from crms_fenicsx import Cable, Friction, IsotropicMembrane, LaidCable, Scene, meshes
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.laid_cable import LaidCable
 
 EA, FREE, WRAP = 1000.0, 0.5, np.pi
 """Axial stiffness of the rope, length of its free ends, angle of wrap."""
@@ -29,9 +29,7 @@ def drum(comm: MPI.Intracomm, n: int, jitter: float = 0.0, scale: float = 1.0) -
     x = (i + inner * jitter * rng.uniform(-1, 1, i.shape)) / rows * 0.4 - 0.2
     angle = (j + inner * jitter * rng.uniform(-1, 1, j.shape)) / n * WRAP - WRAP / 2
     points = scale * np.stack([x, np.sin(angle), np.cos(angle)], axis=-1).reshape(-1, 3)
-    a = (np.arange(rows)[:, None] * (n + 1) + np.arange(n)).ravel()
-    b, c, d = a + n + 1, a + n + 2, a + 1
-    cells = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    cells = triangles(numbered(*i.shape))
     sides = np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]])
     edges = {"drum": np.unique(np.sort(sides, axis=1), axis=0)}
     return meshes.from_arrays(comm, points, cells, edges=edges)

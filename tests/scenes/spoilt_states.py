@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet, square
 from mpi4py import MPI
-from reference_meshes import square
 
-from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Solver
+from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, LaidCable, Solver
 from crms_fenicsx.analysis.verification.cable_forces import plain_vertices
 from crms_fenicsx.analysis.verification.report import Verification
 from crms_fenicsx.analysis.verification.verifier import Verifier
-from crms_fenicsx.model.laid_cable import LaidCable
 
 SCENES = {  # E t of the membrane, EA of the cable looked at and of those beside it, pressure
     "stiff membrane": (2.4e5, 0.3, None, 5e-4),
@@ -46,8 +44,7 @@ def cabled(
     scene = clamped(square(comm, 7, "unstructured"), material)
     if floor is not None:
         scene.floor(floor)
-    solver = Solver(scene)
-    solver.advance(pressure=pressure)
+    solver = advanced(Solver(scene), pressure=pressure)
     cable = scene.lay_cable(Cable(EA, friction=friction), [(-4, 47, -2), (104, 56, -2)])
     tight = {cable: 0.97 * cable.length}
     if crossed:
@@ -71,9 +68,7 @@ def masts(comm: MPI.Intracomm, E: float = 100.0) -> Solver:
         scene.add_bar(Bar(EA), top, scene.vertex_at((x, 5.0, 0.0)), L0=1.98, name=f"hanger {x}")
         for dx, dy in ((3.0, 0.0), (-1.5, 2.6), (-1.5, -2.6)):
             scene.add_bar(Bar(EA), top, (x + dx, 5.0 + dy, 2.0), L0=2.95)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
-    return solver
+    return advanced(Solver(scene), pressure=0.01)
 
 
 def checked(solver: Solver, spoil: Callable[[], None] | None = None) -> Verification:

@@ -1,14 +1,15 @@
 """A roof of one row of cells, and cables along it."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from crms_fenicsx import Cable
+from crms_fenicsx import Cable, LaidCable
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
 from crms_fenicsx.foundation.surface.points import EdgePoint
 from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
-from crms_fenicsx.model.laid_cable import LaidCable
 
 
 def roof(heights: Sequence[float]) -> StripShape:
@@ -19,6 +20,22 @@ def roof(heights: Sequence[float]) -> StripShape:
     none = np.zeros(len(cells), dtype=np.int64)
     strip = Strip(np.array(cells, dtype=np.int64), none, np.arange(len(cells)))
     return StripShape(strip, points, points)
+
+
+def cable_of(
+    cable: Cable, nodes: Sequence[CableNode], places: ArrayLike, *, tension: float = 10.0,
+    lifted: Sequence[int] = (), **more: Any,
+) -> LaidCable:  # fmt: skip
+    """A cable in tension with these nodes at these places, on a membrane or not."""
+    x = np.array(places, dtype=float)
+    fractions = [n.point.fraction if isinstance(n.point, EdgePoint) else np.nan for n in nodes]
+    state = CableState(
+        tuple(nodes), x, np.array(fractions), np.isin(np.arange(len(x)), lifted),
+        np.full_like(x, np.nan), CableLaw(cable, 1.0, 1.0, tension, taut=True),
+    )  # fmt: skip
+    laid = LaidCable("cable 1", state)
+    laid.update(**more)
+    return laid
 
 
 def cable_on(
@@ -33,15 +50,7 @@ def cable_on(
     if len(anchors):
         all_nodes = [CableNode("anchor"), *nodes, CableNode("anchor")]
         places = [anchors[0], *places, anchors[1]]
-    fractions = [
-        node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
-    ]
-    state = CableState(
-        tuple(all_nodes), np.array(places, dtype=float), np.array(fractions),
-        np.zeros(len(all_nodes), dtype=bool), np.full((len(all_nodes), 3), np.nan),
-        CableLaw(Cable(1000.0), 1.0, 1.0, 10.0, taut=True),
-    )  # fmt: skip
-    return LaidCable("cable 1", state)
+    return cable_of(Cable(1000.0), all_nodes, places)
 
 
 def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict[float, int]]:

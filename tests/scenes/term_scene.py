@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from grids import numbered, triangles
 from mpi4py import MPI
 from taylor import OnMesh, noise
 
+from crms_fenicsx import Cable, Scene
 from crms_fenicsx.analysis.equilibrium.system import System
-from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
-from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 
 Array = npt.NDArray[Any]
@@ -40,12 +40,8 @@ def grid_points() -> Array:
 
 def irregular_square(comm: MPI.Intracomm, lift: float = 0.0, ranks: Any = None) -> MembraneMesh:
     """A square with parts "left" and "right", lifted like a dome."""
-    numbers = np.arange((N + 1) ** 2).reshape(N + 1, N + 1)
-    a, b, c, d = numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]
-    turned = np.random.default_rng(6).random(a.shape) < 0.5
-    first = np.where(turned[..., None], np.stack([a, b, d], -1), np.stack([a, b, c], -1))
-    second = np.where(turned[..., None], np.stack([b, c, d], -1), np.stack([a, c, d], -1))
-    cells = np.stack([first, second], axis=-2).reshape(-1, 3)
+    turned = np.random.default_rng(6).random((N, N)) < 0.5
+    cells = triangles(numbered(N + 1, N + 1), turned)
     points = grid_points().reshape(-1, 2)
     x, y = points.T / SIDE
     height = lift * 16 * x * (1 - x) * y * (1 - y)

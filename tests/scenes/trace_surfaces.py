@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grids import grid
+from mpi4py import MPI
 from scipy.spatial import Delaunay
 
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint
-from crms_fenicsx.foundation.surface.trace import trace
+from crms_fenicsx.foundation.surface.trace import near_section, trace
 
 
-def grid(n, m=None):
+def squares(n, m=None):
     """Return points (integers) and cells of n x m squares, all cut by the same diagonal."""
-    m = n if m is None else m
-    x, y = np.meshgrid(np.arange(n + 1.0), np.arange(m + 1.0), indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    i = (np.arange(n)[:, None] * (m + 1) + np.arange(m)).ravel()
-    right = np.column_stack([i, i + m + 1, i + m + 2])
-    left = np.column_stack([i, i + m + 2, i + 1])
-    return points, np.vstack([right, left])
+    return grid(np.arange(n + 1.0), np.arange((n if m is None else m) + 1.0))
 
 
 def scattered(rng, n=40, size=60):
@@ -71,7 +67,7 @@ def cap(angle, rings=9, radius=10.0):
 
 def hall(half, n=(8, 24), radius=10.0, length=12.0):
     """Return a barrel along x, up to an angle on either side of its top; closed if that is pi."""
-    points, cells = grid(*n)
+    points, cells = squares(*n)
     angle = half * (2.0 * points[:, 1] / n[1] - 1.0)
     across = radius * np.column_stack([np.sin(angle), np.cos(angle)])
     x = np.column_stack([points[:, 0] * length / n[0], across])
@@ -115,3 +111,15 @@ def assert_part_is_enough(ids, points, cells, mask, route):
         assert str(caught.value) == str(error)
     else:
         assert trace(*part(ids, points, cells, mask), route) == whole
+
+
+def assert_divided_mesh_is_enough(comm, points, cells, route):
+    """The path on all cells, and which of them ranks find that have a part of the mesh each: these
+    have the same path."""
+    own, ids = np.arange(len(cells)) % comm.size == comm.rank, np.arange(len(points))
+    mask = np.zeros(len(cells), dtype=bool)
+    mask[own] = near_section(points, cells[own], route, comm=comm)
+    comm.Allreduce(MPI.IN_PLACE, mask, op=MPI.LOR)
+    whole = trace(ids, points, cells, route)
+    assert trace(*part(ids, points, cells, mask), route) == whole
+    return whole, mask

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from cabled_square import clamped
+from grids import alternating, numbered, triangles
 from mpi4py import MPI
 from scipy.optimize import minimize_scalar, root
 from term_twins import best_angle
 
-from crms_fenicsx import Scene, Solver
-from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx import Scene, Solver, Step
 from crms_fenicsx.foundation.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.materials import MembraneMaterial
 
@@ -106,14 +106,8 @@ def annulus(comm: MPI.Intracomm, n: int) -> MembraneMesh:
     angles = np.linspace(0, 2 * np.pi, 12 * n, endpoint=False)
     r, t = np.meshgrid(radii, angles, indexing="ij")
     points = np.stack([r * np.cos(t), r * np.sin(t)], axis=-1).reshape(-1, 2)
-    numbers = np.arange(len(points)).reshape(r.shape)
-    a, b = numbers[:-1], numbers[1:]
-    d, c = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
-    even = (np.add.outer(np.arange(n), np.arange(12 * n)) % 2 == 0)[..., None]
-    first = np.where(even, np.stack([a, b, c], -1), np.stack([a, b, d], -1))
-    second = np.where(even, np.stack([a, c, d], -1), np.stack([b, c, d], -1))
-    cells = np.stack([first, second], axis=-2).reshape(-1, 3)
-    return from_arrays(comm, points, cells)
+    rings = np.pad(numbered(*r.shape), ((0, 0), (0, 1)), mode="wrap")
+    return from_arrays(comm, points, triangles(rings, alternating(n, 12 * n)))
 
 
 def radial(x: Array) -> Array:

@@ -17,7 +17,7 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.tolerances import SAME_VALUE, TOL
 
 SCATTER_CHECK = "scatter of the energy"
 """Name of the check in the verification."""
@@ -65,7 +65,7 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> _Scatter:
         system.write_scene()
         total = outcome if total is None else total + outcome
         near = _moved(scene, first)[0] < TOL.near_state * scene.membrane.size
-        if not (outcome.converged and near and scene.energy < energy - TOL.lower_energy * scale):
+        if not (outcome.converged and near and scene.energy < energy - SAME_VALUE * scale):
             scene.u.x.array[:] = best
             system.read_scene()
             system.write_scene()

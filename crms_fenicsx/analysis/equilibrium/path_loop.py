@@ -18,7 +18,7 @@ from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
-from crms_fenicsx.model.tolerances import BUDGET, TOL
+from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class PathLoop:
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
             excess = new.energy - best.energy if new.outcome.converged else math.inf
-            if excess < (-TOL.lower_energy * self._scale() if other else 0.0):
+            if excess < (-SAME_VALUE * self._scale() if other else 0.0):
                 best, flips, settled = new, new.flips, True
                 if moved or other:
                     laid_again.clear()

@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Literal
 
 from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.tolerances import BUDGET, TOL
+from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 
 
 def _starting_prestress(
@@ -233,7 +233,7 @@ class IncrementSolver:
         found = lower_state(self.system, at_once)
         apart = f"equilibria up to {found.distance:.3g} apart near {as_text(found.place)}"
         where = apart if found.energy > 0.0 else ""
-        check = Check(SCATTER_CHECK, found.energy, TOL.lower_energy, where, binding=False)
+        check = Check(SCATTER_CHECK, found.energy, SAME_VALUE, where, binding=False)
         total, same = outcome + found.outcome, ("converged", "reason", "residual", "nonconvex")
         return replace(total, **{name: getattr(outcome, name) for name in same}), (check,)
 

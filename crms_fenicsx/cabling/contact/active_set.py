@@ -85,8 +85,10 @@ class ActiveSet:
         )
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; return the changes in
-        words. Collective."""
+        """Begin a solve on given paths: switch cables between slack and taut for their current
+        lengths; return the changes in words. Collective."""
+        # Each trial of other paths that is rejected restores taut cables, which may slacken again.
+        self._switches.clear()
         return self._switch(self.net.strip_shape(), None)
 
     def update(self, shape: StripShape) -> list[str]:

@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 from crms_fenicsx.design.patterns.pieces import Piece
 from crms_fenicsx.foundation.meshes.cell_division import QUARTERS
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
-from crms_fenicsx.foundation.meshes.triangles import cross, norm
+from crms_fenicsx.foundation.meshes.triangles import cross, cross_in_plane, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import (
     ConvergenceError,
@@ -80,7 +80,7 @@ def conformal(points: Array, triangles: Integers) -> Array:
 def double_areas_in_plane(flat: Array, triangles: Integers) -> Array:
     """Twice the signed areas (m,) of plane triangles, positive if counter-clockwise."""
     sides = sides_of(flat, triangles)
-    return np.asarray(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    return cross_in_plane(sides[..., 0], sides[..., 1])
 
 
 def sides_of(points: Array, triangles: Integers) -> Array:

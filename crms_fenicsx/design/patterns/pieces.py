@@ -247,7 +247,8 @@ def _pieces(cut: CheckedSurface, lines: Mapping[str, Integers]) -> tuple[tuple[P
     number = np.empty(cells.size, dtype=np.int64)  # of each corner's vertex in its piece
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
-    names = _group_of(cut) | seam_of
+    groups = sorted(cut.edges.items(), key=lambda one: one[0] != BOUNDARY)  # the boundary gives way
+    names = {edge: name for name, keys in groups for edge in edges_of(keys)} | seam_of
     found, labels = [], np.argsort(_in_order(cut, lines, labels))[labels]
     for k in range(labels.max() + 1):
         own = np.flatnonzero(labels == k)
@@ -279,15 +280,6 @@ def _pieces(cut: CheckedSurface, lines: Mapping[str, Integers]) -> tuple[tuple[P
         np.stack([number[one], number[other]], axis=1),
     )
     return tuple(found), joints
-
-
-def _group_of(cut: CheckedSurface) -> dict[Edge, str]:
-    """The group's name by edge; the boundary's only where there is no other."""
-    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.edges[BOUNDARY]), BOUNDARY)
-    for name, keys in cut.edges.items():
-        if name != BOUNDARY:
-            found |= dict.fromkeys(edges_of(keys), name)
-    return found
 
 
 def _in_order(cut: CheckedSurface, lines: Mapping[str, Integers], labels: Integers) -> Integers:

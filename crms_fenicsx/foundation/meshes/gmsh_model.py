@@ -108,7 +108,9 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     tag_order = np.argsort(tags)
     sorted_tags = tags[tag_order].astype(np.int64)
     # .msh files of version 2 repeat a triangle for each of its physical groups
-    cells, cell_of_element = _without_repetitions(cells.reshape(-1, 3))
+    corners = np.sort(cells.reshape(-1, 3), axis=1)
+    _, first, same = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    kept, cell_of_element = np.unique(first[same.ravel()], return_inverse=True)
     groups: tuple[Groups, Groups, Groups] = ({}, {}, {})
     for k, (name, dimension) in enumerate(zip(model["names"], model["dimensions"], strict=True)):
         members = model[f"members {k}"].astype(np.int64)
@@ -122,15 +124,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     points, edges, parts = (
         {name: np.concatenate(found) for name, found in group.items()} for group in groups
     )
-    return SurfaceArrays(model["coordinates"].reshape(-1, 3)[rows], cells, edges, parts, points)
-
-
-def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
-    """The distinct triangles, in the given order, and the index of each triangle among them."""
-    corners = np.sort(triangles, axis=1)
-    _, first, same = np.unique(corners, axis=0, return_index=True, return_inverse=True)
-    kept, place = np.unique(first[same.ravel()], return_inverse=True)
-    return triangles[kept], place.astype(np.int64)
+    places, cells = model["coordinates"].reshape(-1, 3)[rows], cells.reshape(-1, 3)[kept]
+    return SurfaceArrays(places, cells, edges, parts, points)
 
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:

@@ -20,6 +20,7 @@ from crms_fenicsx.foundation.meshes.refinement import (
     check_size,
 )
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
+from crms_fenicsx.foundation.meshes.triangles import cross_in_plane
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
 
@@ -44,7 +45,7 @@ def _simple_outline(corners: Sequence[Sequence[float]]) -> Array:
         )
     i, j = np.triu_indices(len(outline), k=1)
     adjacent = (j == i + 1) | ((i == 0) & (j == len(outline) - 1))
-    straight = _cross(along[i], along[j]) == 0
+    straight = cross_in_plane(along[i], along[j]) == 0
     folds_back = straight & (np.einsum("ij,ij->i", along[i], along[j]) < 0)
     meet = _meet(outline[i], following[i], outline[j], following[j])
     bad = np.flatnonzero(np.where(adjacent, folds_back, meet))
@@ -56,15 +57,11 @@ def _simple_outline(corners: Sequence[Sequence[float]]) -> Array:
     return outline
 
 
-def _cross(u: Array, v: Array) -> Array:
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-
-
 def _meet(a: Array, b: Array, c: Array, d: Array) -> Booleans:
     """Whether segments a-b and c-d have a point in common."""
     apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
-    c_d_sides = _cross(b - a, c - a) * _cross(b - a, d - a)
-    a_b_sides = _cross(d - c, a - c) * _cross(d - c, b - c)
+    c_d_sides = cross_in_plane(b - a, c - a) * cross_in_plane(b - a, d - a)
+    a_b_sides = cross_in_plane(d - c, a - c) * cross_in_plane(d - c, b - c)
     return ~apart.any(axis=1) & (c_d_sides <= 0) & (a_b_sides <= 0)
 
 

@@ -22,7 +22,10 @@ _RANGE = 1e-100, 1e100
 
 def _length(what: str, value: object) -> float:
     """Return a positive number within `_RANGE`."""
-    return checks.within(what, checks.positive(what, value), *_RANGE)
+    number = checks.positive(what, value)
+    if not _RANGE[0] < number < _RANGE[1]:
+        raise InputError(f"{what} = {number:g} is outside the range of lengths; use other units.")
+    return number
 
 
 Length = Annotated[float, _length]

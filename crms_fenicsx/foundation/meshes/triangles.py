@@ -44,6 +44,11 @@ def cross(a: Array, b: Array) -> Array:
     return c
 
 
+def cross_in_plane(a: Array, b: Array) -> Array:
+    """Cross products of vectors in the plane, in the last axes."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
 def dot(a: Array, b: Array) -> Array:
     """Scalar products of the vectors in the last axes."""
     total = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]

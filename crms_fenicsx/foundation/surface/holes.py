@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from crms_fenicsx.foundation.meshes.triangles import cross, lists, norm
+from crms_fenicsx.foundation.meshes.triangles import cross, cross_in_plane, lists, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.surface.plane_section import FACING
 
@@ -50,7 +50,7 @@ def covers(
         normal = area / size
         frame = _frame(normal)
         flat, side = x @ frame.T, np.roll(x, -1, axis=0) - x
-        to_left = _cross((beyond - x) @ frame.T, side @ frame.T) / norm(side)
+        to_left = cross_in_plane((beyond - x) @ frame.T, side @ frame.T) / norm(side)
         reach = norm(cross(beyond - x, side)) / norm(side)
         inward = -float(to_left.sum() / max(reach.sum(), 1e-300))  # 1: the cells lie inside
         if inward <= -FACING:
@@ -77,11 +77,6 @@ def _frame(normal: Array) -> Array:
     first = cross(normal, axis)
     first /= float(norm(first))
     return np.stack([first, cross(normal, first)])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products of vectors in the plane (n, 2)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _loops(sides: Integers) -> list[Integers]:
@@ -111,7 +106,7 @@ def _pockets(flat: Array) -> list[Integers]:
     for a, b in zip(corners, np.roll(corners, -1), strict=True):
         chain = np.arange(a, b + 1 if b > a else b + 1 + len(flat)) % len(flat)
         chord = flat[b] - flat[a]
-        depth = _cross(chord, flat[chain] - flat[a]) / float(chord @ chord)
+        depth = cross_in_plane(chord, flat[chain] - flat[a]) / float(chord @ chord)
         straight = np.flatnonzero(depth <= SHALLOW)
         pockets += [chain[i : j + 1][::-1] for i, j in pairwise(straight) if j > i + 1]
     return pockets
@@ -129,13 +124,13 @@ def _triangulated(x: Array, others: Array) -> Integers | None:
         ear = [int(before[i]), i, int(after[i])]
         a = x[ear]
         ways = np.roll(a, -1, axis=0) - a
-        shape = float(_cross(ways[0], ways[1])) / float((ways**2).sum(axis=1).max())
+        shape = float(cross_in_plane(ways[0], ways[1])) / float((ways**2).sum(axis=1).max())
         if shape <= FLAT:
             return -1.0
         rest = alive.copy()
         rest[ear] = False
         targets = np.concatenate([x[rest], others])
-        to = _cross(ways[:, None], targets - a[:, None]) / (ways**2).sum(axis=1)[:, None]
+        to = cross_in_plane(ways[:, None], targets - a[:, None]) / (ways**2).sum(axis=1)[:, None]
         return -1.0 if (to >= -FLAT).all(axis=0).any() else shape
 
     triangles: list[tuple[int, int, int]] = []

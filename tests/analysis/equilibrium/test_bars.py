@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 
 from crms_fenicsx import (
     Bar,
@@ -243,8 +243,7 @@ def test_chains_without_stiffness_find_their_funicular(comm):
 def test_the_verification_finds_joints_out_of_balance(comm):
     """Or not where they are held."""
     scene, top = mast(comm)
-    solver = Solver(scene)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene), load=1.0)
     system, verifier = solver.system, Verifier(scene)
 
     def check():
@@ -344,8 +343,7 @@ def test_a_cable_ends_at_a_joint_that_its_balance_moves(comm):
         for y in (0.1, 4.1):
             scene.add_bar(Bar(1e4, tension_only=True), top, (x + 2 * out, y, -3.0))
         tops.append(top)
-    solver = Solver(scene)
-    solver.advance(pressure=0.5)
+    solver = advanced(Solver(scene), pressure=0.5)
     cable = scene.lay_cable(Cable(3e3), tops, tension=5.0, name="ridge")
     solver.advance()
     step = solver.advance(L0={cable: 0.99 * cable.L0}, pressure=0.7)
@@ -366,8 +364,7 @@ def test_a_cable_ends_at_a_joint_that_its_balance_moves(comm):
 
 
 @pytest.mark.ranks
-def test_branches_and_checkpoints_have_the_bars(comm, tmp_path):
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_branches_and_checkpoints_have_the_bars(comm, folder):
     solver = tent(comm, folder / "run", False)
     scene = solver.scene
     solver.advance(load=0.5)
@@ -402,8 +399,7 @@ def test_branches_and_checkpoints_have_the_bars(comm, tmp_path):
 def test_bars_of_a_checkpoint_replace_those_of_the_script(comm, tmp_path):
     """All of their data; handles of the same name stay good."""
     folder, (scene, _) = Path(comm.bcast(str(tmp_path))), mast(comm)
-    solver = Solver(scene)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene), load=1.0)
     solver.save(folder / "point")
     other, top = mast(comm, slack=1e-2)
     other.remove_bar("west")
@@ -419,11 +415,9 @@ def test_bars_of_a_checkpoint_replace_those_of_the_script(comm, tmp_path):
     np.testing.assert_allclose(*forces, rtol=1e-7)
 
 
-def test_what_is_written_has_the_bars(comm, tmp_path):
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_what_is_written_has_the_bars(comm, folder):
     scene, _ = mast(comm)
-    solver = Solver(scene, results=folder)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene, results=folder), load=1.0)
     assert solver.history["force west"][-1] == scene.bar("west").force
     assert solver.history["bar L0 mast"][-1] == 6.0
     lines = bar_lines(scene.bars)

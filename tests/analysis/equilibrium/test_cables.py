@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -21,6 +23,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.analysis.equilibrium import search
+from crms_fenicsx.analysis.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
@@ -290,3 +295,50 @@ def test_work_of_the_ends_is_the_energy_that_comes(kind: str) -> None:
     slope = (energies[0] - energies[1]) / (2 * h)
     expected = sum(force @ (0.0, 0.3, -1.0) for force in anchors.values())
     assert slope == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.ranks
+def test_an_end_that_the_membrane_rises_above_is_told(comm: MPI.Intracomm) -> None:
+    mesh = meshes.spherical_cap(comm, 10.0, 4.0, 1.5)
+    scene = clamped(mesh, IsotropicMembrane(E=100.0, nu=0.3, thickness=1.0))
+    solver = advanced(Solver(scene), pressure=0.1)
+    top = comm.allreduce(float(scene.positions()[:, 2].max(initial=0.0)), op=MPI.MAX)
+    path = [(0.0, 1.0, top + 0.3), (12.0, 2.0, 0.0)]
+    scene.lay_cable(Cable(1e3), path, L0=14.0, name="stay")
+    assert solver.advance().warnings == ()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", PathWarning)
+        step = solver.advance(pressure=3.0)
+    assert [one.category for one in caught] == [PathWarning] * (comm.rank == 0)
+    (found,) = (one for one in step.warnings if one.kind == "cable end")
+    assert found.text.startswith("the start of 'stay' at (0, 1, ")
+    assert "under the membrane" in found.text
+    assert solver.advance(pressure=0.1).warnings == ()
+    assert scene.warnings == ()
+
+
+FOUND = Outcome(True, "found", 0.0, 1.0, 1, 1, 1)
+
+
+def test_friction_is_renewed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It settles less sharply: each time it would lead to other lengths, without end."""
+    changes, solved = [True, True, True, False], list[str]()
+
+    class Loop:
+        def __init__(self, *_: object) -> None: ...
+
+        def solve(self, *_: object) -> Outcome:
+            solved.append("friction")
+            return replace(FOUND, unsettled=0.03)
+
+    def in_cells(h0_prestress: object, rough: bool) -> Outcome:
+        assert not rough
+        solved.append("in cells")
+        return FOUND
+
+    monkeypatch.setattr(search, "FrictionLoop", Loop)
+    system: Any = SimpleNamespace(scene=None, renew_smoothing_length=lambda: changes.pop(0))
+    contacts: Any = SimpleNamespace(solve_in_cells=in_cells)
+    found = EquilibriumSearch(system, None)._unsmoothed(FOUND, contacts)
+    assert solved == ["friction", "in cells", "in cells"]
+    assert found.converged and found.unsettled == 0.03 and found.iterations == 4

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import FOIL, LINEAR, clamped
+from cabled_square import FOIL, LINEAR, advanced, clamped, square
 from mpi4py import MPI
-from reference_meshes import square
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
@@ -56,8 +55,7 @@ def test_load_steps_under_a_cable_begin_with_the_h0_before(comm, n: int) -> None
     """As long as its path stays, along a line of the mesh and across cells."""
     scene = clamped(square(comm, n))
     scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 50.0), (100.0, 50.0)], L0=100.0)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     later = [solver.advance(pressure=f * PRESSURE).outcome for f in (1.1, 1.2, 1.3)]
     assert sum(one.factorizations for one in later) <= 3
     assert all(one.evaluations + STRATEGY.rebuild * one.factorizations <= 32 for one in later)
@@ -91,8 +89,7 @@ def test_inflated_circle_converges(comm) -> None:
     sizes, errors = [20.0, 10.0, 5.0, 2.5], []
     for size in sizes:
         scene = clamped(meshes.circle(comm, 100.0, size=size))
-        solver = Solver(scene)
-        solver.advance(pressure=PRESSURE)
+        solver = advanced(Solver(scene), pressure=PRESSURE)
         results = solver.results()
         owned = scene.V.dofmap.index_map.size_local
         X, x = scene.V.tabulate_dof_coordinates()[:owned], scene.positions()[:owned]

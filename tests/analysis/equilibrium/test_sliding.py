@@ -9,11 +9,20 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, KINDS, PRESSURE, clamped, order, place, sheet
-from reference_meshes import rotated_lattice, square
+from cabled_square import (
+    CABLE,
+    KINDS,
+    PRESSURE,
+    advanced,
+    clamped,
+    order,
+    place,
+    rotated_lattice,
+    sheet,
+    square,
+)
 
-from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Solver, meshes
-from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, PathWarning, Solver, meshes
 
 ENDS = [(0.0, 30.0), (100.0, 30.0)]
 T_EXACT, W_EXACT = 103.0532, -298.76483
@@ -68,8 +77,7 @@ def test_a_dragged_cable_also_passes_a_vertex_off_which_it_has_lifted(comm) -> N
     def laid(y: float) -> tuple[Solver, LaidCable]:
         scene = sheet(comm, 12)
         cable = scene.lay_cable(CABLE, [(0.0, y), (100.0, 20.0)], L0=100.0)
-        solver = Solver(scene)
-        solver.advance(pressure=PRESSURE)
+        solver = advanced(Solver(scene), pressure=PRESSURE)
         return solver, cable
 
     move = 60 / 23
@@ -154,8 +162,7 @@ def dragged(comm, steps: int, law: str = "total", **laws: str) -> tuple[float, i
     """Tension of a cable dragged aside over the square, at small strain, and vertices passed."""
     sheet_ = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
     scene = clamped(square(comm, 9, "unstructured"), sheet_, **laws)
-    solver = Solver(scene)
-    solver.advance(pressure=1e-4, steps=steps)
+    solver = advanced(Solver(scene), pressure=1e-4, steps=steps)
     path = [(-5, 30, 0.65), (105, 30, 0.65)]
     cable = scene.lay_cable(Cable(EA=32000.0, law=law), path, measured_on="facets")  # as law "step"
     solver.advance(move={cable: (0.0, 8.0, -0.3)}, steps=steps)

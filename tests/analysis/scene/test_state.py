@@ -7,7 +7,7 @@ from operator import is_
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, sheet
+from cabled_square import CABLE, advanced, sheet
 from same_state import assert_same, assert_same_state
 
 from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Solver
@@ -28,9 +28,7 @@ def full(comm) -> Solver:
     rough = Cable(9000.0, friction=Friction(0.3, along=0.2))
     scene.lay_cable(rough, [(0.0, 33.0), (100.0, 41.0)], tension=5.0, name="rough")
     scene.lay_cable(CABLE, [(41.0, 0.0), (33.0, 100.0)], tension=5.0, name="smooth")
-    solver = Solver(scene)
-    solver.advance(pressure=0.01, load={"snow": 1.0, "wind": 0.5})
-    return solver
+    return advanced(Solver(scene), pressure=0.01, load={"snow": 1.0, "wind": 0.5})
 
 
 def change_all(solver: Solver) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import dolfinx.fem
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Scene, Solver
@@ -84,8 +84,7 @@ class Participant:
 def roof(comm: MPI.Intracomm) -> Solver:
     """Inflated, under a cable with friction."""
     scene = sheet(comm, 4)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     scene.lay_cable(Cable(9000.0, friction=0.3), [(0.0, 47.0), (100.0, 52.0)], name="ridge")
     solver.advance()
     return solver

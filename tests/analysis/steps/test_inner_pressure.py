@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet
 from mpi4py import MPI
 from octant import ET, NU, RADIUS, octant, stretch
 from scipy.optimize import brentq
@@ -57,8 +57,7 @@ def test_a_sealed_sphere(
     errors = []
     for n in (8, 16):
         scene = octant(comm, n)
-        solver = Solver(scene)
-        solver.advance(pressure=1.0)
+        solver = advanced(Solver(scene), pressure=1.0)
         scene.seal(volume=np.pi / 6 * (START * RADIUS) ** 3, exponent=exponent)
         energy = scene.energy
         step = solver.advance()
@@ -78,8 +77,7 @@ def test_a_sealed_sphere(
 def dome(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None = None) -> Solver:
     """An inflated square under a cable, with wind."""
     scene = sheet(comm, 5, "unstructured")
-    solver = Solver(scene, results=folder, resume=resume)
-    solver.advance(pressure=0.02)
+    solver = advanced(Solver(scene, results=folder, resume=resume), pressure=0.02)
     scene.lay_cable(Cable(32000.0), [(0.0, 41.0), (100.0, 55.0)], tension=20.0, name="ridge")
     scene.put_wind(0.01, lambda x, n: 0.4 - 1.2 * x[0] / 100.0)
     solver.advance()
@@ -123,8 +121,7 @@ def test_a_cable_over_sealed_air(comm: MPI.Intracomm) -> None:
 def test_combinations_of_sealed_air(comm: MPI.Intracomm) -> None:
     scene = sheet(comm, 4, "unstructured")
     scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
-    solver = Solver(scene)
-    solver.advance(pressure=0.02)
+    solver = advanced(Solver(scene), pressure=0.02)
     scene.seal(volume=60000.0, atmosphere=0.3)
     found = solver.combine(
         {"cold": {"temperature": 0.98}, "high": {"atmosphere": 0.29, "snow": 1.0}}
@@ -140,9 +137,8 @@ def test_combinations_of_sealed_air(comm: MPI.Intracomm) -> None:
         solver.combine({"warm": {"temperature": 0}})
 
 
-def test_sealed_air_goes_on(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_sealed_air_goes_on(comm: MPI.Intracomm, folder: Path) -> None:
     """From a checkpoint, and when the script runs again."""
-    folder = comm.bcast(tmp_path)
     found = []
     for resume in (False, True):
         solver = dome(comm, folder / "run", resume)
@@ -169,8 +165,7 @@ def test_fans_follow_a_load(comm: MPI.Intracomm) -> None:
     """In increments, from the pressure before, in a call of its own and in combinations."""
     scene = sheet(comm, 4, "unstructured")
     scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
-    solver = Solver(scene)
-    solver.advance(pressure=0.02)
+    solver = advanced(Solver(scene), pressure=0.02)
     fans = FanControl("snow", factors=[0.0, 0.5, 1.0], pressures=[0.01, 0.03, 0.035])
     solver.advance(load={"snow": 1.5}, pressure=fans, steps=4)
     # What is on top of the fans' 0.01 at the beginning goes off evenly.

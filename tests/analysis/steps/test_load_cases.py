@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver, meshes
@@ -24,8 +24,7 @@ def sheet(comm: MPI.Intracomm) -> Scene:
 def roof(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None = None) -> Solver:
     """An inflated sheet under two cables that slide, one with friction, and three loads."""
     scene = sheet(comm)
-    solver = Solver(scene, results=folder, resume=resume)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, results=folder, resume=resume), pressure=0.01)
     scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], tension=20.0, name="ridge")
     scene.lay_cable(Cable(9000.0, friction=0.2), [(44.0, 0.0), (53.0, 100.0)], name="cross")
     scene.put_load(SNOW, name="snow", per="plan")
@@ -118,8 +117,7 @@ def test_a_combination_is_what_a_run_of_its_own_gives(comm: MPI.Intracomm) -> No
 def test_a_combination_without_equilibrium_is_named(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solver = Solver(sheet(comm), max_halvings=1)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(sheet(comm), max_halvings=1), pressure=0.01)
     solver.scene.put_load(SNOW, name="snow")
     u = solver.scene.u.x.array.copy()
     monkeypatch.setattr(
@@ -132,8 +130,7 @@ def test_a_combination_without_equilibrium_is_named(
 
 
 def test_bad_combinations_are_refused_before_anything_is_computed(comm: MPI.Intracomm) -> None:
-    solver = Solver(sheet(comm))
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(sheet(comm)), pressure=0.01)
     solver.scene.put_load(SNOW, name="snow")
     good = {"good": {"snow": 1.0}}
     for bad, words in (
@@ -165,11 +162,11 @@ def test_bad_branches(comm: MPI.Intracomm) -> None:
 
 
 @pytest.mark.ranks
-def test_a_run_with_combinations_resumes(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_a_run_with_combinations_resumes(comm: MPI.Intracomm, folder: Path) -> None:
     """Started again it takes all from the checkpoints, wind and its coefficients included."""
 
     def run(resume: bool) -> tuple[list[float], int]:
-        solver = roof(comm, comm.bcast(tmp_path) / "run", resume)
+        solver = roof(comm, folder / "run", resume)
         found = solver.combine({"storm": {"wind": 1.0}, "snow": {"snow": 1.0}})
         evaluations = sum(solver.system.potential.evaluations for _ in (1,))
         values = [t for case in found.values() for t in case.snapshot.tensions.values()]
@@ -208,8 +205,7 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
 ) -> None:
     """Else results after `put_load` or `seal` would be of other paths than were solved for."""
     scene = sheet(comm)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], tension=20.0, name="ridge")
     scene.lay_cable(Cable(9000.0), [(44.0, 0.0), (53.0, 100.0)], tension=20.0)
     solver.advance()
@@ -233,7 +229,7 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
 
 
 @pytest.mark.ranks
-def test_rank_0_gives_the_order(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_rank_0_gives_the_order(comm: MPI.Intracomm, folder: Path) -> None:
     """Of combinations, their loads, and what is compared on finer meshes."""
     last = comm.rank == comm.size - 1
     table = {
@@ -250,7 +246,7 @@ def test_rank_0_gives_the_order(comm: MPI.Intracomm, tmp_path: Path) -> None:
         assert list(found) == comm.bcast(list(given))
         energies.append([case.step.energy for case in found.values()])
         mine = dict(reversed(found.items())) if last else found
-        one.report(Path(comm.bcast(str(tmp_path))) / "r.html", mine, pictures=[])
+        one.report(folder / "r.html", mine, pictures=[])
     if comm.size > 1:  # but for what rounds otherwise in each factorisation on several processes
         np.testing.assert_allclose(energies[0], energies[1], rtol=1e-13)
     assert min(np.ptp(energies, axis=1)) > 0.0

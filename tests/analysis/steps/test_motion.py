@@ -1,7 +1,5 @@
 """Supports that move by functions of place and time, and turn."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from cabled_square import clamped
@@ -155,8 +153,7 @@ def test_functions_that_return_something_else_are_refused(comm):
             Rotation(*arguments)
 
 
-def test_a_run_goes_on_and_knows_functions_by_their_values(comm, tmp_path):
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_a_run_goes_on_and_knows_functions_by_their_values(comm, folder):
 
     def wave(size):
         return lambda x, t: size * t * np.array([0 * x[0], 0 * x[0], np.sin(x[0])])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 from scipy.special import j0, j1
 from term_scene import irregular_square
@@ -134,8 +134,7 @@ def test_ponds_beyond_their_limit_are_refused_soon(
 def test_water_that_ends_at_a_free_edge(comm: MPI.Intracomm) -> None:
     scene = clamped(irregular_square(comm))
     scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
-    solver = Solver(scene, max_halvings=1)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene, max_halvings=1), load=1.0)
     scene.put_pond(1e-3, level=-5.0, on=["left"])
     with pytest.raises(ConvergenceError, match="ends at an edge that is free has none"):
         solver.advance(load={"pond": 1.0})
@@ -145,8 +144,7 @@ def hollow(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None 
     """A sagging sheet with a cable and two ponds, one of them on one half."""
     scene = clamped(irregular_square(comm))
     scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
-    solver = Solver(scene, results=folder, resume=resume)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene, results=folder, resume=resume), load=1.0)
     scene.lay_cable(Cable(32000.0), [(0.0, 31.0), (100.0, 52.0)], tension=20.0, name="ridge")
     scene.put_pond(1e-3, level=-5.0, on=["left", "right"], name="old")
     scene.put_pond(1e-3, volume=5000.0, name="rain")
@@ -259,8 +257,7 @@ def cushion(comm: MPI.Intracomm, n: int = 4) -> Scene:
 def test_water_does_not_hang_below_cells(comm: MPI.Intracomm) -> None:
     """Without parts water stands where the outer side faces up; a part that faces down is named."""
     scene = cushion(comm)
-    solver = Solver(scene)
-    solver.advance(pressure=0.5)
+    solver = advanced(Solver(scene), pressure=0.5)
     before = scene.versions.current
     with pytest.raises(InputError, match=r"'pond' face the other way .* in the part 'half'"):
         scene.put_pond(1.0, level=0.1, on=["top", "half"])

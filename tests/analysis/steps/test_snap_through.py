@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, SnapThroughWarning, Solver, meshes
@@ -23,8 +23,7 @@ def dome(comm: MPI.Intracomm, size: float, unit: float = 1.0, folder: Path | Non
     mesh = meshes.spherical_cap(comm, RADIUS * unit, HEIGHT * unit, size * unit)
     fabric = IsotropicMembrane(E=STIFFNESS / unit, nu=NU, thickness=unit)
     scene = clamped(mesh, fabric)
-    solver = Solver(scene, results=folder)
-    solver.advance(pressure=PRESSURE / unit)
+    solver = advanced(Solver(scene, results=folder), pressure=PRESSURE / unit)
     scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
     return solver
 
@@ -103,8 +102,7 @@ def test_a_flat_sheet_goes_through_stable_states(comm: MPI.Intracomm, steps: int
     scene = sheet(
         comm, 8, material=IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=1.0), side=10.0
     )
-    solver = Solver(scene)
-    solver.advance(pressure=0.5)
+    solver = advanced(Solver(scene), pressure=0.5)
     solver.advance(pressure=-0.5, steps=steps)
     solver.advance(pressure=0.0)
     scene.put_pond(10.0, level=1e-3)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import FOIL, clamped
+from cabled_square import FOIL, advanced, clamped
 from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -72,8 +72,7 @@ def test_a_failed_step_that_tightened_a_cable_can_be_followed_by_others(
 ) -> None:
     scene = clamped(square)
     cable = scene.lay_cable(CABLE, ACROSS, L0=101.0)
-    solver = Solver(scene, max_halvings=0)
-    solver.advance(pressure=0.001)
+    solver = advanced(Solver(scene, max_halvings=0), pressure=0.001)
     before = state(scene)
     assert not cable.taut
 
@@ -104,8 +103,7 @@ def test_an_interrupt_leaves_the_last_good_state(
 ) -> None:
     scene = clamped(square)
     cable = scene.lay_cable(CABLE, ACROSS)
-    solver = Solver(scene)
-    solver.advance(pressure=0.005)
+    solver = advanced(Solver(scene), pressure=0.005)
     before = state(scene)
 
     def interrupt(*arguments: object) -> None:
@@ -147,8 +145,7 @@ def test_supports_that_move_alike_carry_all_with_them(
     """Without a load nothing tells a slack membrane where to go; under load it is a state moved."""
     scene = clamped(free_mesh)
     cable = scene.lay_cable(CABLE, [(-10.0, 47.0, 0.0), (110.0, 52.0, 0.0)], L0=120.0)
-    solver = Solver(scene)
-    solver.advance(pressure=pressure)
+    solver = advanced(Solver(scene), pressure=pressure)
     before = [scene.energies["membrane"], cable.tension, cable.state.positions, scene.positions()]
     before = [np.array(value) for value in before]
     way = np.array([3.0, -2.0, 40.0])
@@ -227,8 +224,7 @@ def test_other_minimisers_find_the_same(
     usual, other = clamped(square), clamped(square)
     Solver(usual).advance(pressure=0.01)
     options("own_tao_type", kind)
-    solver = Solver(other, prefix="own_")
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(other, prefix="own_"), pressure=0.01)
     assert solver.system.minimizer.tao.getType() == kind
     assert_same(state(other), state(usual), 1e-7)
 
@@ -242,15 +238,14 @@ def test_the_factorisation_of_h0_is_an_option(
     Solver(usual).advance(pressure=0.01)
     options("crms_h0_pc_factor_mat_solver_type", package)
     options("crms_h0_pc_type", "lu")
-    solver = Solver(other)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(other), pressure=0.01)
     h0 = solver.system.minimizer.h0.pc
     assert (h0.getType(), h0.getFactorSolverType()) == ("lu", package)
     assert_same(state(other), state(usual), 1e-9)
 
 
 def test_a_load_step_begins_with_the_h0_that_is_there(
-    square: meshes.MembraneMesh, tmp_path: Path
+    square: meshes.MembraneMesh, folder: Path
 ) -> None:
     """Not after it has been saved, as one that goes on from there has none, nor on a floor, which
     it may have left. It is the same equilibrium: to the tolerance in the end."""
@@ -258,7 +253,6 @@ def test_a_load_step_begins_with_the_h0_that_is_there(
     floored.floor(-1.0)
     solvers = [Solver(scene) for scene in (kept, saved, floored)]
     steps = []
-    folder = square.comm.bcast(tmp_path)
     for pressure in (0.01, 0.0101):
         steps = [solver.advance(pressure=pressure) for solver in solvers]
         solvers[1].save(folder / "point")
@@ -270,8 +264,7 @@ def test_a_load_step_begins_with_the_h0_that_is_there(
 def test_options_of_another_prefix_do_not_count(square: meshes.MembraneMesh, options: Any) -> None:
     options("other_tao_type", "bncg")
     options("crms_tao_blmvm_mat_lmvm_hist_size", "7")
-    solver = Solver(clamped(square))
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(clamped(square)), pressure=0.01)
     assert solver.system.minimizer.tao.getType() == "blmvm"
     assert PETSc.Options()["crms_tao_blmvm_mat_lmvm_hist_size"] == "7"  # not overwritten
 
@@ -279,8 +272,7 @@ def test_options_of_another_prefix_do_not_count(square: meshes.MembraneMesh, opt
 @pytest.mark.ranks
 def test_petsc_objects_are_freed(square: meshes.MembraneMesh) -> None:
     scene = clamped(square)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     old = solver.system.minimizer, solver.system.potential
     scene.lay_cable(CABLE, ACROSS, tension=10.0)
     solver.advance()
@@ -650,8 +642,7 @@ def test_two_cables_side_by_side_act_as_one(free_mesh: meshes.MembraneMesh, gap:
 def test_a_cable_that_runs_into_a_vertex_is_reported(square: meshes.MembraneMesh) -> None:
     """The route has a corner above two vertices; pulled straight it would pass below them."""
     scene = clamped(square)
-    solver = Solver(scene, slide=False)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, slide=False), pressure=0.01)
     cable = scene.lay_cable(CABLE, [(0.0, 51.0), (50.0, 52.0), (100.0, 31.0)])
     taut = cable.L0
     solver.advance(L0={cable: 1.01 * taut})
@@ -693,8 +684,7 @@ def test_a_cable_that_slides_forgets_the_way_it_was_laid(
     found = []
     for y, slide in ((41.0, True), (via, True), (via, False)):
         scene = clamped(square)
-        solver = Solver(scene, slide=slide)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene, slide=slide), pressure=0.01)
         cable = scene.lay_cable(CABLE, [(0.0, 51.0), (50.0, y), (100.0, 31.0)], L0=100.5)
         with warnings.catch_warnings():
             if not slide:
@@ -736,8 +726,7 @@ def test_loads_that_cancel_on_their_way_are_none(square) -> None:
     """0.01 - 2/3 0.015 is not zero in floating point, and would be a load for what is slack."""
     scene = clamped(square)
     scene.floor(0.0)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     solver.advance(pressure=-0.005, steps=3)
     pressures = [row["pressure"] for row in solver.history]
     assert pressures[2] == 0.0

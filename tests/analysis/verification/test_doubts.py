@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cable_edits import put
-from cabled_square import clamped
+from cabled_square import advanced, clamped, put
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, DoubtWarning, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, DoubtWarning, IsotropicMembrane, LaidCable, Scene, Solver, meshes
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver
 from crms_fenicsx.analysis.verification.doubts import tension_range
-from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import last_doubt
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -165,8 +163,7 @@ def test_the_range_contains_the_tension_on_fine_cells(comm: MPI.Intracomm, case:
             straight = case == "structured"
             mesh = meshes.rectangle(comm, 100.0, 100.0, 100.0 / cells, structured=straight)
         scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        solver = Solver(scene)
-        solver.advance(pressure=0.02)
+        solver = advanced(Solver(scene), pressure=0.02)
         ends = [(-49.9, 0.0), (47.0, -16.0)] if case == "dome" else [(0.0, 37.0), (100.0, 52.0)]
         cable = scene.lay_cable(Cable(0.5), ends)
         with warnings.catch_warnings():
@@ -187,8 +184,7 @@ def test_a_range_contains_that_of_ends_farther_up_the_slope(comm: MPI.Intracomm)
     for size, EA in ((1.0, 1e-4), (1.75, 200.0), (0.7, 200.0), (3.5, 20.0)):
         mesh = meshes.spherical_cap(comm, 10.0, 4.5, size=size)
         scene = clamped(mesh, IsotropicMembrane(E=200.0, nu=0.3, thickness=1.0, wrinkling=False))
-        solver = Solver(scene)
-        solver.advance(pressure=1.0)
+        solver = advanced(Solver(scene), pressure=1.0)
         L0 = 0.995 * lengths[0] if lengths[0] else None
         cable = scene.lay_cable(Cable(EA), [(-6.3, 1.1), (7.1, -2.0)], L0=L0)
         lengths[0] = lengths[0] or cable.L0

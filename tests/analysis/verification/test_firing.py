@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cable_edits import put
+from cabled_square import put
 from mpi4py import MPI
 from spoilt_states import alarms, cabled, checked, masts, names, pressing
 
-from crms_fenicsx import Friction, Solver
+from crms_fenicsx import Friction, LaidCable, Solver
 from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.model.laid_cable import LaidCable
 
 pytestmark = pytest.mark.usefixtures("comm")
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cable_edits import put
+from cabled_square import advanced, put
+from grids import numbered, triangles
 from mpi4py import MPI
 from spoilt_states import (
     SCENES,
@@ -123,19 +124,13 @@ def rigid_cylinder(comm: MPI.Intracomm) -> Solver:
     x, z = np.meshgrid(np.linspace(0.0, 15.0, n + 1), np.linspace(0.0, 8.0, n + 1), indexing="ij")
     x += 0.3 * np.sin(7.0 * z) * (x > 0.0) * (x < 15.0)
     points = np.stack([R * np.cos(x / R), R * np.sin(x / R), z], axis=-1).reshape(-1, 3)
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    cells = np.concatenate(
-        [np.stack([a, a + n + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + 1], 1)]
-    )
-    mesh = meshes.from_arrays(comm, points, cells)
+    mesh = meshes.from_arrays(comm, points, triangles(numbered(*x.shape)))
     scene = Scene(mesh, IsotropicMembrane(E=1e6, nu=0.3, thickness=1.0, wrinkling=False))
     scene.fix(lambda at: np.full(at.shape[1], True))
     t = np.linspace(0.0, 15.0, 60)
     route = np.stack([R * np.cos(t / R), R * np.sin(t / R), 2.1 + 0.25 * t], axis=-1)
     cable = scene.lay_cable(Cable(EA=1.0, friction=0.1), route)
-    solver = Solver(scene)
-    solver.advance(L0={cable: 0.99 * cable.length})
-    return solver
+    return advanced(Solver(scene), L0={cable: 0.99 * cable.length})
 
 
 def test_a_cable_at_a_vertex_of_a_rigid_cylinder_is_found(comm: MPI.Intracomm) -> None:

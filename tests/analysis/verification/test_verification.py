@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cable_edits import put
-from cabled_square import PRESSURE, clamped, sheet
+from cabled_square import PRESSURE, advanced, clamped, put, sheet
+from grids import grid
 from mpi4py import MPI
 from spoilt_states import checked, names
 
-from crms_fenicsx import (
-    Cable,
-    ConvergenceError,
-    Friction,
-    IsotropicMembrane,
-    Scene,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Cable, ConvergenceError, Friction, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.verifier import Verifier
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -27,9 +19,7 @@ def roped(comm: MPI.Intracomm, friction: float | Friction = 0.0) -> Solver:
     """An inflated square with a taut oblique cable, solved."""
     scene = sheet(comm, 7)
     scene.lay_cable(Cable(32000.0, friction=friction), [(0, 31), (100, 52)], L0=101.5)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
-    return solver
+    return advanced(Solver(scene), pressure=PRESSURE)
 
 
 @pytest.mark.ranks
@@ -59,8 +49,7 @@ def test_what_is_checked_stays_as_it_is(comm: MPI.Intracomm) -> None:
     for verify in (True, False):
         scene = sheet(comm, 7)
         cable = scene.lay_cable(Cable(32000.0), [(0, 31), (100, 52)], L0=101.5)
-        solver = Solver(scene, verify=verify)
-        solver.advance(pressure=PRESSURE, steps=2)
+        solver = advanced(Solver(scene, verify=verify), pressure=PRESSURE, steps=2)
         results.append([scene.energy, cable.tension, *cable.state.positions.ravel()])
         assert (solver.steps[-1].verification is not None) == verify
     if comm.size == 1:  # the order in which several add up forces is not always the same
@@ -111,11 +100,7 @@ def test_a_soft_prestressed_sheet_at_rest_is_in_equilibrium(comm: MPI.Intracomm)
 def test_slivers_raise_no_alarm(comm: MPI.Intracomm, thin: float) -> None:
     """A row of cells that the displacements of their neighbours would turn over."""
     lines = np.array([0.0, 20.0, 40.0, 40.0 + 20.0 * thin, 60.0, 80.0, 100.0])
-    X, Y = np.meshgrid(lines, lines[[0, 1, 2, 4, 5, 6]])
-    n, rows = len(lines), 5
-    a = (np.arange(rows)[:, None] * n + np.arange(n - 1)).ravel()
-    cells = np.concatenate([np.stack([a, a + 1, a + n + 1], 1), np.stack([a, a + n + 1, a + n], 1)])
-    scene = clamped(meshes.from_arrays(comm, np.stack([X.ravel(), Y.ravel()], 1), cells))
+    scene = clamped(meshes.from_arrays(comm, *grid(lines, lines[[0, 1, 2, 4, 5, 6]])))
     scene.lay_cable(Cable(32000.0), [(0, 31), (100, 52)], L0=101.0)
     solver = Solver(scene)
     step = solver.advance(pressure=PRESSURE)
@@ -242,8 +227,7 @@ def test_too_much_friction_is_found(comm: MPI.Intracomm, friction: float | Frict
     cable = scene.lay_cable(
         Cable(32000.0, friction=friction), [(-4, 31, 4), (104, 52, 4)], L0=110.0
     )
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     solver.advance(move={cable: (0.0, 8.0, 2.0)})
     assert not checked(solver).failed
     less = Friction(1e-6) if cable.state.law.axial is None else Friction(0.0, along=1e-6)
@@ -261,8 +245,7 @@ def test_moved_supports_and_a_floor_run_through_are_found(comm: MPI.Intracomm) -
     """What the loads prescribe, and the obstacle."""
     scene = sheet(comm, 7)
     scene.floor(-1.0)
-    solver = Solver(scene)
-    solver.advance(pressure=-1e-3)
+    solver = advanced(Solver(scene), pressure=-1e-3)
     assert not checked(solver).failed
 
     def push() -> None:
@@ -273,8 +256,7 @@ def test_moved_supports_and_a_floor_run_through_are_found(comm: MPI.Intracomm) -
     def sink() -> None:
         scene.u.x.array.reshape(-1, 3)[~scene.held.all(axis=1), 2] -= 1.0
 
-    solver = Solver(scene)
-    solver.advance(pressure=-1e-3)
+    solver = advanced(Solver(scene), pressure=-1e-3)
     assert "depth below the floor" in names(checked(solver, sink))
 
 

@@ -6,11 +6,11 @@ import csv
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet
+from grids import grid
 from taylor import OnMesh, gradient_order, noise
 from term_scene import displaced
 from vtu_file import read_vtu
@@ -37,13 +37,21 @@ def square(comm, size=1.3, structured=False) -> Scene:
     return clamped(meshes.rectangle(comm, 10.0, 10.0, size, structured=structured), FABRIC)
 
 
-def crossed(comm, **options) -> tuple[Scene, Solver]:
+def crossed(comm, friction=0.0, rtol=1e-11, **options) -> tuple[Scene, Solver]:
     """A square with two cables that cross in its middle, and a load on its left half."""
     scene = square(comm, **options)
     for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
-        scene.lay_cable(Cable(EA), path, tension=5.0, name=name)
-    scene.put_load(lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)]), name="half")
-    return scene, Solver(scene, rtol=1e-11)
+        scene.lay_cable(Cable(EA, friction=friction), path, tension=5.0, name=name)
+    scene.put_load(on_half, name="half")
+    return scene, Solver(scene, rtol=rtol)
+
+
+def on_half(x, n):
+    return np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])
+
+
+def state_of(scene: Scene) -> list[float]:
+    return [scene.energy, *(cable.tension for cable in scene.cables)]
 
 
 @pytest.mark.parametrize(("n", "rtol"), [(8, 1e-9), (7, 5e-9)])
@@ -67,9 +75,9 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     scene, solver = crossed(comm)
     solver.advance(pressure=2.0)
     solver.advance(load={"half": 1.0})
-    slid = [scene.energy, *(cable.tension for cable in scene.cables)]
+    slid = state_of(scene)
     solver.advance(load={"half": 0.0})
-    before = [scene.energy, *(cable.tension for cable in scene.cables)]
+    before = state_of(scene)
     (clamp,) = scene.clamp("a", "b")
     solver.advance(load={"half": 1.0})
     assert solver.steps[-1].verification.passed
@@ -92,7 +100,7 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     )  # the same on any number of processes
     scene.unclamp("a", "b")
     solver.advance(load={"half": 0.0})
-    after = [scene.energy, *(cable.tension for cable in scene.cables)]
+    after = state_of(scene)
     # to rounding, from the state that a cycle of this load leaves: before it a cable lay on the
     # other side of a vertex, at an energy 5e-7 higher
     np.testing.assert_allclose(after, before, rtol=1e-9)
@@ -102,10 +110,10 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
 def test_clamping_changes_nothing_in_an_equilibrium(comm) -> None:
     scene, solver = crossed(comm)
     solver.advance(pressure=2.0, load={"half": 1.0})
-    before = [scene.energy, *(cable.tension for cable in scene.cables)]
+    before = state_of(scene)
     scene.clamp("a", "b")
     solver.advance()
-    after = [scene.energy, *(cable.tension for cable in scene.cables)]
+    after = state_of(scene)
     np.testing.assert_allclose(after, before, rtol=1e-9)
     for cable in scene.cables:
         np.testing.assert_allclose(cable.tensions, cable.tension, rtol=1e-8)
@@ -139,8 +147,7 @@ def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm, optio
 
 
 @pytest.mark.ranks
-def test_clamps_survive_checkpoints_branches_and_lengths(comm, tmp_path) -> None:
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_clamps_survive_checkpoints_branches_and_lengths(comm, folder) -> None:
     scene, solver = crossed(comm)
     scene.clamp("a", "b")
     solver.advance(pressure=2.0)
@@ -188,9 +195,8 @@ def test_clamps_near_places_and_of_removed_cables(comm) -> None:
 
 
 @pytest.mark.ranks
-def test_lengths_to_order(comm, tmp_path) -> None:
+def test_lengths_to_order(comm, folder) -> None:
     """At a tension and a temperature, with the clamps' spacings and allowances; also in reports."""
-    folder = Path(comm.bcast(str(tmp_path)))
     scene, solver = crossed(comm)
     scene.clamp("a", "b")
     solver.advance(pressure=1.0)
@@ -309,8 +315,7 @@ def test_clamped_cables_along_lines_of_the_mesh_are_tightened(comm, order) -> No
     scene = sheet(comm, 10, material=IsotropicMembrane(E=400.0, nu=0.25, thickness=1.0), side=14.0)
     paths = ([(0.0, 7.0), (14.0, 7.0)], [(7.0, 0.0), (7.0, 14.0)])
     cables = [scene.lay_cable(Cable(EA=5e3), path) for path in paths]
-    solver = Solver(scene)
-    solver.advance(pressure=0.3)
+    solver = advanced(Solver(scene), pressure=0.3)
     scene.clamp(*cables)
     for k in order:
         step = solver.advance(L0={cables[k]: 0.995 * cables[k].L0})
@@ -342,10 +347,8 @@ def test_a_clamped_net_against_bars_between_shared_nodes(comm, n, cables, rtol) 
             for ends in pairwise(places)
         ]
     for scene in (net, barred):
-        load = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
-        scene.put_load(load, name="half")
-        solver = Solver(scene, rtol=1e-11)
-        solver.advance(pressure=2.0)
+        scene.put_load(on_half, name="half")
+        solver = advanced(Solver(scene, rtol=1e-11), pressure=2.0)
         solver.advance(load={"half": 1.0})
     assert net.energy == pytest.approx(barred.energy, rel=rtol)
     for cable in net.cables:
@@ -400,8 +403,7 @@ def test_taylor_of_cables_that_slip_through_clamps(comm) -> None:
     assert gradient_order(f, x, d) > 1.9
 
 
-def test_slipped_clamps_in_checkpoints(comm, tmp_path) -> None:
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_slipped_clamps_in_checkpoints(comm, folder) -> None:
     runs = []
     for saved in (True, False):
         scene, solver = crossed(comm)
@@ -423,13 +425,7 @@ def test_friction_along_cables_between_clamps(comm) -> None:
     the clamp, at which it jumps, to the anchors."""
     found = {}
     for along in (0.0, 1e-4, 0.05):
-        scene = square(comm)
-        for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
-            friction = Friction(0.0, along=along) if along else 0.0
-            scene.lay_cable(Cable(EA, friction=friction), path, tension=5.0, name=name)
-        half = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
-        scene.put_load(half, name="half")
-        solver = Solver(scene, rtol=1e-10)
+        scene, solver = crossed(comm, Friction(0.0, along=along) if along else 0.0, 1e-10)
         solver.advance(pressure=2.0)
         (clamp,) = scene.clamp("a", "b")
         solver.advance(load={"half": 1.0})
@@ -457,13 +453,7 @@ def test_slipping_clamps_on_cables_with_friction_along(comm) -> None:
     without a limit, with hardly any the cables slide as if unclamped. Clamping changes nothing."""
     found = {}
     for slip in (None, 1e3, 0.3, 1e-4, 0.0):
-        scene = square(comm)
-        for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
-            cable = Cable(EA, friction=Friction(0.0, along=0.05))
-            scene.lay_cable(cable, path, tension=5.0, name=name)
-        half = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
-        scene.put_load(half, name="half")
-        solver = Solver(scene, rtol=1e-10)
+        scene, solver = crossed(comm, Friction(0.0, along=0.05), 1e-10)
         solver.advance(pressure=2.0)
         before = [scene.energy, *scene.cable("a").tensions]
         if slip != 0.0:
@@ -490,10 +480,10 @@ def test_slipping_clamps_on_cables_with_friction_along(comm) -> None:
 
 @pytest.mark.filterwarnings("ignore::crms_fenicsx.FrictionWarning")
 @pytest.mark.parametrize("law", ["coulomb", "step"])
-def test_energies_of_all_friction_are_added(comm, tmp_path, law: str) -> None:
+def test_energies_of_all_friction_are_added(comm, folder, law: str) -> None:
     """The energy of slipping clamps, of friction sideways and of friction along, each on cables of
     its own, is what is minimised without the heat of the step; so it is after a checkpoint."""
-    folder, found = Path(comm.bcast(str(tmp_path))), []
+    found = []
     rubbing = {"c": (2.4, Friction(0.05, law=law)), "d": (7.6, Friction(0.0, along=0.1))}
     for saved in (True, False):
         scene, solver = crossed(comm, size=1.6)
@@ -526,13 +516,7 @@ def test_clamps_with_friction_in_a_cone(comm) -> None:
     """Between those of the net that slides and of the one whose friction is a box."""
     energies = {}
     for cone, joined in ((True, False), (True, True), (False, True)):
-        scene = square(comm)
-        for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
-            cable = Cable(EA, friction=Friction(0.2, along=0.2, cone=cone))
-            scene.lay_cable(cable, path, tension=5.0, name=name)
-        half = lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)])  # noqa: E731
-        scene.put_load(half, name="half")
-        solver = Solver(scene, rtol=1e-10)
+        scene, solver = crossed(comm, Friction(0.2, along=0.2, cone=cone), 1e-10)
         solver.advance(pressure=2.0)
         if joined:
             scene.clamp("a", "b")
@@ -554,8 +538,7 @@ def test_a_clamp_comes_down_on_its_vertex(comm, n) -> None:
     ):
         cable = scene.lay_cable(Cable(EA), path, tension=5.0, name=name)
         ends += [cable.start, cable.end]
-    solver = Solver(scene, rtol=1e-10)
-    solver.advance(pressure=1.0)
+    solver = advanced(Solver(scene, rtol=1e-10), pressure=1.0)
     scene.clamp("a", "b")
     solver.advance()
     before = np.concatenate([cable.tensions for cable in scene.cables])
@@ -569,13 +552,11 @@ def test_a_clamp_comes_down_on_its_vertex(comm, n) -> None:
 
 
 @pytest.mark.ranks
-def test_clamps_and_bonds_in_all_that_is_written(comm, tmp_path) -> None:
+def test_clamps_and_bonds_in_all_that_is_written(comm, folder) -> None:
     """History, series for ParaView, combinations and report, of a net whose clamp slips."""
-    folder = Path(comm.bcast(str(tmp_path)))
     scene, _ = crossed(comm)
     scene.lay_cable(Cable(EA), [(0.0, 8.0), (10.0, 8.0)], hold="bonded", name="c")
-    solver = Solver(scene, results=folder / "run")
-    solver.advance(pressure=2.0)
+    solver = advanced(Solver(scene, results=folder / "run"), pressure=2.0)
     scene.clamp("a", "b", slip=0.3)
     found = solver.combine({"calm": {}, "storm": {"half": 1.0}})
     solver.advance(load={"half": 1.0})
@@ -607,13 +588,11 @@ def test_clamps_and_bonds_in_all_that_is_written(comm, tmp_path) -> None:
 def shaken(comm, n: int, seed: int) -> meshes.MembraneMesh:
     """A square of n cells a side, inner vertices moved at random; the same with any gmsh."""
     x = np.linspace(0.0, 100.0, n + 1)
-    points = np.array([(a, b, 0.0) for b in x for a in x])
+    points, cells = grid(x, x, by_rows=True)
     inner = np.all((points[:, :2] > 0.0) & (points[:, :2] < 100.0), axis=1)
     moved = np.random.default_rng(seed).uniform(-0.2, 0.2, (inner.sum(), 2))
     points[inner, :2] += moved * 100.0 / n
-    first = np.array([k // n * (n + 1) + k % n for k in range(n * n)])
-    cells = [first + np.array([[0], [1], [n + 2]]), first + np.array([[0], [n + 2], [n + 1]])]
-    return meshes.from_arrays(comm, points, np.stack(cells, axis=-1).reshape(3, -1).T)
+    return meshes.from_arrays(comm, points, cells)
 
 
 @pytest.mark.ranks

@@ -11,14 +11,15 @@ from itertools import combinations, pairwise
 import numpy as np
 import numpy.typing as npt
 import pytest
-from cable_edits import put
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, put, sheet
+from grids import hills
 from mpi4py import MPI
 from polygon_twins import split_polygon
 from scipy.spatial import Delaunay
+from strip_roof import cable_of
 from term_scene import ISOTROPIC
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, PathError, Scene, Solver, meshes
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.cables import crossings as crossings_module
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
@@ -27,11 +28,10 @@ from crms_fenicsx.cabling.cables.strip import Strip
 from crms_fenicsx.cabling.contact.lift_off import sunk
 from crms_fenicsx.energy.terms.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import trace
-from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState, Crossing, LaidAs
+from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 PLACES = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0)])
@@ -73,13 +73,8 @@ def cable_over(
         inner = "tied" if k in (0, len(points) - 1) or isinstance(point, CellPoint) else "fold"
         nodes.append(CableNode("vertex" if isinstance(point, VertexPoint) else inner, point))
     interpolation = [node.interpolation() for node in nodes]
-    fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
-    state = CableState(
-        tuple(nodes), np.array([np.dot(w, places[list(ids)]) for ids, w in interpolation]),
-        np.array(fractions), np.zeros(len(nodes), dtype=bool), np.full((len(nodes), 3), np.nan),
-        CableLaw(Cable(1000.0), 1.0, 1.0, 10.0, taut=taut), LaidAs(layer=layer),
-    )  # fmt: skip
-    return LaidCable("cable", state)
+    at = [np.dot(w, places[list(ids)]) for ids, w in interpolation]
+    return cable_of(Cable(1000.0), nodes, at, taut=taut, layer=layer)
 
 
 def kinds(cable: LaidCable) -> str:
@@ -481,8 +476,7 @@ def crossed_square(
 ) -> tuple[Scene, list[LaidCable], Solver]:
     """An inflated square under two cables that cross off its middle, the second the tighter."""
     scene = sheet(comm, 5, "unstructured", ISOTROPIC)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     routes = {"first": [(0.0, 43.0), (100.0, 48.0)], "second": [(57.0, 0.0), (52.0, 100.0)]}
     cables = [
         scene.lay_cable(
@@ -619,8 +613,7 @@ def test_all_pairs_of_many_cables_are_found(comm) -> None:
         scene.lay_cable(Cable(32000.0), [(0.0, y), (100.0, y + 3.0)], tension=10.0)
     for x in (33.0, 68.0):
         scene.lay_cable(Cable(32000.0), [(x, 0.0), (x + 3.0, 100.0)], tension=10.0)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    Solver(scene).advance(pressure=0.01)
     pairs = sorted((crossing.lower, crossing.upper) for crossing in scene.net.crossings)
     expected = [(a, b) for a, b in combinations(range(5), 2) if a < 3 <= b]
     assert pairs == expected
@@ -632,24 +625,8 @@ def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:
 
     Such a state has less energy than any that is one.
     """
-
-    def hills(x, y):
-        rise = 12 * np.sin(np.pi * x / 100) * np.sin(np.pi * y / 100)
-        return rise + 3 * np.sin(3 * np.pi * x / 100) * np.sin(2 * np.pi * y / 100)
-
     rng = np.random.default_rng(505)
-    n = int(rng.integers(7, 11))
-    x, y = (a.ravel() for a in np.meshgrid(*2 * [np.linspace(0.0, 100.0, n + 1)]))
-    points = np.column_stack([x, y, hills(x, y)])
-    inner = (np.minimum(x, y) > 1) & (np.maximum(x, y) < 99)
-    points[inner, :2] += rng.uniform(-1, 1, (inner.sum(), 2)) * 20 / n
-    cells: list[tuple[int, int, int]] = []
-    for j, i in np.ndindex(n, n):
-        a = j * (n + 1) + i
-        b, d, e = a + 1, a + n + 1, a + n + 2
-        cells += [(a, b, e), (a, e, d)] if (i + j) % 2 else [(a, b, d), (b, e, d)]
-    mesh = meshes.from_arrays(comm, points, np.array(cells))
-    scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene = clamped(meshes.from_arrays(comm, *hills(int(rng.integers(7, 11)), rng)))
     ends = [(-5.0, rng.uniform(20, 80), 0.0), (105.0, rng.uniform(20, 80), 0.0)]
     others = [(rng.uniform(20, 80), -5.0, 0.0), (rng.uniform(20, 80), 105.0, 0.0)]
     L0 = [rng.uniform(108, 113) for _ in range(2)]
@@ -657,8 +634,7 @@ def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:
         scene.lay_cable(Cable(32000.0), path, L0=length + 8)
         for path, length in zip((ends, others), L0, strict=True)
     ]
-    solver = Solver(scene)
-    solver.advance(L0=dict(zip(cables, L0, strict=True)), pressure=2e-4)
+    solver = advanced(Solver(scene), L0=dict(zip(cables, L0, strict=True)), pressure=2e-4)
     solver.advance(pressure=0.01, steps=3)
     assert sunk(cables, scene.net.nodes, scene.net.strip_shape()) == set()
     assert scene.energy > 64.0  # 63.65 with the span below the vertex

@@ -6,8 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cable_edits import put
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, put, sheet
 from mpi4py import MPI
 from ridged_square import OBLIQUE, ridged
 from scipy.optimize import minimize_scalar
@@ -32,8 +31,7 @@ def oblique(
 ) -> tuple[Scene, LaidCable, Solver]:
     """An inflated square under a cable that is anchored off it on both sides."""
     scene = sheet(comm, 4, "unstructured", ISOTROPIC)
-    solver = Solver(scene, slide=slide)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, slide=slide), pressure=0.01)
     cable = scene.lay_cable(CABLE, OBLIQUE)
     solver.advance(L0={cable: (1 - shorter) * cable.L0}, steps=2)
     return scene, cable, solver
@@ -95,8 +93,7 @@ def test_energy_is_least_where_the_edge_slider_is(comm) -> None:
     cable = scene.lay_cable(CABLE, OVER_THE_RIDGE)
     (k,) = edge_sliders(cable)
     first = cable.state.fractions[k]
-    solver = Solver(scene)
-    solver.advance(pressure=0.01, move={"ridge": (0.0, 0.0, 8.0)})
+    solver = advanced(Solver(scene), pressure=0.01, move={"ridge": (0.0, 0.0, 8.0)})
     step = solver.advance(L0={cable: 0.99 * cable.L0})
     assert all(s.halvings == 0 and s.outcome.iterations < 40 for s in solver.steps)
     energy, found = scene.energy, cable.state.fractions[k]
@@ -155,8 +152,7 @@ def test_the_number_of_processes_does_not_matter(comm) -> None:
 def spanned(comm: MPI.Intracomm) -> tuple[Scene, LaidCable, Solver]:
     """A cable from both sides of the square, held and tied, straight to its raised middle."""
     scene = ridged(comm)
-    solver = Solver(scene)
-    solver.advance(pressure=0.001, move={"ridge": (0.0, 0.0, 20.0)})
+    solver = advanced(Solver(scene), pressure=0.001, move={"ridge": (0.0, 0.0, 20.0)})
     cable = scene.lay_cable(CABLE, [*OVER_THE_RIDGE[:2], (85.0, 61.0)])
     solver.advance(L0={cable: 0.995 * cable.L0}, move={"ridge": (0.0, 3.0, 1.0)}, steps=2)
     return scene, cable, solver

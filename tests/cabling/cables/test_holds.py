@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from form_meshes import SIDES
 from mpi4py import MPI
 from taylor import gradient_order, stiffness_error
@@ -46,9 +46,7 @@ def square(
 
 def inflated(scene: Scene, pressure: float = 0.01) -> Solver:
     """The same under pressure."""
-    solver = Solver(scene, rtol=1e-10)
-    solver.advance(pressure=pressure, steps=2)
-    return solver
+    return advanced(Solver(scene, rtol=1e-10), pressure=pressure, steps=2)
 
 
 def places(cable: LaidCable) -> np.ndarray:
@@ -123,8 +121,7 @@ def test_newton_steps_converge_where_a_bonded_cable_turns_slack(
         scene = square(comm, n, structured, sheet)
         if bonded:
             cable = scene.lay_cable(Cable(30000.0), [(0, 50), (100, 50)], hold="bonded", L0=100.1)
-        solver = Solver(scene)
-        solver.advance(pressure=0.008)
+        solver = advanced(Solver(scene), pressure=0.008)
         if bonded:
             assert cable.tension > 20.0
         outcome = solver.advance(pressure=0.002).outcome
@@ -212,8 +209,7 @@ def test_friction_along_a_pocket_counts_the_turn_in_the_plane(comm: MPI.Intracom
     cable = scene.lay_cable(
         Cable(1e4, friction=Friction(0.3, along=mu)), path, hold="pocket", tension=5.0
     )
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     solver.advance(move={cable.end: (0.0, 3.0, 0.0)}, steps=2)
     assert cable.tensions[-1] / cable.tensions[0] == pytest.approx(np.exp(mu * angle), rel=1e-2)
 
@@ -231,8 +227,7 @@ def snowed(found: FoundForm, **given: object) -> Solver:
     """The same under snow, its cables of 12 mm."""
     fabric = OrthotropicMembrane(600.0, 600.0, 30.0, 0.4, thickness=1.0, warp=(1.0, 1.0, 0.0))
     scene = found.scene(fabric, Cable(EA=205.0 * 36 * np.pi), **given)
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
     solver.advance(load={"snow": 1.0})
     return solver
@@ -260,8 +255,8 @@ def test_belts_along_sliding_edge_cables(comm: MPI.Intracomm) -> None:
     assert belted.scene.cable("belt front").tension > 0.0
 
 
-def test_checkpoints_keep_what_holds_a_cable(comm: MPI.Intracomm, tmp_path: Path) -> None:
-    folder = Path(comm.bcast(str(tmp_path))) / "state"
+def test_checkpoints_keep_what_holds_a_cable(comm: MPI.Intracomm, folder: Path) -> None:
+    folder = folder / "state"
 
     def begun() -> Solver:
         scene = square(comm)

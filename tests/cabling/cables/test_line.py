@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
+from grids import alternating, grid
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, Scene, Solver, meshes
-from crms_fenicsx.model.friction import Friction
+from crms_fenicsx import Cable, Friction, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 EA = 32000.0
@@ -26,8 +26,7 @@ def inflated(comm: MPI.Intracomm, *, structured: bool = True) -> tuple[Scene, So
 
 def inflated_on(mesh: meshes.MembraneMesh) -> tuple[Scene, Solver]:
     scene = clamped(mesh)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     return scene, solver
 
 
@@ -72,12 +71,9 @@ def test_its_length_is_the_cables(comm: MPI.Intracomm, ends: str) -> None:
 @pytest.mark.parametrize("along", [0.0, 0.3])
 def test_tension_is_what_the_line_says(comm: MPI.Intracomm, along: float) -> None:
     """Also where a point of the cable is held at a vertex, and the segment there is smoothed."""
-    points = [(x, y) for y in np.linspace(0.0, 100.0, 7) for x in np.linspace(0.0, 100.0, 7)]
-    cells = []
-    for i, j in np.ndindex(6, 6):  # diagonals to and fro, so that some vertices have eight edges
-        a, b, c, d = (7 * i + j + k for k in (0, 1, 7, 8))
-        cells += [(a, b, d), (a, d, c)] if (i + j) % 2 else [(a, b, c), (b, d, c)]
-    scene, solver = inflated_on(meshes.from_arrays(comm, points, cells))
+    line = np.linspace(0.0, 100.0, 7)  # diagonals to and fro: some vertices have eight edges
+    surface = grid(line, line, other=~alternating(6, 6), by_rows=True)
+    scene, solver = inflated_on(meshes.from_arrays(comm, *surface))
     paths = [(0.0, 18.567), (100.0, 65.378)], [(60.831, 0.0), (40.121, 100.0)]
     friction = Friction(0.3, along=along) if along else 0.3
     cables = [

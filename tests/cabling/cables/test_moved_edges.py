@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -47,8 +47,7 @@ def belted(
     scene = clamped(mesh, IsotropicMembrane(400.0 * stress, 0.3, 1.0, prestress=1.5 * stress))
     ends = [(0.0, 0.7 * unit), (7.1 * unit, 5.0 * unit)]
     cable = scene.lay_cable(Cable(EA * force), ends, hold=hold, tension=PULL * force)
-    solver = Solver(scene, rtol=1e-11)
-    solver.advance()
+    solver = advanced(Solver(scene, rtol=1e-11))
     return solver, cable
 
 
@@ -155,8 +154,7 @@ def test_edge_cables_go_with_their_corner(comm: MPI.Intracomm) -> None:
     for by_hand in (True, False):
         fabric = IsotropicMembrane(E=600.0, nu=0.3, thickness=1.0)
         sail = form.scene(fabric, Cable(EA=9e3), belts=Cable(EA=1200.0))
-        solver = Solver(sail)
-        solver.advance()
+        solver = advanced(Solver(sail))
         at = np.array([0.0, 0.0, 1.0])
         ends = [end for cable in sail.cables for end in (cable.start, cable.end)]
         own = [

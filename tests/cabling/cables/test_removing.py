@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import FOIL, LINEAR, clamped
+from cabled_square import FOIL, LINEAR, advanced, clamped, square
 from mpi4py import MPI
-from reference_meshes import square
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, Friction, InputError, LaidCable, Scene, Solver
@@ -28,11 +27,6 @@ PATHS = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def sheet(n: int = 8, **laws: Any) -> Scene:
     return clamped(square(COMM, n), LINEAR if laws else FOIL, **laws)
 
@@ -43,8 +37,7 @@ def lay(scene: Scene, name: str, cable: Cable = SMOOTH, **options: Any) -> LaidC
 
 def inflated(names: str | list[str], cable: Cable = SMOOTH, **options: Any) -> Solver:
     """A square under pressure, then under tightened cables."""
-    solver = Solver(sheet(), **options)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(sheet(), **options), pressure=0.01)
     cables = [lay(solver.scene, name, cable) for name in names]
     solver.advance(L0={cable: 0.99 * cable.L0 for cable in cables})
     return solver
@@ -92,8 +85,7 @@ def test_friction_of_a_cable_that_is_gone() -> None:
     scene.remove("a")
     solver.advance()
     np.testing.assert_allclose(solver.history["dissipated"][-1], scene.dissipated)
-    flat = Solver(sheet())
-    flat.advance(pressure=0.012)
+    flat = advanced(Solver(sheet()), pressure=0.012)
     assert scene.energy == pytest.approx(flat.scene.energy, rel=1e-7)
 
 
@@ -103,8 +95,7 @@ def test_step_laws_keep_what_cells_had_when_they_were_folded(laws: dict[str, str
     energies = []
     for cabled in (True, False):
         scene = sheet(4, **laws)
-        solver = Solver(scene)
-        solver.advance(pressure=0.005, steps=2)
+        solver = advanced(Solver(scene), pressure=0.005, steps=2)
         if cabled:  # on a third of the cells
             lay(scene, "a", tension=0.1)
         solver.advance(pressure=0.02, steps=6)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cable_edits import put
+from cabled_square import put
 from strip_roof import along, cable_on, roof
 
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable

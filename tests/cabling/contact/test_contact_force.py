@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from friction_scene import friction_square
+from grids import grid
 from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
+from strip_roof import cable_of
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.contact.contact_force import (
@@ -20,8 +22,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
     turns,
 )
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
-from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.cable_state import CableNode
 
 COMM = MPI.COMM_SELF
 T = 3.0
@@ -36,13 +37,7 @@ def polyline(positions, anchored=False, lifted=()):
         CableNode(kind, None if kind == "anchor" else EdgePoint((k, k + 1), 0.5))
         for k, kind in enumerate(kinds)
     ]
-    off = np.isin(np.arange(len(positions)), lifted)
-    x = np.array(positions, dtype=float)
-    state = CableState(
-        tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan),
-        CableLaw(Cable(1.0), 1.0, 1.0, T, taut=True),
-    )  # fmt: skip
-    return LaidCable("c", state)
+    return cable_of(Cable(1.0), nodes, positions, tension=T, lifted=lifted)
 
 
 def turned(theta, **choices):
@@ -243,16 +238,8 @@ def test_line_force_on_a_helix():
 def hollow(hold):
     """A cable across a rigid sheet with a ridge and a valley, z = sin(x)."""
     x = np.linspace(0.0, 2 * np.pi, 25)
-    y = np.linspace(-0.6, 0.6, 6)
-    X, Y = np.meshgrid(x, y, indexing="ij")
-    points = np.stack([X, Y, np.sin(X)], axis=-1).reshape(-1, 3)
-    first = (np.arange(24)[:, None] * 6 + np.arange(5)).ravel()
-    cells = np.concatenate(
-        [np.stack([first, first + 6, first + 7], 1), np.stack([first, first + 7, first + 1], 1)]
-    )
-    scene = Scene(
-        meshes.from_arrays(COMM, points, cells), IsotropicMembrane(1e6, 0.3, 1.0, wrinkling=False)
-    )
+    mesh = meshes.from_arrays(COMM, *grid(x, np.linspace(-0.6, 0.6, 6), lambda x, y: np.sin(x)))
+    scene = Scene(mesh, IsotropicMembrane(1e6, 0.3, 1.0, wrinkling=False))
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = np.column_stack([x, np.full(25, 0.05), np.sin(x)])
     cable = scene.lay_cable(Cable(1.0, friction=0.5), path, hold=hold)
@@ -314,8 +301,7 @@ def test_nodes_beside_anchors_bear_for_themselves():
 
 def test_what_presses_at_a_crossing_is_not_the_membranes():
     scene = sheet(COMM, 7, "unstructured")
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     for path in ([(0, 40), (100, 60)], [(40, 0), (60, 100)]):
         scene.lay_cable(Cable(32000.0, friction=0.3), path, tension=20.0)
     solver.advance(pressure=0.01)

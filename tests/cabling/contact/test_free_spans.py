@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cable_edits import put
+from cabled_square import put
 from strip_roof import along, roof
 
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable

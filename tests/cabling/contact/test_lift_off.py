@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
+from cabled_square import CABLE, KINDS, PRESSURE, advanced, order, place, sheet
 from contact_checks import deepest, strongest_pull
 
-from crms_fenicsx import Solver
+from crms_fenicsx import PathError, Solver
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
 from crms_fenicsx.cabling.contact.lift_off import (
     Polylines,
@@ -20,7 +20,6 @@ from crms_fenicsx.cabling.contact.lift_off import (
     outward_pulls,
     released,
 )
-from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.tolerances import TOL
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
@@ -30,8 +29,7 @@ T_EXACT, W_EXACT, Z_EXACT = 148.667, -335.00, 8.6635
 def held_down(comm, n: int, kind: str = "structured", L0: float = 109.5, **how):
     scene = sheet(comm, n, kind)
     cable = scene.lay_cable(CABLE, ANCHORS, L0=L0, **how)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     return scene, cable, solver
 
 
@@ -132,8 +130,7 @@ def test_sleeve_pulls_the_membrane_outward(comm) -> None:
     heights = {}
     for sleeve in (True, False):
         scene = sheet(comm, 9, "unstructured")
-        solver = Solver(scene)
-        solver.advance(pressure=PRESSURE)
+        solver = advanced(Solver(scene), pressure=PRESSURE)
         free = top(scene)
         cable = scene.lay_cable(
             CABLE, [(50, 47, 13), (103, 47, -1)], hold="sleeve" if sleeve else "outside"
@@ -148,8 +145,7 @@ def test_sleeve_pulls_the_membrane_outward(comm) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: str) -> None:
     scene = sheet(comm, 11, kind)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     cable = scene.lay_cable(CABLE, [(50.0, 47.0, 13.0), (103.0, 47.0, -1.0)])
     solver.advance(L0={cable: 0.998 * cable.L0})
     touching = [k for k in cable.contacts() if cable.state.nodes[k].kind in ("fold", "vertex")]
@@ -187,8 +183,7 @@ def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
 def test_a_cable_that_slides_off_the_edge_is_an_error(comm, kind: str) -> None:
     """Over a corner, with its anchors dragged away from the membrane."""
     scene = sheet(comm, 9, kind)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     cable = scene.lay_cable(CABLE, [(-18, 32, -4), (32, -18, -4)])
     with pytest.raises(PathError, match=r"'cable 1' has slid off the membrane's edge at \["):
         for _ in range(8):
@@ -207,8 +202,7 @@ def test_span_that_passes_a_vertex_on_the_other_side_than_its_path(
     beyond the ends of edges that the path crosses there; laid anew it finds its place."""
     scene = sheet(comm, 12)
     cable = scene.lay_cable(CABLE, [(0.0, first), (100.0, 20.0)], L0=100.0)
-    solver = Solver(scene)
-    solver.advance(pressure=pressure)
+    solver = advanced(Solver(scene), pressure=pressure)
     solver.advance(move={cable.start: (0.0, way, 0.0)})
     assert deepest(scene, cable) < 1e-3
     fresh = sheet(comm, 12)

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cabled_square import clamped
-from reference_meshes import square
+from cabled_square import clamped, square
 
 from crms_fenicsx import IsotropicMembrane, Scene, meshes
 from crms_fenicsx.cabling.cables.strip import StripShape, cells_near

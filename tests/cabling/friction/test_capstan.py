@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import clamped, order, sheet
+from cabled_square import advanced, clamped, order, sheet
 from mpi4py import MPI
 from roped_drum import AROUND, EA, FREE, WRAP, exact_tensions, places, roped
 from taylor import OnMesh, dense, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square, on_mesh
 
-from crms_fenicsx import Cable, Friction, InputError, Scene, Solver
+from crms_fenicsx import Cable, Friction, InputError, LaidCable, Scene, Solver
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.friction.passes import capstan_bounds
 from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 from crms_fenicsx.energy.terms.capstan_chain import ENERGY, LAW, find_slips, spread_evenly
-from crms_fenicsx.model.laid_cable import LaidCable
 
 
 def pull(solver: Solver, cable: LaidCable, by: float, steps: int = 1) -> float:
@@ -108,8 +110,7 @@ def test_cycles_dissipate_the_same_and_the_balance_closes(comm) -> None:
     gaps = []
     for steps, rounds in ((4, 3), (8, 2)):
         scene, rope = roped(comm, 12, 0.3, tension=5.0)
-        solver = Solver(scene)
-        solver.advance()
+        solver = advanced(Solver(scene))
         start, losses, work = scene.energy, [0.0], 0.0
         for _ in range(rounds):
             for by in (0.012, -0.012):
@@ -159,8 +160,7 @@ def test_units_do_not_matter(comm) -> None:
     tensions = []
     for scale, force in ((1.0, 1.0), (1e3, 1e-2)):
         scene, rope = roped(comm, 10, 0.3, tension=5.0, scale=scale, force=force)
-        solver = Solver(scene)
-        solver.advance(move={rope.end: (0.0, 0.0, -0.01 * scale)})
+        Solver(scene).advance(move={rope.end: (0.0, 0.0, -0.01 * scale)})
         tensions.append(rope.tensions / force)
     np.testing.assert_allclose(tensions[0], tensions[1], rtol=1e-8)
 
@@ -186,25 +186,29 @@ def test_a_failed_step_leaves_no_trace(comm) -> None:
 # on an inflated membrane
 
 
-def inflated(comm: MPI.Intracomm, n: int, friction: float | Friction, kind: str = "structured"):
-    """The inflated square with a cable over it, and its last end pulled down."""
-    scene = sheet(comm, n, kind)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
-    cable = scene.lay_cable(
-        Cable(32000.0, friction=friction), [(-20.0, 47.0, 0.0), (120.0, 51.0, 0.0)]
-    )
-    for _ in range(2):
-        step = solver.advance(move={cable.end: (0.0, 0.0, -8.0)})
-    return scene, cable, step
+@pytest.fixture(scope="module")
+def inflated(comm) -> Callable[..., Any]:
+    """The inflated square with a cable over it, and its last end pulled down; each solved once."""
+
+    @functools.cache
+    def solve(n: int, friction: float | Friction, kind: str):
+        scene = sheet(comm, n, kind)
+        solver = advanced(Solver(scene), pressure=0.01)
+        path = [(-20.0, 47.0, 0.0), (120.0, 51.0, 0.0)]
+        cable = scene.lay_cable(Cable(32000.0, friction=friction), path)
+        for _ in range(2):
+            step = solver.advance(move={cable.end: (0.0, 0.0, -8.0)})
+        return scene, cable, step
+
+    return solve
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 @pytest.mark.parametrize("kind", ["structured", "unstructured"])
-def test_tension_falls_from_the_pulled_end(comm, kind: str, mu: float) -> None:
+def test_tension_falls_from_the_pulled_end(inflated, kind: str, mu: float) -> None:
     """At most as steeply as the law; without friction sideways the mean tension is the same."""
     along = 0.3
-    scene, cable, step = inflated(comm, 9, Friction(mu, along=along), kind)
+    scene, cable, step = inflated(9, Friction(mu, along=along), kind)
     T, x = cable.tensions, cable.line
     assert np.all(np.diff(T) >= -1e-6 * T[-1])
     way = np.diff(x, axis=0) / np.linalg.norm(np.diff(x, axis=0), axis=1)[:, None]
@@ -212,26 +216,26 @@ def test_tension_falls_from_the_pulled_end(comm, kind: str, mu: float) -> None:
     assert 1.2 < T[-1] / T[0] <= np.exp(along * wrap) * (1 + 1e-3)
     assert step.outcome.passes <= 6
     assert scene.dissipated > 0.0
-    _, free, without = inflated(comm, 9, mu, kind)
+    _, free, without = inflated(9, mu, kind)
     assert cable.tension == pytest.approx(free.tension, rel=2e-3)
     assert step.outcome.evaluations < 4 * without.outcome.evaluations
 
 
-def test_vanishing_friction_leaves_one_tension(comm) -> None:
-    _, free, _ = inflated(comm, 9, 0.0)
+def test_vanishing_friction_leaves_one_tension(inflated) -> None:
+    _, free, _ = inflated(9, 0.0, "structured")
     spreads = []
     for along in (1e-2, 1e-4):
-        _, cable, _ = inflated(comm, 9, Friction(0.0, along=along))
+        _, cable, _ = inflated(9, Friction(0.0, along=along), "structured")
         spreads.append(np.ptp(cable.tensions) / cable.tension)
     assert spreads[1] == pytest.approx(spreads[0] / 100, rel=0.05)
     np.testing.assert_allclose(cable.tensions, free.tension, rtol=1e-4)
 
 
-def test_tensions_converge_with_the_mesh(comm) -> None:
+def test_tensions_converge_with_the_mesh(inflated) -> None:
     """Both ends', against their extrapolation from the finer meshes of the benchmark."""
     sizes, ends = (9, 17), []
     for n in sizes:
-        _, cable, _ = inflated(comm, n, Friction(0.0, along=0.3), "unstructured")
+        _, cable, _ = inflated(n, Friction(0.0, along=0.3), "unstructured")
         ends.append(cable.tensions[[0, -1]])
     errors = np.abs(np.array(ends) / LIMIT - 1)
     assert np.all(errors[1] < 0.6 * errors[0])
@@ -242,9 +246,9 @@ LIMIT = (853.2, 1049.7)
 """Tensions at the two ends, extrapolated; see benchmarks/capstan.py."""
 
 
-def test_friction_zero_changes_nothing(comm) -> None:
-    scene, cable, step = inflated(comm, 9, Friction(0.0, along=0.0))
-    twin, other, same = inflated(comm, 9, 0.0)
+def test_friction_zero_changes_nothing(inflated) -> None:
+    scene, cable, step = inflated(9, Friction(0.0, along=0.0), "structured")
+    twin, other, same = inflated(9, 0.0, "structured")
     assert cable.state.law.axial is None
     # the same operations, but sums over several ranks may come in another order
     assert cable.tension == pytest.approx(other.tension, rel=1e-12)
@@ -257,8 +261,7 @@ def test_friction_zero_changes_nothing(comm) -> None:
 def test_cables_with_and_without_in_one_scene(comm) -> None:
     """Two cables side by side, far apart: the one without has the same tension everywhere."""
     scene = sheet(comm, 9)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     plain = scene.lay_cable(Cable(32000.0), [(-20.0, 28.0, 0.0), (120.0, 28.0, 0.0)])
     rough = scene.lay_cable(
         Cable(32000.0, friction=Friction(0.0, along=0.3)), [(-20.0, 72.0, 0.0), (120.0, 72.0, 0.0)]
@@ -517,8 +520,7 @@ def test_ends_on_vertices_that_are_held(comm: MPI.Intracomm) -> None:
         cable = scene.lay_cable(
             Cable(32000.0, friction=Friction(0.0, along=0.2)), [start, (100.0, 100.0 / 3)], L0=101.0
         )
-        solver = Solver(scene)
-        solver.advance(pressure=0.01)
+        solver = advanced(Solver(scene), pressure=0.01)
         solver.advance(L0={cable: 100.5})
         tensions.append([cable.tension, cable.tensions.min(), cable.tensions.max()])
     assert {cable.state.nodes[-2].kind} == {"vertex"}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import numbered, triangles
 from mpi4py import MPI
 from roped_drum import WRAP, roped
 from scipy.integrate import solve_ivp
@@ -134,9 +135,7 @@ def dragged(
     angle = about / n * np.pi - np.pi / 2
     along = low + (high - low) * along / rows
     points = np.stack([along, np.sin(angle), np.cos(angle)], axis=-1).reshape(-1, 3)
-    a = (np.arange(rows)[:, None] * (n + 1) + np.arange(n)).ravel()
-    b, c, d = a + n + 1, a + n + 2, a + 1
-    cells = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    cells = triangles(numbered(*i.shape))
     membrane = meshes.from_arrays(comm, points, cells, outside=(0.0, 0.0, 1.0))
     scene = Scene(membrane, IsotropicMembrane(E=1e6, nu=0.3, thickness=1.0, wrinkling=False))
     scene.fix(lambda x: np.full(x.shape[1], True))

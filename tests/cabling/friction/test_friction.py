@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import PRESSURE, clamped, place, sheet
+from cabled_square import PRESSURE, advanced, clamped, place, rotated_lattice, sheet
 from friction_scene import friction_dome
-from reference_meshes import rotated_lattice
 
 from crms_fenicsx import (
     Cable,
@@ -41,13 +40,21 @@ MODEL_3 = OrthotropicMembrane(
 def anchored(comm, friction, n: int = 9, kind: str = "unstructured"):
     """A cable across an inflated square, to anchors beside it and below."""
     scene = sheet(comm, n, kind)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     cable = scene.lay_cable(
         Cable(EA=32000.0, friction=friction), [(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]
     )
     solver.advance(L0={cable: 0.99 * cable.length})
     return scene, solver, cable
+
+
+def model_3(comm, friction, structured: bool) -> tuple[Solver, LaidCable]:
+    """The paper's, before its first load step."""
+    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 10.0, structured=structured), MODEL_3)
+    scene.fix("front")
+    scene.fix("back")
+    path = [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
+    return Solver(scene), scene.lay_cable(Cable(EA=47638.0, friction=friction), path)
 
 
 @pytest.fixture(scope="module")
@@ -56,13 +63,7 @@ def dragged(comm) -> Callable[..., Any]:
 
     @functools.cache
     def solve(friction, steps: int = 2, structured: bool = False):
-        scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 10.0, structured=structured), MODEL_3)
-        scene.fix("front")
-        scene.fix("back")
-        cable = scene.lay_cable(
-            Cable(EA=47638.0, friction=friction), [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
-        )
-        solver = Solver(scene)
+        solver, cable = model_3(comm, friction, structured)
         solver.advance(move={cable: (0.0, 0.0, -10.0)}, steps=2)
         solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=steps)
         return solver, cable
@@ -231,8 +232,7 @@ def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) ->
     """Tension and energies of a cable dragged over a lattice, units of force and length smaller."""
     mesh = meshes.from_arrays(comm, x * unit, cells)
     scene = clamped(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE / unit)
+    solver = advanced(Solver(scene), pressure=PRESSURE / unit)
     path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * unit
     cable = scene.lay_cable(Cable(EA=32000.0 * unit, friction=0.2), path)
     solver.advance(L0={cable: 0.99 * cable.length})
@@ -257,8 +257,7 @@ def test_invariance(comm) -> None:
 def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
     """The boundary presses on the cable's end much more than the rest does on all of it."""
     scene = sheet(comm, 9, "unstructured")
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     cable = scene.lay_cable(Cable(EA=32000.0, friction=0.2), [(0.0, 30.0), (100.0, 30.0)])
     solver.advance(L0={cable: 100.0})
     for way in ((0.0, 10.0, 0.0), (0.0, 0.0, -1.0), (0.0, -10.0, 1.0)):
@@ -272,8 +271,7 @@ def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
 def test_what_was_rejected_is_not_tried_again_where_nothing_has_moved(comm) -> None:
     """Ways past vertices were, in each load step, at twice what the step itself takes."""
     scene = sheet(comm, 7, "unstructured")
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     path = [(-3.0, 72.215, 0.0), (103.0, 37.209, 0.0)]
     cable = scene.lay_cable(Cable(EA=32000.0, friction=Friction(0.3)), path)
     solver.advance(L0={cable: 0.99 * cable.L0}, move={cable.start: (0.0, 2.063, 0.0)})
@@ -330,13 +328,7 @@ def test_slack_cable_has_no_grip(comm) -> None:
 
 def half_way(comm, friction: Friction, steps: int, structured: bool) -> tuple[Solver, LaidCable]:
     """Model 3 pressed down in as many steps as dragged aside by 5 cm."""
-    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 10.0, structured=structured), MODEL_3)
-    scene.fix("front")
-    scene.fix("back")
-    cable = scene.lay_cable(
-        Cable(EA=47638.0, friction=friction), [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
-    )
-    solver = Solver(scene)
+    solver, cable = model_3(comm, friction, structured)
     for way in ((0.0, 0.0, -10.0), (0.0, 5.0, 0.0)):
         solver.advance(move={cable: way}, steps=steps)
     return solver, cable
@@ -390,8 +382,7 @@ def test_element_of_the_paper_goes_to_and_fro(comm) -> None:
 def test_lost_energy_stays_lost_when_a_cable_lifts_off(comm) -> None:
     """As it goes slack it has friction elements at fewer points than before."""
     scene = sheet(comm, 7)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     cable = scene.lay_cable(
         Cable(EA=32000.0, friction=Friction(0.3, law="step")), [(-80.0, 47.0, 0), (180.0, 47.0, 0)]
     )

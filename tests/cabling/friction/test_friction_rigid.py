@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
+from grids import numbered, triangles
 from processes import run
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
-from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, Friction, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.contact.contact_force import contact_forces, held_nodes
-from crms_fenicsx.model.friction import Friction
 
 H = 0.1
 LATITUDE = np.radians(30.0)
@@ -150,11 +150,7 @@ def lattice_vertices(comm, mu):
     lat = LATITUDE + (np.arange(7) - 3) * H
     u, v = np.meshgrid(lon, lat, indexing="ij")
     points = np.stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)], -1).reshape(-1, 3)
-    first = (np.arange(n)[:, None] * 7 + np.arange(6)).ravel()
-    cells = np.concatenate(
-        [np.stack([first, first + 7, first + 8], 1), np.stack([first, first + 8, first + 1], 1)]
-    )
-    scene = Scene(meshes.from_arrays(comm, points, cells), STIFF)
+    scene = Scene(meshes.from_arrays(comm, points, triangles(numbered(*u.shape))), STIFF)
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = points.reshape(n + 1, 7, 3)[:, 3]
     cable = scene.lay_cable(Cable(EA=1.0, friction=mu), path)
@@ -255,12 +251,7 @@ def vault(comm, friction, below=0.05):
     shift = inner * np.random.default_rng(0).uniform(-0.25, 0.25, (2, *i.shape))
     u, v = (i + shift[0]) / m[0] * 2 * half - half, (j + shift[1]) / m[1] * depth
     points = np.stack([np.sin(u), v, np.cos(u)], axis=-1).reshape(-1, 3)
-    first = (np.arange(m[0])[:, None] * (m[1] + 1) + np.arange(m[1])).ravel()
-    right = first + m[1] + 1
-    cells = np.concatenate(
-        [np.stack([first, right, right + 1], 1), np.stack([first, right + 1, first + 1], 1)]
-    )
-    scene = clamped(meshes.from_arrays(comm, points, cells), STIFF)
+    scene = clamped(meshes.from_arrays(comm, points, triangles(numbered(*u.shape))), STIFF)
     scene.fix(lambda x: np.full(x.shape[1], True))
     end = np.array(
         [np.sin(half) + 0.3 * np.cos(half), 0.33, np.cos(half) - 0.3 * np.sin(half) - below]
@@ -280,8 +271,7 @@ def test_dragged_there_and_back(comm):
     the work is what the cable gives up.
     """
     scene, cable = vault(comm, Friction(0.3, tolerance=1e-3))
-    solver = Solver(scene)
-    solver.advance(L0={cable: cable.length * 0.98})
+    solver = advanced(Solver(scene), L0={cable: cable.length * 0.98})
 
     def pull() -> float:
         return float(cable.start.reaction[1] + cable.end.reaction[1])
@@ -320,8 +310,7 @@ def test_dragged_along_the_limit_curve_of_a_cylinder(comm, steps):
     behind the anchors once all slides, and goes as far as they from then on."""
     mu, half, free, way = 0.3, 0.6, 0.3, 0.21
     scene, cable = vault(comm, mu, below=1e-3)
-    solver = Solver(scene)
-    solver.advance(L0={cable: cable.length * 0.98})
+    solver = advanced(Solver(scene), L0={cable: cable.length * 0.98})
     before = cable.line
     solver.advance(move={cable: (0.0, way, 0.0)}, steps=steps)
     lag = (np.cosh(mu * half) - 1) / mu + free * np.sinh(mu * half)

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from friction_scene import friction_dome, shaken_fractions
+from strip_roof import cable_of
 
+from crms_fenicsx import Cable
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.cabling.friction import passes as iteration
 from crms_fenicsx.cabling.friction.axial import remap_axial
@@ -16,15 +18,13 @@ from crms_fenicsx.cabling.friction.lateral import end_step, energies, remap, sta
 from crms_fenicsx.cabling.friction.passes import AitkenRelaxation, LateralIteration
 from crms_fenicsx.cabling.friction.slip import node_slips
 from crms_fenicsx.foundation.surface.points import EdgePoint, VertexPoint
-from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.friction import (
     AxialFrictionState,
     Friction,
     LateralFrictionState,
     MaterialCurve,
 )
-from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import TOL
 
 NOWHERE = MaterialCurve(
@@ -42,13 +42,8 @@ def along(*supports):
     ]
     nodes = [CableNode("anchor"), *nodes, CableNode("anchor")]
     n = len(nodes)
-    x = np.column_stack([np.arange(n), np.zeros((n, 2))]).astype(float)
-    off = np.zeros(n, dtype=bool)
-    state = CableState(
-        tuple(nodes), x, np.full(n, 0.5), off, np.full_like(x, np.nan),
-        CableLaw(Cable(1.0, friction=0.5), 1.0, 1.0, 1.0, taut=True),
-    )  # fmt: skip
-    return LaidCable("c", state)
+    x = np.column_stack([np.arange(n), np.zeros((n, 2))])
+    return cable_of(Cable(1.0, friction=0.5), nodes, x, tension=1.0)
 
 
 def gripped(bounds, moving=None):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grids import numbered, triangles
 from mpi4py import MPI
 from roped_drum import AROUND, EA, FREE, WRAP, exact_tensions
 from scipy.spatial.transform import Rotation
 
-from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, Friction, IsotropicMembrane, LaidCable, Scene, Solver, meshes
 from crms_fenicsx.cabling.contact.contact_force import wrap_angles
-from crms_fenicsx.model.laid_cable import LaidCable
 
 TURNED = Rotation.from_rotvec([0.3, -1.1, 0.7])
 RISE = 0.6
@@ -29,14 +29,11 @@ def pocket(
     j, k = np.meshgrid(np.arange(n + 1), np.arange(3), indexing="ij")
     angle, r = j / n * WRAP, 1 + 0.15 * k
     points = np.stack([r * np.cos(angle), r * np.sin(angle), rise * angle], axis=-1)
-    a = (3 * np.arange(n)[:, None] + np.arange(2)).ravel()
-    halves = [[a, a + 3, a + 4], [a, a + 4, a + 1]]
-    cells = np.concatenate([np.stack(half, axis=1) for half in halves])
     far = 3 * np.arange(n + 1) + 2
     mesh = meshes.from_arrays(
         comm,
         scale * TURNED.apply(points.reshape(-1, 3)),
-        cells,
+        triangles(numbered(n + 1, 3)),
         edges={"held": np.column_stack([far[:-1], far[1:]])},
     )
     fabric = IsotropicMembrane(E=1e7 * force / scale**2, nu=0.3, thickness=scale, wrinkling=False)

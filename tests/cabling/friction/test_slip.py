@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cable_edits import put
+from cabled_square import put
 from friction_scene import friction_dome, shaken_fractions
 from mpi4py import MPI
 from rigid_surfaces import band, curve, rigid, sphere

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cable_edits import put
-from cabled_square import CABLE, KINDS, PRESSURE, clamped, place, sheet
+from cabled_square import CABLE, KINDS, PRESSURE, advanced, clamped, place, put, sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
 from crms_fenicsx.cabling.paths.boundary_ends import renew_ends
 from crms_fenicsx.cabling.paths.path_change import PathChange
-from crms_fenicsx.model.laid_cable import LaidCable
 
 N = 9
 
@@ -20,8 +18,7 @@ def solved(comm, kind: str, path, L0: float) -> tuple[Scene, LaidCable, Solver]:
     """A cable on the inflated square."""
     scene = sheet(comm, N, kind)
     cable = scene.lay_cable(CABLE, path, L0=L0)
-    solver = Solver(scene)
-    solver.advance(pressure=PRESSURE)
+    solver = advanced(Solver(scene), pressure=PRESSURE)
     return scene, cable, solver
 
 
@@ -158,8 +155,7 @@ def test_an_end_that_comes_to_lie_over_the_membrane_does_not_go_round_by_its_edg
     foil = IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0, prestress=2.0)
     scene = sheet(comm, 4, material=foil, side=10.0)
     cable = scene.lay_cable(Cable(5000.0), [(0.0, 4.0), (10.0, 5.5)])
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     what, way = (cable.start, 0.1) if moved == "the anchor" else ("left", -0.1)
     stays = {cable.start: (0.0, 0.0, 0.0)}
     solver.advance(move={**stays, what: (way, 0.0, 0.0)}, steps=2)
@@ -177,8 +173,7 @@ def test_an_end_that_comes_to_lie_under_the_membrane_goes_round_by_its_edge(comm
     found = []
     for steps in (1, 4):
         scene = clamped(mesh, foil)
-        solver = Solver(scene)
-        solver.advance(pressure=2.0)
+        solver = advanced(Solver(scene), pressure=2.0)
         cable = scene.lay_cable(Cable(500.0), [(0.0, 4.3), (10.0, 6.1)])
         stays = {cable.start: (0.0, 0.0, 0.0)}
         solver.advance(move={"left": (-0.1, 0.0, 0.2), **stays}, steps=steps)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
+from grids import hills
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Solver, meshes
@@ -17,34 +18,18 @@ from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.model.tolerances import BUDGET
 
 
-def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """A square of 100 on hills, of n by n squares cut by one diagonal and the other in turn."""
-    x, y = np.meshgrid(*2 * [np.linspace(0.0, 100.0, n + 1)])
-    wave = [np.sin(k * np.pi * x / 100) * np.sin(m * np.pi * y / 100) for k, m in ((1, 1), (3, 2))]
-    points = np.column_stack([x.ravel(), y.ravel(), (12 * wave[0] + 3 * wave[1]).ravel()])
-    cells = []
-    for j, i in np.ndindex(n, n):
-        a = j * (n + 1) + i
-        b, d, e = a + 1, a + n + 1, a + n + 2
-        cells += [(a, b, e), (a, e, d)] if (i + j) % 2 else [(a, b, d), (b, e, d)]
-    return points, np.array(cells)
-
-
 def loaded(comm: MPI.Intracomm, number: int, over: bool) -> Solver:
     """The cables shortened under pressure; with or without half the pressure more before."""
     draws = np.random.default_rng(number)
     n = int(draws.integers(7, 11))
-    points, cells = grid(n)
-    inner = (np.abs(points[:, :2] - 50) < 49).all(axis=1)
-    points[inner, :2] += draws.uniform(-1, 1, (inner.sum(), 2)) * 20 / n
+    points, cells = hills(n, draws)
     membrane = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
     scene = clamped(meshes.from_arrays(comm, points, cells), membrane)
     along, across = draws.uniform(20, 80, (2, 2))
     paths = [[(-5.0, along[0], 0.0), (105.0, along[1], 0.0)]]
     paths += [[(across[0], -5.0, 0.0), (across[1], 105.0, 0.0)]]
     short = [draws.uniform(108, 113) for _ in paths]
-    solver = Solver(scene)
-    solver.advance(pressure=0.015 if over else 0.01)
+    solver = advanced(Solver(scene), pressure=0.015 if over else 0.01)
     cables = [
         scene.lay_cable(Cable(32000.0), path, L0=L0 + 8)
         for path, L0 in zip(paths, short, strict=True)

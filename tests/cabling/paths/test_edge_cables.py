@@ -80,7 +80,6 @@ def test_an_edge_cable_to_masts(comm: MPI.Intracomm) -> None:
         tension=12.0,
     )  # fmt: skip
     assert cable.hold == "pocket"
-    solver = Solver(scene)
-    solver.advance()
+    Solver(scene).advance()
     middle = cable.line[np.argmin(np.abs(cable.line[:, 0] - 5.0))]
     assert 0.05 < middle[1] < 5.0, "the prestress pulls the edge in"

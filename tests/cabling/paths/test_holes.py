@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import grid
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes, nets
@@ -28,20 +29,16 @@ def sheet(
     to b and y from c to d; `hole` is (a, b, c, d, lean). With a ridge along x = 5 m of that height.
     Renumbered at random with a seed."""
     a, b, c, d, lean = hole
-    x, y = (v.ravel() for v in np.meshgrid(*(np.linspace(0.0, 10.0, n + 1),) * 2))
-    z = ridge * (1.0 - np.abs(x - 5.0) / 5.0)
-    squares = [
-        (n + 1) * j + i
-        for j in range(n)
-        for i in range(n)
-        if not (a < 10 * (i + 0.5 + lean * (j + 0.5)) / n < b and c < 10 * (j + 0.5) / n < d)
-    ]
-    cells = np.array(
-        [t for k in squares for t in ((k, k + 1, k + n + 2), (k, k + n + 2, k + n + 1))]
+    line = np.linspace(0.0, 10.0, n + 1)
+    points, cells = grid(
+        line, line, lambda x, y: ridge * (1.0 - np.abs(x - 5.0) / 5.0), by_rows=True
     )
-    used, cells = np.unique(cells, return_inverse=True)
+    y = np.tile(10 * (np.arange(n) + 0.5) / n, n)
+    x = np.repeat(10 * (np.arange(n) + 0.5) / n, n) + lean * y
+    there = ~((a < x) & (x < b) & (c < y) & (y < d))
+    used, cells = np.unique(cells[np.repeat(there, 2)], return_inverse=True)
     cells = cells.reshape(-1, 3)
-    points = unit * np.column_stack([x, y, z])[used]
+    points = unit * points[used]
     if seed is not None:
         rng = np.random.default_rng(seed)
         order = rng.permutation(len(points))

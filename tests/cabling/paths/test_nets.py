@@ -10,16 +10,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
+from cabled_square import CABLE, KINDS, PRESSURE, advanced, order, place, sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Scene, Solver
+from crms_fenicsx import LaidCable, Scene, Solver
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.paths import vertex_passing
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
-from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import TOL
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
@@ -137,8 +136,7 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
         short = scene.lay_cable(CABLE, [(47, 0), (100, 50)], L0=72.9)
         ends = [(-5.0, y, 6.0), (105.0, y, 6.0)]
         long = scene.lay_cable(CABLE, ends, L0=109.6, layer=1)
-        solver = Solver(scene)
-        solver.advance(pressure=PRESSURE)
+        solver = advanced(Solver(scene), pressure=PRESSURE)
         return scene, short, long, solver
 
     scene, short, long, solver = made(18.0)

@@ -87,8 +87,7 @@ def test_snow_on_a_cap_is_carried(comm: MPI.Intracomm) -> None:
     """Slopes below 30 degrees: the reaction is 0.8 s_k times the plan, with C_e and C_t."""
     mesh = meshes.spherical_cap(comm, radius=5.0, height=1.0, size=1.0)
     scene = clamped(mesh, FOIL)
-    solver = Solver(scene)
-    solver.advance(pressure=0.05)
+    Solver(scene).advance(pressure=0.05)
     corners = scene.positions()[scene.V.dofmap.list[: mesh.mesh.topology.index_map(2).size_local]]
     a, b = (corners[:, k] - corners[:, 0] for k in (1, 2))
     plan = comm.allreduce(float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2))

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from form_meshes import CORNERS, SIDES, nodes
+from grids import grid
 from mpi4py import MPI
 from taylor import noise
 
-from crms_fenicsx import meshes
+from crms_fenicsx import IsotropicMembrane, meshes
 from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.design.form_finding.film import SOFTEST, Film
 from crms_fenicsx.design.form_finding.form_cables import edge_lines
 from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
-from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 
 FOIL = IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0)
@@ -96,15 +96,13 @@ def test_matrix_across(comm: MPI.Intracomm) -> None:
 def test_a_ridge_held_vertically_finds_its_place(comm: MPI.Intracomm) -> None:
     """Between two eaves 8 apart it slides from a quarter of the span to its middle."""
     n = 8
-    x = np.stack(np.meshgrid(np.linspace(0, 4, n + 1), np.linspace(0, 8, 2 * n + 1)), -1)
-    index = np.arange((n + 1) * (2 * n + 1)).reshape(2 * n + 1, n + 1)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    x, cells = grid(np.linspace(0, 4, n + 1), np.linspace(0, 8, 2 * n + 1), by_rows=True)
+    index = np.arange(len(x)).reshape(2 * n + 1, n + 1)
     lines = {"south": index[0], "north": index[-1], "west": index[:, 0], "east": index[:, -1]}
     lines["ridge"] = index[n // 2]
     edges = {name: np.stack([line[:-1], line[1:]], 1) for name, line in lines.items()}
     form = find_form(
-        meshes.from_arrays(comm, x.reshape(-1, 2), cells, edges=edges), 2.0,
+        meshes.from_arrays(comm, x, cells, edges=edges), 2.0,
         fixed={"south": "xyz", "north": "xyz", "west": "x", "east": "x", "ridge": "z"},
         lifted={"ridge": (0.0, 0.0, 2.0)},
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from form_meshes import CORNERS, SIDES, order
+from grids import grid
 from mpi4py import MPI
 from scipy.optimize import brentq
 
@@ -116,11 +117,9 @@ def test_corners_of_polygons(
 
 def graded(comm: MPI.Intracomm, n: int) -> tuple[FoundForm, np.ndarray]:
     """A square sail of n x n cells that grow from one corner on; and their sides."""
-    grid = np.linspace(0.0, 1.0, n + 1) ** 1.5 * 10.0
-    points = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    sides = np.linspace(0.0, 1.0, n + 1) ** 1.5 * 10.0
+    points, cells = grid(sides, sides, by_rows=True)
     index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
     lines = dict(zip(SIDES, (index[0], index[:, -1], index[-1], index[:, 0]), strict=True))
     ends = zip(CORNERS, (index[0, 0], index[0, -1], index[-1, -1], index[-1, 0]), strict=True)
     mesh = meshes.from_arrays(
@@ -129,7 +128,7 @@ def graded(comm: MPI.Intracomm, n: int) -> tuple[FoundForm, np.ndarray]:
         point_groups={name: [number] for name, number in ends},
     )  # fmt: skip
     cables = [FormCable(side, tension=16.0) for side in SIDES]
-    return find_form(mesh, S, fixed=CORNERS, cables=cables), np.diff(grid)
+    return find_form(mesh, S, fixed=CORNERS, cables=cables), np.diff(sides)
 
 
 @pytest.mark.ranks

@@ -1,10 +1,12 @@
-"""Films of equal section forces, with and without cables, against closed forms."""
+"""Films of equal section forces against closed forms: with and without cables, and as air domes by
+pressure, rise or volume, which are caps of spheres."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from form_meshes import SIDES, cylinder, nodes, order, sail
+from grids import grid
 from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, IsotropicMembrane, Solver, meshes
@@ -94,17 +96,13 @@ def test_cables_too_weak_or_too_short_are_refused(comm: MPI.Intracomm) -> None:
 
 def test_a_cable_between_two_films(comm: MPI.Intracomm) -> None:
     """Its curvature is the difference of their section forces over its tension."""
-    n = 16
-    grid = np.linspace(0.0, 10.0, n + 1)
-    points = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    cells = np.stack([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
-    low = points[cells[0][:, 0], 1] < 5.0
+    line = np.linspace(0.0, 10.0, 17)
+    points, cells = grid(line, line, by_rows=True)
+    low = points[cells, 1].mean(axis=1) < 5.0
     middle = np.flatnonzero(points[:, 1] == 5.0)
     mesh = meshes.from_arrays(
-        comm, points, cells.reshape(-1, 3),
-        edges={"middle": np.stack([middle[:-1], middle[1:]], 1)},
-        parts={"low": np.flatnonzero(np.tile(low, 2)), "high": np.flatnonzero(np.tile(~low, 2))},
+        comm, points, cells, edges={"middle": np.stack([middle[:-1], middle[1:]], 1)},
+        parts={"low": np.flatnonzero(low), "high": np.flatnonzero(~low)},
     )  # fmt: skip
     form = find_form(
         mesh, {"low": 3.0, "high": 1.0}, fixed=["boundary"],
@@ -113,3 +111,75 @@ def test_a_cable_between_two_films(comm: MPI.Intracomm) -> None:
     assert {*form.mesh.parts} == {"low", "high"}
     sag = 5.0 - form.cables[0].path[:, 1].min()
     assert sag == pytest.approx(10.0 - np.sqrt(75.0), rel=5e-3)
+
+
+RADIUS = 10.0
+
+
+def cap(rise: float) -> tuple[float, float, float]:
+    """Radius, area and volume of a cap of a sphere."""
+    return (
+        (RADIUS**2 + rise**2) / (2 * rise),
+        np.pi * (RADIUS**2 + rise**2),
+        np.pi * rise / 6 * (3 * RADIUS**2 + rise**2),
+    )
+
+
+@pytest.mark.parametrize("rise", [4.0, 14.0])
+def test_domes_are_caps(comm: MPI.Intracomm, rise: float) -> None:
+    """From a flat mesh, also beyond a hemisphere: p = 2 s / R, with second order."""
+    sizes, errors = (2.0, 1.0), []
+    radius, area, volume = cap(rise)
+    for size in sizes:
+        mesh = meshes.circle(comm, RADIUS, size)
+        form = find_form(mesh, 2.0, fixed=["boundary"], rise=rise)
+        assert nodes(form)[:, 2].max() == pytest.approx(rise, rel=1e-10)
+        assert form.volume is not None
+        errors.append(
+            [form.pressure * radius / 4.0 - 1, form.area / area - 1, form.volume / volume - 1]
+        )
+        by_volume = find_form(mesh, 2.0, fixed=["boundary"], volume=form.volume)
+        # vertices lie elsewhere in the surface, which makes a part of the mesh's error
+        assert by_volume.pressure == pytest.approx(form.pressure, rel=5e-3 * size)
+        assert by_volume.volume == pytest.approx(form.volume, rel=1e-10)
+    assert np.abs(errors[-1]).max() < 0.004 * rise
+    for error in np.transpose(errors):
+        assert order(sizes, error) > 1.5
+
+
+@pytest.mark.ranks
+def test_domes_by_pressure(comm: MPI.Intracomm) -> None:
+    """Those below the hemisphere, whose pressure is the largest."""
+    mesh = meshes.circle(comm, RADIUS, 1.0)
+    form = find_form(mesh, 2.0, fixed=["boundary"], pressure=0.3)
+    R = 2 * 2.0 / 0.3
+    assert nodes(form)[:, 2].max() == pytest.approx(R - np.sqrt(R**2 - RADIUS**2), rel=0.01)
+    with pytest.raises(ConvergenceError, match="pressure too high"):
+        find_form(mesh, 2.0, fixed=["boundary"], pressure=0.5)
+
+
+def test_a_closed_film_is_a_sphere(comm: MPI.Intracomm) -> None:
+    """Of a volume; held at one point."""
+    points = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    x = [np.array(point, float) for point in points]
+    cells = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
+    for _ in range(3):
+        middle: dict[tuple[int, int], int] = {}
+        finer = []
+        for cell in cells:
+            between = []
+            for a, b in zip(cell, (*cell[1:], cell[0]), strict=True):
+                key = (min(a, b), max(a, b))
+                if key not in middle:
+                    middle[key] = len(x)
+                    x.append((x[a] + x[b]) / np.linalg.norm(x[a] + x[b]))
+                between.append(middle[key])
+            finer += [(cell[k], between[k], between[k - 1]) for k in range(3)] + [tuple(between)]
+        cells = finer
+    mesh = meshes.from_arrays(
+        comm, np.array(x) * [1.0, 1.3, 0.8], np.array(cells), outside=meshes.AwayFrom((0, 0, 0)),
+        point_groups={"foot": [5]},
+    )  # fmt: skip
+    form = find_form(mesh, 2.0, fixed=["foot"], volume=4 / 3 * np.pi * 8.0)
+    assert form.pressure == pytest.approx(2.0, rel=0.02)
+    assert form.area == pytest.approx(16 * np.pi, rel=0.01)

@@ -307,8 +307,7 @@ def test_equidistant_nets_slide_unless_they_are_clamped(comm) -> None:
         scene = scene_of(meshes.spherical_cap(comm, 8.0, 6.0, 1.2))
         net = nets.equidistant(scene, 2.0, (0.1, 0.05))
         scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve", clamped=joined)
-        solver = Solver(scene)
-        solver.advance(pressure=0.6)
+        Solver(scene).advance(pressure=0.6)
         scenes[joined] = scene
     tensions = np.array([cable.tension for cable in scenes[True].cables])
     assert len(scenes[True].clamps) == len(net.crossings) == 89 and tensions.min() > 0.1

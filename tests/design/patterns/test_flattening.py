@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
-from pattern_surfaces import FABRIC, cone, half_cylinder, hypar, two_gores
+from pattern_surfaces import FABRIC, cone, grid, half_cylinder, hypar, pieces_of, two_gores
 
 from crms_fenicsx import (
     InputError,
     IsotropicMembrane,
     OrthotropicMembrane,
     PatternWarning,
-    meshes,
     patterns,
 )
 from crms_fenicsx.design.patterns.flattening import (
@@ -23,11 +22,6 @@ from crms_fenicsx.design.patterns.flattening import (
 )
 
 FILM = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
-
-
-def pieces_of(mesh: meshes.MembraneMesh) -> patterns.Pieces:
-    """Cut along all edge groups but the boundary."""
-    return patterns.cut(mesh, [patterns.edge_line(mesh, k) for k in mesh.edges if k != "boundary"])
 
 
 @pytest.mark.ranks
@@ -195,8 +189,6 @@ def test_gradient_is_that_of_the_energy() -> None:
     """Taylor test: what the gradient leaves of a change falls with the square of the step."""
     rng = np.random.default_rng(0)
     x, y = (a.ravel() for a in np.meshgrid(np.arange(4.0), np.arange(5.0), indexing="ij"))
-    from pattern_surfaces import grid
-
     points, cells = np.stack([x, y, 0.05 * x * y], axis=1), grid(3, 4)
     stiffness = np.tile(FABRIC.stiffness, (len(cells), 1, 1))
     wanted = rng.uniform(-0.02, 0.02, (len(cells), 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grids import grid
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, PathError, meshes, patterns
@@ -17,13 +18,7 @@ SPHERE, FOOT = 10.25, -2.25
 
 def cylinder(comm: MPI.Intracomm, n: int) -> meshes.MembraneMesh:
     """A half cylinder of radius R along y, 8 long, with n cells around it."""
-    flat = np.array([(a, y) for a in np.linspace(0.0, np.pi, n + 1) for y in np.linspace(0, 8, 9)])
-    cells = [
-        triangle
-        for i in range(n)
-        for o in range(9 * i, 9 * i + 8)
-        for triangle in ((o, o + 9, o + 10), (o, o + 10, o + 1))
-    ]
+    flat, cells = grid(np.linspace(0.0, np.pi, n + 1), np.linspace(0, 8, 9))
     points = np.column_stack([-R * np.cos(flat[:, 0]), flat[:, 1], R * np.sin(flat[:, 0])])
     ends = {"near": 0, "far": 9 * n}
     edges = {side: [(k + i, k + i + 1) for i in range(8)] for side, k in ends.items()}

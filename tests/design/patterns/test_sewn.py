@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
-from pattern_surfaces import FABRIC, cone, half_cylinder, hypar
-from sewn_sphere import inflated_sphere
+from pattern_surfaces import FABRIC, cone, half_cylinder, hypar, inflated_sphere, pieces_of
 
 from crms_fenicsx import (
     Cable,
@@ -30,18 +29,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:flatten")  # of few columns of c
 STIFF = replace(FABRIC, wrinkling=False)
 
 
-def pieces_of(mesh: meshes.MembraneMesh) -> patterns.Pieces:
-    """Cut along all edge groups but the boundary."""
-    return patterns.cut(mesh, [patterns.edge_line(mesh, k) for k in mesh.edges if k != "boundary"])
-
-
 def held(pattern: patterns.Pattern) -> Solver:
     """The sewn roof in its rim, without loads."""
     scene = patterns.sew(pattern)
     scene.fix("boundary")
-    solver = Solver(scene)
-    solver.advance()
-    return solver
+    return advanced(Solver(scene))
 
 
 @pytest.mark.ranks
@@ -57,8 +49,7 @@ def test_developable_roofs_have_no_strain_but_the_prestress(
     scene = patterns.sew(pattern)
     for sides in ("x", "y", "z"):
         scene.fix(lambda x: x[0] < np.inf, sides)
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     got = patterns.compare(solver, pattern, (2.0, 1.0))
     np.testing.assert_allclose([got.whole.least, got.whole.largest], 2 * [[2.0, 1.0]], rtol=1e-9)
     assert got.whole.deviation < 1e-12
@@ -95,8 +86,7 @@ def test_a_law_of_ones_own(comm: MPI.Intracomm) -> None:
     for material in (None, UflMembrane(psi)):
         scene = patterns.sew(pattern, material)
         scene.fix("boundary")
-        solver = Solver(scene)
-        solver.advance()
+        solver = advanced(Solver(scene))
         found.append(patterns.compare(solver, pattern, 2.0).whole)
     for name in ("mean", "spread", "least", "largest", "deviation"):
         np.testing.assert_allclose(*(getattr(one, name) for one in found), rtol=1e-6)
@@ -150,8 +140,7 @@ def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm, hold: Hold) ->
         if cable:
             ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
             scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-8, hold=hold, measured_on="facets")
-        solver = Solver(scene)
-        solver.advance()
+        solver = advanced(Solver(scene))
         places.append(scene.positions())
         if cable:
             assert comm.allreduce(int(solver.results().folded.sum())) > 10
@@ -171,9 +160,7 @@ def test_compensation_is_adjusted_under_a_cable(
         scene.fix("boundary")
         ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
         scene.lay_cable(Cable(EA=500.0), ends, tension=1.0, hold="sleeve", measured_on="facets")
-        solver = Solver(scene)
-        solver.advance()
-        return solver
+        return advanced(Solver(scene))
 
     found = patterns.adjust(pattern, build, forces=2.0, tolerance=5e-5)
     np.testing.assert_allclose(found.comparisons[-1].whole.mean, 2.0, atol=1e-4)
@@ -253,9 +240,7 @@ def inflated(pattern: patterns.Pattern) -> Solver:
     """A hall sewn of a pattern, held at its foot, under pressure."""
     scene = patterns.sew(pattern)
     scene.fix("boundary")
-    solver = Solver(scene)
-    solver.advance(pressure=0.3)
-    return solver
+    return advanced(Solver(scene), pressure=0.3)
 
 
 def test_compensation_of_a_pneumatic_roof_changes_its_size(comm: MPI.Intracomm) -> None:

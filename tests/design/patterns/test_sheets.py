@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import advanced
 from mpi4py import MPI
-from pattern_surfaces import FABRIC, half_cylinder, hypar
+from pattern_surfaces import FABRIC, half_cylinder, hypar, pieces_of
 
-from crms_fenicsx import InputError, Solver, meshes, patterns
+from crms_fenicsx import InputError, Solver, patterns
 from crms_fenicsx.design.patterns.sheet import drawings, offset
 
 pytestmark = pytest.mark.filterwarnings("ignore:flatten")
@@ -30,11 +31,6 @@ def patterned(comm: MPI.Intracomm) -> patterns.Pattern:
     """Four strips of a half cylinder, 8 long."""
     mesh = half_cylinder(comm, 4, 3, 8)
     return patterns.flatten(pieces_of(mesh), FABRIC)
-
-
-def pieces_of(mesh: meshes.MembraneMesh) -> patterns.Pieces:
-    """Cut along all edge groups but the boundary."""
-    return patterns.cut(mesh, [patterns.edge_line(mesh, k) for k in mesh.edges if k != "boundary"])
 
 
 class TestOffset:
@@ -176,8 +172,7 @@ def test_report_has_the_pattern(
     )
     scene = patterns.sew(pattern)
     scene.fix("boundary")
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     found = patterns.compare(solver, pattern, 2.0)
     sections = patterns.report_sections(
         pattern, patterns.Sheet(3.0, allowance=0.05), found, unit="m", force="kN"

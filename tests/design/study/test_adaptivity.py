@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Solver, meshes
@@ -57,8 +57,7 @@ def model_2(mesh):
     """A cable over the inflated square, just taut, that anchors beyond it pull down."""
     scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.put_load((0.0, 0.0, -0.001), name="snow")
-    solver = Solver(scene, rtol=1e-9)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, rtol=1e-9), pressure=0.01)
     cable = scene.lay_cable(
         Cable(EA=32000.0), [(-80.0, 41.0, 0.0), (180.0, 41.0, 0.0)], name="ridge"
     )
@@ -130,7 +129,6 @@ def test_build_must_use_the_mesh(comm):
 
 def test_scene_without_load_has_nothing_to_adapt(comm):
     scene = clamped(grid(comm, 2), IsotropicMembrane(300.0, 0.25, 0.08))
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     with pytest.raises(InputError, match="the estimated error is zero; load the scene"):
         marked_cells(solver)

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 
 from crms_fenicsx import (
     Cable,
@@ -33,9 +33,7 @@ def grid(comm, cells, **how):
 def square(mesh):
     """The clamped square under pressure."""
     scene = clamped(mesh, FABRIC)
-    solver = Solver(scene, rtol=1e-10)
-    solver.advance(pressure=0.01)
-    return solver
+    return advanced(Solver(scene, rtol=1e-10), pressure=0.01)
 
 
 def test_square_of_which_the_energy_is_known(comm):
@@ -85,9 +83,7 @@ def sail(mesh, tension):
     form = find_form(mesh, stress=2.0, fixed=corners,
                      cables=[FormCable(side, tension=tension) for side in sides])  # fmt: skip
     fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
-    solver = Solver(form.scene(fabric, Cable(EA=8000.0)))
-    solver.advance()
-    return solver
+    return advanced(Solver(form.scene(fabric, Cable(EA=8000.0))))
 
 
 @pytest.mark.ranks
@@ -180,9 +176,7 @@ def under_cable(mesh):
     """A cable of a given length over the middle of the square."""
     scene = clamped(mesh, FABRIC)
     scene.lay_cable(Cable(EA=32000.0), [(0.0, 50.0, 0.0), (SIDE, 50.0, 0.0)], L0=100.6)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
-    return solver
+    return advanced(Solver(scene), pressure=0.01)
 
 
 def test_displacement_under_a_cable(comm):

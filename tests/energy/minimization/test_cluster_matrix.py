@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cluster_twins import closed, connected, dense_cluster
+from polygon_twins import closed, connected, dense_cluster
 
 from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout, ClusterMatrix
 from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT

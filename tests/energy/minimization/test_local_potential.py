@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from cluster_twins import dense_cluster
 from mpi4py import MPI
+from polygon_twins import dense_cluster
 from taylor import OnMesh, dense, noise
 from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 

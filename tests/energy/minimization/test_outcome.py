@@ -1,15 +1,22 @@
-"""When a minimisation is given up for want of progress, and what counts as free of stress."""
+"""What the potential knows of its state; when a minimisation is given up for want of progress, and
+what counts as free of stress."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
+from term_scene import cable_square, displaced
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.equilibrium.contribution import unloaded_scales
-from crms_fenicsx.energy.minimization.outcome import NO_STRAIN, Stalling, is_unstressed
+from crms_fenicsx.energy.minimization.outcome import (
+    NO_STRAIN,
+    Stalling,
+    is_unstressed,
+)
+from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 
@@ -101,8 +108,53 @@ def test_small_strain_is_solved(comm: MPI.Intracomm, strain: float) -> None:
     scene.fix("left")
     scene.fix("right")
     scene.fix(lambda x: x[2] < 1.0, "z")
-    solver = Solver(scene)
-    solver.advance(move={"right": (L * strain, 0.0, 0.0)})
+    solver = advanced(Solver(scene), move={"right": (L * strain, 0.0, 0.0)})
     assert scene.energy == pytest.approx(0.5 * stiffness * strain**2 * L * H, rel=1e-5, abs=0.0)
     force = solver.reactions("right").total[0]
     assert force == pytest.approx(stiffness * strain * H, rel=1e-5, abs=0.0)
+
+
+def shaken(comm: MPI.Intracomm) -> tuple[Potential, list]:
+    """A potential of a membrane with cables, and two states as the minimiser asks for them."""
+    system = cable_square(comm)
+    potential, n = system.potential, system.unknowns.n_owned
+    states = []
+    for size in (0.5, 0.6):
+        X = potential.x_vector.duplicate()
+        X.array[:] = (displaced(system.unknowns, size) * ~system.unknowns.held[:n]).ravel()
+        states.append(X)
+    return potential, states
+
+
+@pytest.mark.ranks
+def test_the_state_that_was_evaluated_last_is_not_evaluated_again(comm: MPI.Intracomm) -> None:
+    potential, (a, b) = shaken(comm)
+    G = a.duplicate()
+    energy = potential.objective_gradient(None, a, G)
+    gradient = G.array.copy()
+    count = potential.evaluations
+    potential.place(a)
+    again, _ = potential.evaluate_terms()
+    potential.free_gradient(G)
+    assert potential.evaluations == count
+    np.testing.assert_allclose(again, energy, rtol=1e-13)
+    np.testing.assert_allclose(G.array, gradient, rtol=1e-12, atol=1e-12 * np.abs(gradient).max())
+    # another state is, also if it was evaluated before the last one
+    potential.objective_gradient(None, b, G)
+    potential.place(a)
+    np.testing.assert_allclose(potential.evaluate_terms()[0], energy, rtol=1e-13)
+    assert potential.evaluations == count + 2
+
+
+@pytest.mark.ranks
+def test_a_state_placed_by_hand_is_evaluated(comm: MPI.Intracomm) -> None:
+    potential, (a, b) = shaken(comm)
+    G = a.duplicate()
+    first = potential.objective_gradient(None, a, G)
+    other = potential.objective_gradient(None, b, G)
+    assert abs(other - first) > 1e-6 * abs(first)
+    potential.x_vector.array[:] = a.array
+    potential.place()
+    assert abs(potential.evaluate_terms()[0] - first) < 1e-12 * abs(first)
+    potential.place(b)  # asked for before, but not there any more
+    assert abs(potential.evaluate_terms()[0] - other) < 1e-12 * abs(other)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
@@ -22,8 +22,7 @@ def solved(weight: float) -> Solver:
     scene.lay_cable(Cable(100.0), [(0.0, 1.3), (4.0, 2.1)], tension=0.5)
     prop = scene.add_bar(Bar(1e3), (3.0, 3.0, -2.0), scene.vertex_at((3.0, 3.0, 0.0)))
     scene.put_load((0.0, 0.0, 0.02), name="lift", per="plan")
-    solver = Solver(scene, stability="ignore")
-    solver.advance(load=1.0, L0={prop: 1.999})
+    solver = advanced(Solver(scene, stability="ignore"), load=1.0, L0={prop: 1.999})
     scene.put_pond(weight, volume=30.0)
     return solver
 
@@ -65,8 +64,7 @@ def test_a_way_is_convex_or_not() -> None:
     )
     top = scene.add_joint((0.0, 9.0, 1.0), held="xy")
     scene.add_bar(Bar(1e3), (4.0, 9.0, 0.0), top)
-    solver = Solver(scene, stability="ignore")
-    solver.advance()
+    solver = advanced(Solver(scene, stability="ignore"))
     potential, system = solver.system.potential, solver.system
     assert system.bars is not None
     (joint,) = system.bars.blocks_of([top])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from cabled_square import CABLE, sheet
+from cabled_square import CABLE, advanced, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import EnergyTerm, InputError, Scene, Solver, taylor_test
@@ -112,8 +112,7 @@ def test_stiffness_in_h0_spares_iterations(comm: MPI.Intracomm) -> None:
 @pytest.mark.ranks
 def test_with_cables(comm: MPI.Intracomm) -> None:
     scene = sheet(comm, 8, "unstructured")
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(CABLE, [(0.0, 31.0), (100.0, 52.0)], tension=5.0)
     scene.add_term(StiffSprings())
     step = solver.advance(L0={cable: 0.98 * cable.L0})
@@ -162,8 +161,7 @@ def test_taylor_test_of_a_right_term(comm: MPI.Intracomm) -> None:
     assert taylor_test(Springs(0.0, 0.0, (1, 2, 3)), scene.u).gradient == np.inf
     np.testing.assert_array_equal(scene.u.x.array, before)
     scene.add_term(term := StiffSprings())
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    Solver(scene).advance(pressure=0.01)
     layout = term.unknowns
     taylor_test(term, scene.u)
     assert term.unknowns is layout
@@ -238,8 +236,8 @@ def test_bad_terms_are_refused(comm: MPI.Intracomm) -> None:
         type("Half", (EnergyTerm,), {"name": "half", "sums": lambda *_: None})()
 
 
-def test_checkpoints_know_the_terms(comm: MPI.Intracomm, tmp_path: Path) -> None:
-    folder = Path(comm.bcast(str(tmp_path))) / "kept"
+def test_checkpoints_know_the_terms(comm: MPI.Intracomm, folder: Path) -> None:
+    folder = folder / "kept"
 
     def made(*terms: EnergyTerm) -> Solver:
         scene = sheet(comm, 4)
@@ -285,14 +283,13 @@ class Wear(Springs):
 
 
 @pytest.mark.ranks
-def test_a_term_with_history(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_a_term_with_history(comm: MPI.Intracomm, folder: Path) -> None:
     scene = sheet(comm, 4)
     scene.add_term(wear := Wear(k=0.05))
     solver = Solver(scene)
     first = solver.advance(pressure=0.01).energies["wear"]
     assert (wear.begun, wear.ended) == (1, 1) and first > 0.0
     assert solver.advance().energies["wear"] < 0.5 * first
-    folder = Path(comm.bcast(str(tmp_path)))
     refused(lambda: solver.save(folder / "kept"), "'wear' has a history")
     other = Solver(scene, results=folder / "run", resume=False)
     refused(lambda: other.advance(pressure=0.02), "'wear' has a history")

@@ -2,13 +2,7 @@
 
 import numpy as np
 import pytest
-from taylor import (
-    TermOnPoints,
-    gradient_order,
-    is_semidefinite,
-    stiffness_error,
-    stiffness_order,
-)
+from taylor import TermOnPoints, gradient_order, is_semidefinite, stiffness_error, stiffness_order
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
 from crms_fenicsx.energy.terms.cable_tension import CableTension

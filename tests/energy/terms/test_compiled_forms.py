@@ -1,4 +1,5 @@
-"""Forms that are compiled once in a process, on one mesh after the other."""
+"""Forms that are compiled once in a process, on one mesh after the other, and assembled in one pass
+over the cells."""
 
 from __future__ import annotations
 
@@ -10,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
+from grids import grid
 from mpi4py import MPI
-from term_scene import FABRIC
+from term_scene import FABRIC, ISOTROPIC, cable_square, displaced, on_mesh
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, meshes
 from crms_fenicsx.design.form_finding import film, find_form
@@ -30,23 +32,19 @@ MATERIALS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def grid(comm: MPI.Intracomm, n: int, material: Any) -> meshes.MembraneMesh:
+def square(comm: MPI.Intracomm, n: int, material: Any) -> meshes.MembraneMesh:
     """A unit square of n x n squares of two cells, with its halves as parts where these differ."""
-    i, j = (axis.ravel() for axis in np.meshgrid(range(n), range(n)))
-    a = i + j * (n + 1)
-    cells = np.concatenate(
-        [np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)]
-    )
-    x, y = (axis.ravel() / n for axis in np.meshgrid(range(n + 1), range(n + 1)))
-    left = np.tile(i < n // 2, 2)
+    line = np.linspace(0.0, 1.0, n + 1)
+    points, cells = grid(line, line, by_rows=True)
+    left = points[cells, 0].mean(axis=1) < (n // 2) / n
     halves = {"left": np.flatnonzero(left), "right": np.flatnonzero(~left)}
     parts = halves if isinstance(material, Mapping) else {}
-    return meshes.from_arrays(comm, np.stack([x, y, 0 * x], 1), cells, parts=parts)
+    return meshes.from_arrays(comm, points, cells, parts=parts)
 
 
 def assembled(comm: MPI.Intracomm, n: int, material: MembraneMaterial) -> list[Any]:
     """Values and gradients of membrane and pressure, and the membrane's stiffness, when bent."""
-    scene = Scene(grid(comm, n, material), material)
+    scene = Scene(square(comm, n, material), material)
     x, y, _ = scene.membrane.stress_free.T
     scene.u.x.array[:] = np.stack([0.02 * x * y, -0.01 * y, 0.3 * x * y * (1 - y)], 1).ravel()
     cells = fem.Function(fem.functionspace(scene.mesh.mesh, ("DG", 0)))
@@ -88,7 +86,7 @@ def test_a_form_on_another_mesh_is_that_of_its_signature(
 @pytest.mark.ranks
 @pytest.mark.parametrize("name", ["isotropic", "parts"])
 def test_cells_without_a_factor_are_left_out(comm: MPI.Intracomm, name: str) -> None:
-    scene = Scene(grid(comm, 4, MATERIALS[name]), MATERIALS[name])
+    scene = Scene(square(comm, 4, MATERIALS[name]), MATERIALS[name])
     scene.u.x.array[:] = 0.1 * scene.membrane.stress_free.ravel()
     term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
 
@@ -122,7 +120,7 @@ def test_ranks_that_have_compiled_a_form_wait_for_those_that_have_not(
 
 def test_a_compiled_form_keeps_no_mesh_alive(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(integral, "COMPILED", {})
-    scene = Scene(grid(MPI.COMM_SELF, 4, FILM), FILM)
+    scene = Scene(square(MPI.COMM_SELF, 4, FILM), FILM)
     MembraneEnergy(scene.u, scene.materials)
     gone = weakref.ref(scene.u)
     del scene
@@ -136,10 +134,39 @@ def test_a_form_is_found_on_another_mesh_without_compiling(
 ) -> None:
     given: Any = {"fixed": ["boundary"], "warp": (1.0, 0.0, 0.0), "pressure": 0.5}
     given = given if isinstance(stress, tuple) else {"fixed": ["boundary"], "pressure": 0.5}
-    find_form(grid(MPI.COMM_SELF, 4, FILM), stress, **given)
+    find_form(square(MPI.COMM_SELF, 4, FILM), stress, **given)
     with monkeypatch.context() as unable:
         unable.delattr(fem, "compile_form")
-        found = find_form(grid(MPI.COMM_SELF, 6, FILM), stress, **given)
+        found = find_form(square(MPI.COMM_SELF, 6, FILM), stress, **given)
     monkeypatch.setattr(film, "compiled_form", by_signature)
-    other = find_form(grid(MPI.COMM_SELF, 6, FILM), stress, **given)
+    other = find_form(square(MPI.COMM_SELF, 6, FILM), stress, **given)
     np.testing.assert_array_equal(found.mesh.mesh.geometry.x, other.mesh.mesh.geometry.x)
+
+
+BOTH = "MembraneEnergy", "FollowerPressure"
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("material", [ISOTROPIC, FABRIC])
+def test_terms_together_are_those_alone(comm: MPI.Intracomm, material: MembraneMaterial) -> None:
+    system = cable_square(comm, material)
+    x = displaced(system.unknowns, 2.0)
+    energies, gradients = zip(*(on_mesh(system, name).value(x) for name in BOTH), strict=True)
+    energy, gradient = on_mesh(system, *BOTH).value(x)
+    assert energy == pytest.approx(sum(energies), rel=1e-12)
+    size = comm.allreduce(max(np.abs(g).max() for g in gradients), op=MPI.MAX)
+    np.testing.assert_allclose(gradient, sum(gradients), rtol=0, atol=1e-12 * size)
+
+
+def test_a_new_layout_of_the_unknowns_compiles_nothing(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = cable_square(comm)
+    system.potential.evaluate()
+    energies = system.potential.energies()
+    monkeypatch.delattr(fem, "form")
+    monkeypatch.delattr(fem, "compile_form")
+    system.rebuild()
+    system.read_scene()
+    system.potential.evaluate()
+    assert system.potential.energies() == pytest.approx(energies, rel=1e-12)

@@ -21,13 +21,10 @@ from term_scene import (
 )
 from term_twins import area, axes_of, density, strain
 
-from crms_fenicsx import meshes
-from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx import InputError, IsotropicMembrane, OrthotropicMembrane, Scene, meshes
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.compat import interpolation_points
-from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
 
 
 def turning_warp(x):

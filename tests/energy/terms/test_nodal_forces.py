@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped, square
 from dolfinx import fem
-from reference_meshes import square
 from taylor import OnMesh, gradient_order, noise
 from term_scene import (
     ISOTROPIC,
@@ -114,8 +113,7 @@ def test_supports_carry_the_load(comm):
     scene = clamped(irregular_square(comm), ISOTROPIC)
     scene.put_load((0.0, 0.0, -0.01))
     cable = scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], hold="sleeve", L0=SIDE)
-    solver = Solver(scene)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene), load=1.0)
     assert cable.tension > 1.0
     total = solver.reactions("boundary").total
     np.testing.assert_allclose(total, [0.0, 0.0, 0.01 * SIDE**2], atol=1e-6)
@@ -140,8 +138,7 @@ def test_line_load(comm, kind):
     np.testing.assert_allclose(total, np.array([0.0, 0.3, -0.2]) * 125.0, rtol=1e-12, atol=1e-12)
     at_ends = comm.allreduce(forces[ends].sum(axis=0))
     np.testing.assert_allclose(at_ends, total / 6, rtol=1e-9, atol=1e-12)
-    solver = Solver(scene)
-    solver.advance(load=1.0)
+    solver = advanced(Solver(scene), load=1.0)
     carried = sum(solver.reactions(group).total for group in ("left", "right"))
     np.testing.assert_allclose(carried, -total, atol=1e-6)
 
@@ -190,8 +187,7 @@ def test_area_that_a_load_is_counted_by(comm, per):
 
 def test_load_steps_and_history(comm):
     scene = lifted_scene(comm)
-    solver = Solver(scene)
-    solver.advance(pressure=0.005)
+    solver = advanced(Solver(scene), pressure=0.005)
     scene.put_load((0.0, 0.0, -0.001))
     solver.advance(load=2.0, steps=2)
     solver.advance(pressure=0.01)

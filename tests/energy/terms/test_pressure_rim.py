@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from cabled_square import advanced
+from grids import grid
 from mpi4py import MPI
 from scipy.optimize import brentq
 
@@ -20,17 +22,8 @@ def sheet(
     comm: MPI.Intracomm, x: np.ndarray, y: np.ndarray, edges: dict[str, Place], **laws: str
 ) -> Scene:
     """A flat sheet whose diagonals mirror at x = 50 and y = 50, with groups of its rim."""
-    X, Y = np.meshgrid(x, y)
-    points = np.column_stack([X.ravel(), Y.ravel(), 0 * X.ravel()])
-    cells = []
-    for j in range(len(y) - 1):
-        for i in range(len(x) - 1):
-            a = j * len(x) + i
-            b, c, d = a + 1, a + len(x) + 1, a + len(x)
-            middle = points[[a, b, c, d]].mean(axis=0)
-            one = (middle[0] < 50.0) == (middle[1] < 50.0)
-            cells += [(a, b, c), (a, c, d)] if one else [(a, b, d), (b, c, d)]
-    sides = Counter(tuple(sorted((t[k], t[k - 1]))) for t in cells for k in range(3))
+    points, cells = grid(x, y, other=np.not_equal.outer(x[1:] <= 50.0, y[1:] <= 50.0), by_rows=True)
+    sides = Counter(tuple(sorted((t[k], t[k - 1]))) for t in cells.tolist() for k in range(3))
     rim = [side for side, times in sides.items() if times == 1]
     groups = {
         name: [side for side in rim if all(where(points[k]) for k in side)]
@@ -101,8 +94,7 @@ def test_a_strip_cut_on_both_sides_is_a_cylinder(comm: MPI.Intracomm) -> None:
         scene = sheet(comm, np.linspace(0, L, n + 1), np.array([7.0, 22.0, 37.0]), edges)
         scene.fix("ends")
         scene.fix("sides", "y")
-        solver = Solver(scene)
-        solver.advance(pressure=p)
+        solver = advanced(Solver(scene), pressure=p)
         errors.append([scene.volume / volume - 1, scene.energy / energy - 1])
     np.testing.assert_allclose(errors[-1], 0.0, atol=1e-3)
     rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
@@ -134,8 +126,7 @@ def test_free_edges_are_in_equilibrium_with_the_follower_pressure(comm: MPI.Intr
         scene = sheet(comm, lines, lines, edges, pressure="lagged")
         scene.fix("ends")
         cable = scene.lay_cable(Cable(32000.0), [(0.0, 43.0), (100.0, 43.0)], L0=104.0)
-        solver = Solver(scene)
-        solver.advance(pressure=0.05, steps=steps)
+        solver = advanced(Solver(scene), pressure=0.05, steps=steps)
         load = comm.allreduce(0.05 * solver.system.pressed_facets()[1].sum(axis=0))
         held = solver.reactions("ends").total
         np.testing.assert_allclose(held, -load, atol=1e-7 * np.abs(load).max())

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import CABLE, LINEAR, clamped
-from reference_meshes import square
+from cabled_square import CABLE, LINEAR, advanced, clamped, square
 
 from crms_fenicsx import Cable, LaidCable, OrthotropicMembrane, Scene, Solver
 
@@ -32,8 +31,7 @@ def tightened(
     scene: Scene, steps: int, pressure: float, drop: float, path=ACROSS
 ) -> tuple[Solver, LaidCable]:
     """Inflate a scene in steps, and pull the ends of a cable across it down in as many."""
-    solver = Solver(scene)
-    solver.advance(pressure=pressure, steps=steps)
+    solver = advanced(Solver(scene), pressure=pressure, steps=steps)
     cable = scene.lay_cable(CABLE, path)
     solver.advance(move={cable: (0.0, 0.0, -drop)}, steps=steps)
     return solver, cable
@@ -80,8 +78,7 @@ def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
 def test_step_cable_tends_to_the_logarithm_of_its_length(comm) -> None:
     """With l_n in the place of L0 the tension is EA ln(L/L0) as the steps get small."""
     scene = clamped(square(comm, 9), LINEAR)
-    solver = Solver(scene)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene), pressure=0.01)
     cable = scene.lay_cable(Cable(EA=32000.0, law="step"), ACROSS)
     start = cable.length
     errors = []
@@ -146,8 +143,7 @@ def test_small_pressures_in_many_steps(comm, pressure: float) -> None:
     energies = []
     for law in ("total", "step"):
         scene = clamped(square(comm, 17), LINEAR, strain=law)
-        solver = Solver(scene)
-        solver.advance(pressure=pressure, steps=20)
+        solver = advanced(Solver(scene), pressure=pressure, steps=20)
         assert all(step.halvings == 0 for step in solver.steps)
         energies.append(scene.energy)
     assert energies[1] == pytest.approx(energies[0], rel=1e-3)

@@ -1,15 +1,27 @@
-"""Wind: forces cell by cell, the exact follower pressure, its own fixed point, bad input."""
+"""Wind: forces cell by cell, the exact follower pressure, its own fixed point, folded cells, bad
+input."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
-from taylor import noise
-from term_scene import ISOTROPIC, SIDE, corners, irregular_square
+from taylor import gradient_order, noise, stiffness_error
+from term_scene import (
+    ISOTROPIC,
+    SIDE,
+    cable_square,
+    corners,
+    directions,
+    displaced,
+    irregular_square,
+    on_mesh,
+)
 
 from crms_fenicsx import Cable, InputError, Scene, Solver, meshes
+from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.energy.minimization.taylor import TermsWithDyads
 from crms_fenicsx.model.membrane_load import wind_load
 
 
@@ -52,8 +64,7 @@ def under_suction(comm, size, cable, **loads):
     """The top, and the cable's tension if there is one."""
     scene = fixed(meshes.rectangle(comm, SIDE, SIDE, size))
     scene.put_wind(0.01, -1.0)
-    solver = Solver(scene)
-    solver.advance(pressure=0.004)
+    solver = advanced(Solver(scene), pressure=0.004)
     if cable:
         scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], L0=1.02 * SIDE, name="rope")
     solver.advance(**loads, steps=2)
@@ -98,8 +109,7 @@ def test_supports_carry_the_wind_of_the_shape_that_it_leads_to(comm):
     tops = []
     for steps in (1, 3):
         scene = fixed(irregular_square(comm, 20.0))
-        solver = Solver(scene)
-        solver.advance(pressure=0.005)
+        solver = advanced(Solver(scene), pressure=0.005)
         scene.put_wind(0.003, gusty, name="gust")
         cp = -scene.load("gust").suction / 0.003
         solver.advance(load={"gust": 1.5}, steps=steps)
@@ -138,3 +148,76 @@ def test_bad_wind(comm, pressure, coefficient, message):
     with pytest.raises(InputError, match=message):
         scene.put_wind(pressure, coefficient)
     assert len(scene.loads) == 0
+
+
+Q, FACTOR = 0.02, 0.7
+
+
+def gusts(points, normals):
+    return 0.3 - np.sin(points[0] / 30)
+
+
+def windy_square(comm, coefficient):
+    """The square with three taut cables, in the wind."""
+    scene = cable_square(comm).scene
+    scene.put_wind(Q, coefficient)
+    scene.loads.replace_each(lambda load: replace(load, factor=FACTOR))
+    system = System(scene, "crms_wind_", 1e-8)
+    system.read_scene()
+    return system
+
+
+def volume(points):
+    """Volume under triangles (n, 3, 3), seen from the origin."""
+    return np.einsum("ni,ni", points[:, 0], np.cross(points[:, 1], points[:, 2])) / 6
+
+
+@pytest.mark.ranks
+def test_derivatives(comm):
+    system = windy_square(comm, gusts)
+    f = on_mesh(system, "FoldedWind")
+    x = displaced(f.unknowns, 2.0)
+    exact = TermsWithDyads(system.unknowns, system.scene.u, f.potential.terms, exact=True)
+    for name, d in directions(f.unknowns).items():
+        assert gradient_order(f, x, 0.1 * d) == pytest.approx(2, abs=0.03), name
+        assert stiffness_error(exact, x, d, h=1e-5) < 2e-6, name
+
+
+@pytest.mark.ranks
+def test_facets_of_each_cell_close(comm):
+    """So its forces balance each other, and the volume is the same from anywhere."""
+    system = windy_square(comm, gusts)
+    (term,) = (t for t in system.potential.terms if t.name == "wind")
+    unknowns = system.unknowns
+    x = np.random.default_rng(comm.rank).normal(size=unknowns.X.shape)
+    places = (unknowns.X + 3.0 * x)[term.table.corners]
+    vectors = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+    cells = np.unique(term._cells)
+    for cell in cells:
+        own = term._cells == cell
+        open_ = term._shares[own] @ vectors[own]
+        np.testing.assert_allclose(open_, 0.0, atol=1e-11 * np.abs(vectors[own]).sum())
+    assert comm.allreduce(len(cells)) > 20
+
+
+def test_pressure_of_each_cell(comm):
+    """It is the wind's at the load's factor."""
+    system = windy_square(comm, gusts)
+    (term,) = (t for t in system.potential.terms if t.name == "wind")
+    load = system.scene.load("wind")
+    expected = term._shares * FACTOR * load.suction[term._cells]
+    np.testing.assert_allclose(term.table.weights, expected, rtol=1e-14)
+
+
+def test_uniform_suction_has_the_volume_of_the_facets(comm):
+    """With the triangles it is what pressure has, plain cells and folded ones."""
+    system = windy_square(comm, -1.0)
+    pressure = on_mesh(system, "FollowerPressure", "FoldedFollowerPressure")
+    wind = on_mesh(system, "FoldedWind")
+    x = displaced(wind.unknowns, 2.0)
+    under = -pressure.value(x)[0] / system.scene.pressure
+    depth = -wind.value(x)[0] / (Q * FACTOR)
+    was, now = (places - system.scene.membrane.centre for places in corners(system.scene))
+    triangles = comm.allreduce(float(volume(now) - volume(was)))
+    assert abs(depth) > 1e-3 * abs(under)
+    assert under == pytest.approx(triangles + depth, rel=1e-10)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from numpy.testing import assert_allclose, assert_array_equal
 from petsc4py import PETSc
 from table_twins import points_by_edge
 from taylor import OnMesh, gradient_order, is_semidefinite, noise, stiffness_error
@@ -16,14 +17,12 @@ from term_scene import (
     on_mesh,
 )
 
+from crms_fenicsx import Cable, EnergyTerm, Scene
 from crms_fenicsx.analysis.equilibrium.system import System
-from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
-from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes import from_arrays
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
-from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import polyline_length
 
 pytestmark = pytest.mark.ranks
@@ -73,8 +72,8 @@ def test_vertices_are_where_the_mesh_has_them(comm):
     scene, unknowns, _ = with_points(comm)
     X, mesh = unknowns.X[unknowns.vertex_blocks()], scene.V.mesh
     for dofs, nodes in zip(scene.V.dofmap.list, geometry_dofmap(mesh), strict=True):
-        np.testing.assert_array_equal(X[dofs], mesh.geometry.x[nodes])
-    np.testing.assert_allclose(X, scene.V.tabulate_dof_coordinates(), rtol=0, atol=1e-12)
+        assert_array_equal(X[dofs], mesh.geometry.x[nodes])
+    assert_allclose(X, scene.V.tabulate_dof_coordinates(), rtol=0, atol=1e-12)
     assert not unknowns.held.any()
 
 
@@ -85,15 +84,13 @@ def test_ghosts_take_their_owners_values_and_give_forces_back(comm):
     number = unknowns.start + np.arange(n)
     array[:n] = number[:, None] + np.array([0.1, 0.2, 0.3])
     unknowns.update_ghosts(vector)
-    np.testing.assert_allclose(
-        array[n:], unknowns.ghosts[:, None] + np.array([0.1, 0.2, 0.3]), rtol=1e-15
-    )
+    assert_allclose(array[n:], unknowns.ghosts[:, None] + np.array([0.1, 0.2, 0.3]), rtol=1e-15)
     array[:] = 1.0
     unknowns.add_ghosts(vector)
     # each owned point counts the ranks that hold it
     seen = np.concatenate(comm.allgather(unknowns.ghosts))
     copies = 1 + np.array([np.count_nonzero(seen == k) for k in number])
-    np.testing.assert_array_equal(array[:n], np.repeat(copies[:, None], 3, axis=1))
+    assert_array_equal(array[:n], np.repeat(copies[:, None], 3, axis=1))
     assert comm.size == 1 or (copies > 1).any()
     assert len(others) == comm.size - 1
 
@@ -102,7 +99,7 @@ def test_layout_without_points_is_the_vertices(comm):
     scene = Scene(irregular_square(comm), ISOTROPIC)
     unknowns = Unknowns(scene.V)
     assert unknowns.n_global == scene.V.dofmap.index_map.size_global
-    np.testing.assert_array_equal(unknowns.vertex_blocks(), np.arange(unknowns.n_local))
+    assert_array_equal(unknowns.vertex_blocks(), np.arange(unknowns.n_local))
 
 
 def ridden(comm):
@@ -138,7 +135,7 @@ def test_products_of_vectors_do_not_depend_on_where_they_lie(comm):
             )
             at += n if step == n else step + 100 * k % 300
         twins.append(x.mDot(others))
-    np.testing.assert_array_equal(*twins)
+    assert_array_equal(*twins)
 
 
 def test_tied_points_are_at_the_weighted_mean_of_their_vertices(comm):
@@ -150,8 +147,8 @@ def test_tied_points_are_at_the_weighted_mean_of_their_vertices(comm):
     for tied_point, interpolation, weights in zip(
         (first, second), unknowns.interpolation, unknowns.weights, strict=True
     ):
-        np.testing.assert_allclose(places[tied_point], weights @ places[interpolation], atol=1e-12)
-    np.testing.assert_array_equal(f.potential.x[free], x[free])
+        assert_allclose(places[tied_point], weights @ places[interpolation], atol=1e-12)
+    assert_array_equal(f.potential.x[free], x[free])
     assert unknowns.held[[first, second]].all()
     assert not unknowns.held[free].any()
 
@@ -165,11 +162,11 @@ def test_idle_tied_points_are_placed_on_demand(comm):
     f.value(x)
     expected = np.einsum("nk,nki->ni", parts[2], (unknowns.X + f.potential.x)[parts[1]])
     places = (unknowns.X + f.potential.x)[[first, second]]
-    np.testing.assert_allclose(places[0], expected[0], atol=1e-12)
+    assert_allclose(places[0], expected[0], atol=1e-12)
     assert np.abs(places[1] - expected[1]).max() > 1e-3
     unknowns.place_idle_tied_points(f.potential.x)
     places = (unknowns.X + f.potential.x)[[first, second]]
-    np.testing.assert_allclose(places, expected, atol=1e-12)
+    assert_allclose(places, expected, atol=1e-12)
 
 
 def test_tied_points_hand_on_their_forces_by_virtual_work(comm):
@@ -215,7 +212,7 @@ def test_spread_hands_stiffness_on_to_vertices(comm):
     twin = np.einsum("ia,ijkl,jb->abkl", P, dense(rows, cols, values), P)
     places, sources, weights = unknowns.spread(rows, cols)
     spread = dense(*places, weights[:, None, None] * values[sources])
-    np.testing.assert_allclose(spread, twin, atol=1e-12)
+    assert_allclose(spread, twin, atol=1e-12)
 
 
 # The whole potential
@@ -291,7 +288,7 @@ def fingerprint(comm, choice, size):
 def test_potential_does_not_depend_on_the_number_of_ranks(comm, choice):
     together = fingerprint(comm, choice, 1.0)
     alone = fingerprint(MPI.COMM_SELF, choice, 1.0)
-    np.testing.assert_allclose(together, alone, rtol=1e-10)
+    assert_allclose(together, alone, rtol=1e-10)
 
 
 @every_choice
@@ -311,7 +308,7 @@ def test_single_terms_add_up(comm):
     assert sum(named.values()) == pytest.approx(energy, rel=1e-13)
     parts = [OnMesh(f.unknowns, system.scene.u, [t]).value(x) for t in system.potential.terms]
     assert sum(w for w, _ in parts) == pytest.approx(energy, rel=1e-13)
-    np.testing.assert_allclose(sum(g for _, g in parts), g, atol=1e-9)
+    assert_allclose(sum(g for _, g in parts), g, atol=1e-9)
     largest = max(np.sqrt(f.dot(*2 * [np.where(held(f), 0, g)])) for _, g in parts)
     assert f.potential.evaluate_terms()[1] == pytest.approx(largest, rel=1e-12)
 
@@ -329,9 +326,7 @@ def test_minimiser_gets_no_force_on_held_components(comm):
     G = f.potential.g_vector.duplicate()
     X.setArray(x.ravel())
     assert f.potential.objective_gradient(None, X, G) == pytest.approx(energy, rel=1e-14)
-    np.testing.assert_allclose(
-        G.getArray().reshape(-1, 3), np.where(held(f), 0.0, g), rtol=1e-12, atol=1e-9
-    )
+    assert_allclose(G.getArray().reshape(-1, 3), np.where(held(f), 0.0, g), rtol=1e-12, atol=1e-9)
     X.destroy()
     G.destroy()
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from grids import grid
 
 from crms_fenicsx import InputError, MeshError, meshes
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
@@ -195,13 +196,10 @@ def length(comm, mesh, name):
 
 def two_parts(comm, **how):
     """A square of two parts with a named line between them and a named corner."""
-    x = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)
-    n = np.arange(25).reshape(5, 5)
-    a, b, c, d = n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]
-    cells = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-    left = x[cells].mean(axis=1)[:, 0] < 0
+    x, cells = grid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))
+    left, line = x[cells].mean(axis=1)[:, 0] < 0, np.arange(10, 15)
     return meshes.from_arrays(
-        comm, x, cells, edges={"line": np.column_stack([n[:-1, 2], n[1:, 2]])},
+        comm, x, cells, edges={"line": np.column_stack([line[:-1], line[1:]])},
         parts={"left": np.flatnonzero(left), "right": np.flatnonzero(~left)},
         point_groups={"corner": [0]}, **how,
     )  # fmt: skip

@@ -4,6 +4,7 @@ import dolfinx.fem
 import numpy as np
 import pytest
 import ufl
+from grids import grid
 from mesh_measures import (
     area,
     cell_corners,
@@ -17,27 +18,17 @@ from mesh_measures import (
 from crms_fenicsx.foundation.meshes import AwayFrom, from_arrays
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_nodes
-from crms_fenicsx.foundation.runtime.compat import (
-    geometry_dofmap,
-    interpolation_points,
-)
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.foundation.runtime.errors import MeshError
 
 SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 HALVES = np.array([(0, 1, 2), (0, 2, 3)])
 
 
-def grid(n, lift=lambda x, y: 0.0 * x):
+def unit_square(n, lift=lambda x, y: 0.0 * x):
     """An n x n grid over the unit square, its points lifted, its cells all upward."""
     line = np.linspace(0.0, 1.0, n + 1)
-    x, y = np.meshgrid(line, line)
-    points = np.column_stack([x.ravel(), y.ravel(), lift(x, y).ravel()])
-    cells = []
-    for j in range(n):
-        for i in range(n):
-            a = j * (n + 1) + i
-            cells += [(a, a + 1, a + n + 2), (a, a + n + 2, a + n + 1)]
-    return points, np.array(cells)
+    return grid(line, line, lift, by_rows=True)
 
 
 def octahedron():
@@ -83,7 +74,7 @@ def shuffled(points, cells, seed):
 
 @pytest.mark.ranks
 def test_cells_keep_their_vertex_order(comm):
-    points, cells = grid(7, lambda x, y: x * y)
+    points, cells = unit_square(7, lambda x, y: x * y)
     cells = cells[:, [2, 0, 1]]  # not sorted, all upward
     membrane = from_arrays(comm, points, cells)
     assert np.array_equal(input_cells(membrane), cells)
@@ -113,7 +104,7 @@ def test_one_cell_on_any_number_of_ranks(comm):
 
 @pytest.mark.ranks
 def test_vertex_nodes_agree_cell_by_cell(comm):
-    mesh = from_arrays(comm, *grid(4)).mesh
+    mesh = from_arrays(comm, *unit_square(4)).mesh
     nodes = vertex_nodes(mesh)
     for cell, of_cell in enumerate(geometry_dofmap(mesh)):
         assert nodes[mesh.topology.connectivity(2, 0).links(cell)].tolist() == of_cell.tolist()
@@ -121,7 +112,7 @@ def test_vertex_nodes_agree_cell_by_cell(comm):
 
 @pytest.mark.ranks
 def test_mesh_carries_forms(comm):
-    mesh = from_arrays(comm, *grid(4, lambda x, y: 2.0 * x)).mesh
+    mesh = from_arrays(comm, *unit_square(4, lambda x, y: 2.0 * x)).mesh
     one = dolfinx.fem.Constant(mesh, 1.0)
     value = comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ufl.dx)))
     assert value == pytest.approx(np.sqrt(5.0), rel=1e-12)
@@ -140,7 +131,7 @@ def test_slivers_pass_and_scale_does_not_matter(comm):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_turned_cells_are_turned_back(comm, seed):
-    points, cells = shuffled(*grid(6, lambda x, y: np.sin(3.0 * x) * y), seed)
+    points, cells = shuffled(*unit_square(6, lambda x, y: np.sin(3.0 * x) * y), seed)
     assert not is_consistently_oriented(cells)
     up = from_arrays(comm, points, cells)
     oriented = input_cells(up)
@@ -155,7 +146,7 @@ def test_turned_cells_are_turned_back(comm, seed):
 
 @pytest.mark.ranks
 def test_pieces_are_oriented_one_by_one(comm):
-    points, cells = grid(3)
+    points, cells = unit_square(3)
     both = np.vstack([points, points + np.array([2.0, 0.0, 0.0])])
     membrane = from_arrays(comm, both, np.vstack([cells, cells[:, ::-1] + len(points)]))
     assert total_area_vector(membrane)[2] == pytest.approx(2.0)
@@ -202,7 +193,7 @@ def test_bad_outside(comm, outside):
 @pytest.mark.ranks
 def test_groups_survive_distribution(comm):
     n = 8
-    points, cells = shuffled(*grid(n), seed=5)
+    points, cells = shuffled(*unit_square(n), seed=5)
     middle = points[cells].mean(axis=1)
     line = np.flatnonzero(points[:, 0] == 0.5)
     line = line[np.argsort(points[line, 1])]
@@ -234,7 +225,7 @@ def test_groups_survive_distribution(comm):
 @pytest.mark.ranks
 def test_ghosts_belong_to_groups(comm):
     """Each rank finds exactly those of its vertices, ghosts too, that lie where the group is."""
-    points, cells = grid(8)
+    points, cells = unit_square(8)
     group = np.flatnonzero(points[:, 0] == 0.5)
     membrane = from_arrays(comm, points, cells, point_groups={"ridge": group})
     places = membrane.mesh.geometry.x[vertex_nodes(membrane.mesh)]
@@ -257,7 +248,7 @@ def test_boundary_may_be_named_if_it_is_the_boundary(comm):
 
 
 def test_edge_table_against_a_dictionary():
-    _, cells = shuffled(*grid(5), seed=1)
+    _, cells = shuffled(*unit_square(5), seed=1)
     sides = {}
     for cell, corners in enumerate(cells.tolist()):
         for k in range(3):

@@ -13,17 +13,10 @@ import pytest
 from mesh_measures import area, cell_corners, edge_ends, length, point_places, total_area_vector
 from scipy.integrate import dblquad
 
-from crms_fenicsx import meshes
+from crms_fenicsx import MeshError, meshes
 from crms_fenicsx.foundation.meshes import AwayFrom
-from crms_fenicsx.foundation.runtime.errors import MeshError
 
 ROOT = Path(__file__).parents[3]
-
-
-@pytest.fixture
-def folder(comm, tmp_path):
-    """One folder for all ranks; rank 0 writes before the others go on."""
-    return comm.bcast(tmp_path, root=0)
 
 
 @pytest.fixture

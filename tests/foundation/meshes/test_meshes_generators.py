@@ -18,10 +18,9 @@ from mesh_measures import (
 from scipy.integrate import dblquad
 from scipy.special import ellipe
 
-from crms_fenicsx import meshes, nets
+from crms_fenicsx import InputError, MeshError, meshes, nets
 from crms_fenicsx.foundation.meshes import Refinement
 from crms_fenicsx.foundation.meshes.refinement import TargetSize
-from crms_fenicsx.foundation.runtime.errors import InputError, MeshError
 
 
 def order_of(errors, factor=2.0):
@@ -289,6 +288,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.circle(c, -1.0, 0.1), "radius = -1.0"),
         (lambda c: meshes.circle(c, 1.0, 0.1, center=(np.nan, 0.0)), "center = "),
         (lambda c: meshes.spherical_cap(c, 1.0, 0.0, 0.1), "height = 0.0"),
+        (lambda c: meshes.spherical_cap(c, 1.0, 1e-300, 0.1), "height = 1e-300 is outside"),
         (lambda c: nets.great_circle(1.0, 1.0, 0.0, 0.0), "height = 1.0 must be less than 1"),
         (lambda c: nets.great_circle(1.0, 0.5, 0.0, -2.0), "offset = 2.0 must be less than 1"),
         (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),  # type: ignore[arg-type]

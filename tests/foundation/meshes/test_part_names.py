@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
+from grids import grid
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
@@ -20,12 +21,7 @@ FABRIC = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=5.0)
 
 def zoned(comm: MPI.Intracomm) -> meshes.MembraneMesh:
     """A square roof in two halves, with a strip along its south that lies in both."""
-    x = np.linspace(0.0, 4.0, 5)
-    points = np.array([(a, b, 0.0) for b in x for a in x])
-    first = np.array([5 * j + i for j in range(4) for i in range(4)])
-    cells = np.concatenate([
-        np.stack([first, first + 1, first + 6], 1), np.stack([first, first + 6, first + 5], 1)
-    ])  # fmt: skip
+    points, cells = grid(np.arange(5.0), np.arange(5.0))
     centres = points[cells].mean(axis=1)
     return meshes.from_arrays(
         comm, points, cells,
@@ -95,8 +91,7 @@ def test_cells_count_to_the_inner_part(comm: MPI.Intracomm, order: int) -> None:
     own = mesh.mesh.topology.index_map(2).size_local
     west = np.isin(np.arange(own), mesh.parts["west"])
     assert scene.load("wind").suction == pytest.approx(np.where(west, 1.5, 0.5))
-    solver = Solver(scene)
-    solver.advance()
+    solver = advanced(Solver(scene))
     strengths = {"roof": (100.0, 100.0), "west": (10.0, 10.0)}
     found = solver.results().utilisation({name: strengths[name] for name in names})
     assert found == pytest.approx(np.where(west, 0.5, 0.05))

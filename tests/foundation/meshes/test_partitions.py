@@ -4,17 +4,10 @@ import functools
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 
-from crms_fenicsx import (
-    Cable,
-    Friction,
-    IsotropicMembrane,
-    OrthotropicMembrane,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Cable, Friction, IsotropicMembrane, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.foundation.runtime.errors import MeshError
 from crms_fenicsx.results.output import draw
 
@@ -66,8 +59,7 @@ def square(ranks, material=FABRIC):
     """The clamped, inflated square."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, SIDE, SIDE, SIDE / CELLS, structured=True, ranks=ranks)
     scene = clamped(mesh, material)
-    solver = Solver(scene, rtol=1e-10)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, rtol=1e-10), pressure=0.01)
     return scene, solver
 
 
@@ -156,8 +148,7 @@ def test_partition_does_not_matter(story, partition):
 
 
 @needs_three
-def test_everything_is_written_by_ranks_without_cells(tmp_path):
-    folder = MPI.COMM_WORLD.bcast(tmp_path)
+def test_everything_is_written_by_ranks_without_cells(folder):
     mesh = meshes.rectangle(MPI.COMM_WORLD, SIDE, SIDE, 25.0, structured=True, ranks=without(0))
     counts = MPI.COMM_WORLD.allgather(mesh.mesh.topology.index_map(2).size_local)
     assert counts[0] == 0 and min(counts[1:3]) > 0 and sum(counts) == 32

@@ -4,20 +4,12 @@ import functools
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 from taylor import OnMesh, gradient_order, noise
 from walled_roof import edge_counts, group_edges, ids, roof_mesh, walled_roof
 
-from crms_fenicsx import (
-    Cable,
-    InputError,
-    IsotropicMembrane,
-    PathError,
-    Scene,
-    Solver,
-    meshes,
-)
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, PathError, Scene, Solver, meshes
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.cabling.cables.strip import StripShape, cells_near
 from crms_fenicsx.cabling.contact.lift_off import size_at
@@ -116,8 +108,7 @@ def tent(comm, wall, **options):
 def tightened(comm, wall):
     """An inflated tent with a cable across the seam that has slid over some of its vertices."""
     scene = tent(comm, wall)
-    solver = Solver(scene, rtol=1e-10)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, rtol=1e-10), pressure=0.01)
     cable = scene.lay_cable(CABLE, [(0.0, 30.0), (57.0, 65.0), (100.0, 38.0)])
     solver.advance(L0={cable: 101.0})
     return scene, cable

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grids import grid
 
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface, arc_lengths_on
 
 RADIUS = 5.0
 
 
-def grid(n: int, height) -> tuple[np.ndarray, np.ndarray]:
+def surface_over(n: int, height) -> tuple[np.ndarray, np.ndarray]:
     """A grid of n x n squares over [-1, 1]^2, each cut in two, with irregular vertices."""
-    x, y = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, n + 1)])
-    plan = np.column_stack([x.ravel(), y.ravel()])
+    line = np.linspace(-1.0, 1.0, n + 1)
+    points, cells = grid(line, line, by_rows=True)
+    plan = points[:, :2]
     inside = np.abs(plan).max(axis=1) < 1.0
     plan[inside] += np.random.default_rng(1).uniform(-0.3, 0.3, (inside.sum(), 2)) / n
-    k = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    cells = np.concatenate(
-        [np.column_stack([k, k + 1, k + n + 2]), np.column_stack([k, k + n + 2, k + n + 1])]
-    )
     return np.column_stack([plan, height(*plan.T)]), cells
 
 
@@ -40,7 +38,7 @@ def middles(pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_normals_of_a_sphere() -> None:
-    points, cells = grid(8, ball)
+    points, cells = surface_over(8, ball)
     surface = SmoothSurface.of(points, cells)
     known = (surface.normals != 0.0).any(axis=1)
     np.testing.assert_array_equal(known, np.abs(points[:, :2]).max(axis=1) < 1.0)
@@ -50,7 +48,7 @@ def test_normals_of_a_sphere() -> None:
 @pytest.mark.parametrize("n", [8, 16])
 def test_raised_places_are_on_a_sphere(n: int) -> None:
     """Off it by the fourth power of the size of the cells, facets by the second."""
-    points, cells = grid(n, ball)
+    points, cells = surface_over(n, ball)
     surface = SmoothSurface.of(points, cells)
     corners, weights = middles(inner_edges(cells, surface))
     offsets, normals = surface.raised(corners, weights)
@@ -61,7 +59,7 @@ def test_raised_places_are_on_a_sphere(n: int) -> None:
 
 
 def test_inside_of_cells() -> None:
-    points, cells = grid(8, ball)
+    points, cells = surface_over(8, ball)
     surface = SmoothSurface.of(points, cells)
     inner = cells[(surface.normals[cells] != 0.0).any(axis=2).all(axis=1)]
     weights = np.random.default_rng(2).dirichlet(np.ones(3), len(inner))
@@ -71,7 +69,7 @@ def test_inside_of_cells() -> None:
 
 
 def test_a_plane_stays_flat() -> None:
-    points, cells = grid(6, lambda x, y: 0.3 * x - 0.2 * y)
+    points, cells = surface_over(6, lambda x, y: 0.3 * x - 0.2 * y)
     surface = SmoothSurface.of(points, cells)
     corners, weights = middles(np.sort(cells[:, :2], axis=1))
     offsets, _ = surface.raised(corners, weights)
@@ -80,7 +78,7 @@ def test_a_plane_stays_flat() -> None:
 
 def test_one_end_without_a_normal() -> None:
     """Edges to the boundary of a sphere's mesh are arcs of the circle that the inner end tells."""
-    points, cells = grid(8, ball)
+    points, cells = surface_over(8, ball)
     surface = SmoothSurface.of(points, cells)
     pairs = np.unique(np.sort(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     known = (surface.normals[pairs] != 0.0).any(axis=2)
@@ -93,7 +91,7 @@ def test_one_end_without_a_normal() -> None:
 def test_creases_stay() -> None:
     """Vertices of a ridge of 90 degrees have no normal; those of a slight fold have."""
     for slope, sharp in ((1.0, True), (0.1, False)):
-        points, cells = grid(6, lambda x, y, slope=slope: -slope * np.abs(x))
+        points, cells = surface_over(6, lambda x, y, slope=slope: -slope * np.abs(x))
         points[np.abs(points[:, 0]) < 0.1, ::2] = 0.0
         surface = SmoothSurface.of(points, cells)
         ridge = (points[:, 0] == 0.0) & (np.abs(points[:, 1]) < 1.0)

@@ -13,9 +13,8 @@ import time
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import clamped, rotated_lattice, sheet
 from processes import MPIRUN, ROOT, run
-from reference_meshes import rotated_lattice
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.foundation.runtime import checks, errors

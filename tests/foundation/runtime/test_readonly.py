@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from cabled_square import sheet
 
-from crms_fenicsx import Bar, Cable, ConvergenceError, Friction, Scene, Solver
+from crms_fenicsx import Bar, Cable, ConvergenceError, Friction, LaidCable, Scene, Solver
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.cable_state import CableState
-from crms_fenicsx.model.laid_cable import LaidCable
 
 FAILURE = Outcome(False, "made to fail", 1.0, 0.0, 0, 0, 0)
 CABLES = {

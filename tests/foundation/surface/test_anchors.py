@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from trace_surfaces import (
+    assert_divided_mesh_is_enough,
     assert_part_is_enough,
     cap,
-    grid,
     hall,
     length_of,
     numbered,
@@ -17,6 +16,7 @@ from trace_surfaces import (
     rotation,
     same_points,
     scattered,
+    squares,
 )
 
 from crms_fenicsx.foundation.runtime.errors import PathError
@@ -103,7 +103,7 @@ def test_path_between_the_feet_of_two_anchors_over_a_plane_is_that_in_plan():
     rng = np.random.default_rng(4)
     lengths = set()
     for case in range(100):
-        points, cells = grid(5) if case % 2 else scattered(rng)
+        points, cells = squares(5) if case % 2 else scattered(rng)
         ids = numbered(rng, points)
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         plan = rng.uniform(low + 0.1 * (high - low), high - 0.1 * (high - low), (2, 2))
@@ -148,7 +148,7 @@ def test_masts_over_a_dome(degrees):
 
 
 def test_a_route_may_name_the_foot_of_its_anchor():
-    points, cells = grid(4)
+    points, cells = squares(4)
     ids = np.arange(len(points))
     path = trace(ids, points, cells, [(2, 2, 3), (4, 2, 0)])
     assert path.start_anchor == (2.0, 2.0, 3.0)
@@ -197,7 +197,7 @@ def test_strip_holds_all_that_a_steep_leg_needs():
     """The plane of a leg that goes down steeply turns with the smallest move of its end."""
     rng = np.random.default_rng(8)
     for case in range(60):
-        points, cells = (grid(20), squashed(1.2), hall(1.5))[case % 3]
+        points, cells = (squares(20), squashed(1.2), hall(1.5))[case % 3]
         ids = numbered(rng, points)
         top = points[rng.choice(np.flatnonzero(points[:, 2] >= 0.7 * points[:, 2].max()))]
         a = top + 30.0 * feet_of(points, cells, top[None])[0].normal + rng.uniform(-0.4, 0.4, 3)
@@ -210,16 +210,10 @@ def test_strip_holds_all_that_a_steep_leg_needs():
 
 def test_anchors_over_a_mesh_divided_among_ranks(comm):
     points, cells = cap(1.2)
-    ids = np.arange(len(points))
     route = np.array([[-4.0, 1.0, 14.0], [1.0, -0.3, 10.0], [8.0, 4.0, 9.5]])
-    own = np.arange(len(cells)) % comm.size == comm.rank
-    mask = np.zeros(len(cells), dtype=bool)
-    mask[own] = near_section(points, cells[own], route, comm=comm)
-    comm.Allreduce(MPI.IN_PLACE, mask, op=MPI.LOR)
+    whole, mask = assert_divided_mesh_is_enough(comm, points, cells, route)
     assert mask.mean() < 0.6
-    whole = trace(ids, points, cells, route)
     assert isinstance(whole.points[0], CellPoint) and whole.end_anchor == tuple(route[-1])
-    assert trace(*part(ids, points, cells, mask), route) == whole
 
 
 def test_way_around_the_back_of_a_tube_is_refused_where_the_front_has_a_hole():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grids import grid
 
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.triangles import double_areas
@@ -13,14 +14,9 @@ from crms_fenicsx.foundation.surface.holes import covers
 
 def sheet(n: int, open_at: set[tuple[int, int]]) -> tuple[Array, Integers]:
     """A plane sheet of n x n squares of two triangles, some of them left out."""
-    x, y = np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0))
-    cells = []
-    for i in range(n):
-        for j in range(n):
-            if (i, j) not in open_at:
-                a = (n + 1) * j + i
-                cells += [(a, a + 1, a + n + 2), (a, a + n + 2, a + n + 1)]
-    return np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()]), np.array(cells)
+    points, cells = grid(np.arange(n + 1.0), np.arange(n + 1.0), by_rows=True)
+    there = [(i, j) not in open_at for i, j in np.ndindex(n, n)]
+    return points, cells[np.repeat(there, 2)]
 
 
 def covers_of(points: Array, cells: Integers) -> list[Integers]:

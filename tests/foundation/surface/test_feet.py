@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from trace_surfaces import cap, grid, hall, scattered
+from trace_surfaces import cap, hall, scattered, squares
 
 from crms_fenicsx.foundation.meshes.triangles import closest, double_areas, longest_sides
 from crms_fenicsx.foundation.surface import plane_section
@@ -96,7 +96,7 @@ def test_strips_along_planes(monkeypatch, block):
     """Cell by cell, with and without a margin."""
     monkeypatch.setattr(plane_section, "PAIRS", block)
     rng = np.random.default_rng(7)
-    points, cells = grid(12)
+    points, cells = squares(12)
     up = np.array([0.0, 0.0, 1.0])
     ends = rng.uniform(1.0, 11.0, (6, 2, 3)) * (1.0, 1.0, 0.0)
     planes = [Plane.of(a, b, up, up) for a, b in ends]

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from array_surface import ArraySurface
 from curved_surfaces import (
+    ArraySurface,
     along_mesh_lines,
     geodesic_length,
     length,

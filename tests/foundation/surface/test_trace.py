@@ -7,12 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from scipy.spatial import Delaunay
 from trace_surfaces import (
+    assert_divided_mesh_is_enough,
     assert_part_is_enough,
     cap,
-    grid,
     hall,
     length_of,
     numbered,
@@ -21,6 +20,7 @@ from trace_surfaces import (
     rotation,
     same_points,
     scattered,
+    squares,
 )
 
 from crms_fenicsx.foundation.meshes.triangles import longest_sides
@@ -86,7 +86,7 @@ def test_straight_leg_agrees_with_exact_arithmetic(kind):
         if kind == "scattered":
             points, cells = scattered(rng)
         else:
-            points, cells = grid(6, 5)
+            points, cells = squares(6, 5)
             if kind == "slivers":
                 points = sheared(points, int(rng.integers(-100, 101)), int(rng.integers(-9, 10)))
         ids = numbered(rng, points)
@@ -123,7 +123,7 @@ def special_lines(n):
 @pytest.mark.parametrize("turn", [0.0, 0.3, 1.234])
 @pytest.mark.parametrize("stretch", [1.0, 1e-4])
 def test_lines_on_and_just_off_vertices_and_edges(turn, stretch):
-    points, cells = grid(5)
+    points, cells = squares(5)
     ids = np.arange(len(points)) * 3 + 1
     c, s = np.cos(turn), np.sin(turn)
     turned = np.array([[c, s], [-s, c]])
@@ -147,7 +147,7 @@ def test_two_thousand_random_legs_are_valid_and_straight():
     refused = 0
     for case in range(2000):
         if case % 50 == 0:
-            points, cells = (scattered(rng), grid(7))[case // 50 % 2]
+            points, cells = (scattered(rng), squares(7))[case // 50 % 2]
             if case // 50 % 4 > 1:
                 points = points * [1.0, 10.0 ** -rng.integers(1, 5), 1.0]
             angle = rng.uniform(0, 6)
@@ -198,7 +198,7 @@ def test_random_routes_with_corners_give_valid_paths():
     rng = np.random.default_rng(7)
     refused = cut_off = 0
     for _ in range(250):
-        points, cells = grid(5) if rng.random() < 0.5 else scattered(rng, 25, 5)
+        points, cells = squares(5) if rng.random() < 0.5 else scattered(rng, 25, 5)
         ids = numbered(rng, points)
         k = int(rng.integers(3, 7))
         route = rng.integers(0, 6, (k, 2)) if rng.random() < 0.4 else rng.uniform(0, 5, (k, 2))
@@ -230,7 +230,7 @@ HAIRPINS = (
 
 @pytest.mark.parametrize("route", HAIRPINS)
 def test_a_way_out_and_back_within_a_row_of_cells_is_refused(route):
-    points, cells = grid(8)
+    points, cells = squares(8)
     points *= 1.25
     ids = np.arange(len(points))
     with pytest.raises(PathError, match=r"route point [12] at .* cut off.* two cables") as caught:
@@ -243,7 +243,7 @@ def test_a_way_out_and_back_within_a_row_of_cells_is_refused(route):
 
 
 def test_routes_that_only_wind_are_laid():
-    points, cells = grid(8)
+    points, cells = squares(8)
     ids = np.arange(len(points))
     for route in (
         [(0.0, 4.1), (2.0, 4.4), (4.0, 3.7), (6.0, 4.4), (8.0, 4.0)],  # within a row
@@ -258,7 +258,7 @@ def test_routes_that_only_wind_are_laid():
 
 
 def test_corner_inside_a_cell_is_cut_and_a_hairpin_cancels():
-    points, cells = grid(4)
+    points, cells = squares(4)
     ids = np.arange(len(points))
     blunt = trace(ids, points, cells, [(0, 0.5), (2.3, 0.6), (4, 1.5)])
     assert not any(isinstance(p, CellPoint) for p in blunt.points)
@@ -292,7 +292,7 @@ def test_numbering_orientation_and_mirror_do_not_matter():
 
 
 def notched(n=8):
-    points, cells = grid(n)
+    points, cells = squares(n)
     centre = points[cells].mean(axis=1)
     return points, cells[~((centre[:, :2] > n / 2).all(axis=1))]
 
@@ -329,7 +329,7 @@ def test_a_leg_over_a_notch_is_refused_where_it_leaves():
 
 
 def test_a_hole_is_refused():
-    points, cells = grid(6)
+    points, cells = squares(6)
     centre = points[cells].mean(axis=1)
     cells = cells[(np.abs(centre[:, :2] - 3) > 1).any(axis=1)]
     ids = np.arange(len(points))
@@ -385,7 +385,7 @@ def test_anchors_on_both_ends_of_a_turned_dome():
 
 
 def test_points_off_the_membrane():
-    points, cells = grid(4)
+    points, cells = squares(4)
     ids = np.arange(len(points))
     with pytest.raises(PathError, match=r"outside of it in plan.*in space to make"):
         trace(ids, points, cells, [(-1, 2), (3, 2)])
@@ -403,7 +403,7 @@ def test_points_off_the_membrane():
 
 
 def test_anchor_in_a_hole_sees_only_the_side_of_its_leg():
-    points, cells = grid(6)
+    points, cells = squares(6)
     centre = points[cells].mean(axis=1)
     cells = cells[(np.abs(centre[:, :2] - 3) > 1).any(axis=1)]
     ids = np.arange(len(points))
@@ -414,7 +414,7 @@ def test_anchor_in_a_hole_sees_only_the_side_of_its_leg():
 
 def stepped():
     """Return a sheet with a vertical wall of height 1 at x = 2."""
-    points, cells = grid(5, 3)
+    points, cells = squares(5, 3)
     x = points[:, 0].copy()
     points[:, 2] = x >= 3
     points[:, 0] = np.where(x >= 3, x - 1, x)
@@ -437,7 +437,7 @@ def test_a_section_follows_a_wall():
 
 
 def test_overlapping_sheets_use_the_upper_one():
-    low, cells = grid(4)
+    low, cells = squares(4)
     points = np.vstack([low + np.array([0, 0, 5]), low])
     both = np.vstack([cells, cells + len(low)])
     for x in (points, points[::-1].copy()):
@@ -484,7 +484,7 @@ def test_what_is_around_a_leg_gives_the_same_way_as_all_of_the_section(monkeypat
 def test_strip_gives_the_same_path_as_the_whole_mesh():
     rng, taken = np.random.default_rng(21), 0
     for case in range(120):
-        points, cells = (scattered(rng, 150), grid(14), cap(1.9))[case % 3]
+        points, cells = (scattered(rng, 150), squares(14), cap(1.9))[case % 3]
         if case % 3 == 1:  # graded: the cells' sizes differ a thousandfold
             points = points * [1, 0, 0] + np.array([0, 1, 0]) * 2.0 ** points[:, 1:2] / 100
         ids = numbered(rng, points)
@@ -503,7 +503,7 @@ def test_strip_gives_the_same_path_as_the_whole_mesh():
         assert (along <= mask).all()
         taken += assert_along_legs_is_enough(ids, points, cells, along, route)
     assert 40 < taken < 110
-    points, cells = grid(60)
+    points, cells = squares(60)
     assert near_section(points, cells, [(0, 7.3), (60, 31.1)]).mean() < 0.1
 
 
@@ -525,18 +525,12 @@ def assert_along_legs_is_enough(ids, points, cells, mask, route):
 @pytest.mark.parametrize("space", [False, True])
 def test_strip_of_a_mesh_divided_among_ranks(comm, space):
     points, cells = cap(1.2)
-    ids = np.arange(len(points))
     route = np.array([[-20.0, 1.0, 3.0], [1.0, -0.3, 10.0], [8.0, 4.0, 4.5]])
     if not space:
         route = np.array([[-7.0, 1.0], [1.0, -0.3], [6.0, 4.0]])
-    own = np.arange(len(cells)) % comm.size == comm.rank
-    mask = np.zeros(len(cells), dtype=bool)
-    mask[own] = near_section(points, cells[own], route, comm=comm)
-    comm.Allreduce(MPI.IN_PLACE, mask, op=MPI.LOR)
+    _, mask = assert_divided_mesh_is_enough(comm, points, cells, route)
     assert mask.mean() < 0.8
     assert (mask >= near_section(points, cells, route)).all()
-    whole = trace(ids, points, cells, route)
-    assert trace(*part(ids, points, cells, mask), route) == whole
     assert not near_section(points, np.zeros((0, 3), dtype=int), route[:, :2]).size
 
 
@@ -553,13 +547,13 @@ def test_strip_of_a_mesh_divided_among_ranks(comm, space):
     ],
 )
 def test_bad_routes_are_refused(route, words):
-    points, cells = grid(3)
+    points, cells = squares(3)
     with pytest.raises(PathError, match=words):
         trace(np.arange(len(points)), points, cells, route)
 
 
 def test_a_plan_does_not_tell_a_height_on_a_wall():
-    points, cells = grid(3)
+    points, cells = squares(3)
     upright = points[:, [0, 2, 1]]
     with pytest.raises(PathError, match=r"route point 0 at .* lies on a wall"):
         trace(np.arange(len(points)), upright, cells, [(1.2, 0.0), (2.0, 0.0)])

@@ -31,11 +31,6 @@ COMM = MPI.COMM_WORLD
 FABRIC = OrthotropicMembrane(E1=300.0, E2=200.0, G12=40.0, nu21=0.2, thickness=0.08, warp=(1, 0, 0))
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def sheet(comm: MPI.Intracomm, n: int = 6, material: object = FABRIC, **options: object) -> Solver:
     """A flat square, nothing held yet."""
     mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / n, structured=True)

@@ -26,11 +26,6 @@ os._exit(9)
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
-    return Path(comm.bcast(str(tmp_path)))
-
-
 def solver_of(comm: MPI.Intracomm, folder: Path | str, cells: int = 2, **options: bool) -> Solver:
     scene = sheet(comm, cells, side=1.0)
     return Solver(scene, results=folder, **options)

@@ -18,11 +18,6 @@ pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def read_together(path: Path) -> str:
     COMM.barrier()
     text = path.read_text()

@@ -17,11 +17,6 @@ pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def strip(height: float = 0.0) -> Surface:
     """Return this rank's piece of a strip: two triangles that tell which rank they are from."""
     x = 10.0 * COMM.rank

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import advanced
+from grids import grid
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output import (
     History,
     Line,
@@ -39,14 +40,10 @@ from crms_fenicsx.results.output.figures.plots import default_panels, units_of_r
 from crms_fenicsx.results.view_data import Surface
 
 
-def grid(n: int, height: float = 0.0) -> tuple[Array, NDArray[np.int64]]:
+def square(n: int, height: float = 0.0) -> tuple[Array, NDArray[np.int64]]:
     """Return a square of 100 x 100 of 2 n^2 triangles."""
     x = np.linspace(0.0, 100.0, n + 1)
-    xy = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
-    i = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (k.ravel() for k in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
-    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return np.column_stack([xy, np.full(len(xy), height)]), triangles
+    return grid(x, x, lambda x, y: np.full_like(x, height))
 
 
 def pixels(path: Path) -> Array:
@@ -69,7 +66,7 @@ def red(path: Path) -> int:
 def test_a_cable_is_hidden_behind_the_surface_only(
     tmp_path: Path, view: tuple[float, float], perspective: bool
 ) -> None:
-    points, triangles = grid(8)
+    points, triangles = square(8)
     file = tmp_path / "shape.png"
     count = {}
     for height in (-4.0, 0.0, 4.0):
@@ -85,7 +82,7 @@ def test_a_cable_is_hidden_behind_the_surface_only(
 
 def test_a_ridge_hides_the_far_part_of_a_cable(tmp_path: Path) -> None:
     """Across a ridge, seen from the front, only the near half of a cable shows."""
-    points, triangles = grid(20)
+    points, triangles = square(20)
     points[:, 2] = 40.0 - np.abs(points[:, 1] - 50.0) * 0.8
     across = [[50, y, 40.0 - abs(y - 50.0) * 0.8] for y in (0.0, 50.0, 100.0)]
     file = tmp_path / "ridge.png"
@@ -100,8 +97,8 @@ def test_a_ridge_hides_the_far_part_of_a_cable(tmp_path: Path) -> None:
 
 
 def test_the_nearer_triangles_are_painted_last(tmp_path: Path) -> None:
-    low, triangles = grid(4)
-    high, _ = grid(4, 10.0)
+    low, triangles = square(4)
+    high, _ = square(4, 10.0)
     both = np.concatenate([triangles, triangles + len(low)])
     values = np.repeat([0.0, 1.0], len(triangles))
     for elevation, bright in ((90.0, True), (-90.0, False)):
@@ -125,7 +122,7 @@ def test_colours_are_those_of_the_bar(tmp_path: Path, n: int, view: tuple[float,
     at most 5 % of the pixels, edges and outline, are more than a tenth of the scale off."""
     from matplotlib import colormaps
 
-    points, triangles = grid(n)
+    points, triangles = square(n)
     x, y = points[:, 0] / 50 - 1, points[:, 1] / 50 - 1
     points[:, 2] = 40 * (x * x - y * y)
     draw_shape(
@@ -150,7 +147,7 @@ def test_values_at_corners_are_seen_where_they_are(tmp_path: Path, n: int) -> No
     """A linear field, read back with the bar's colours, is off by a part of a cell at most."""
     from matplotlib import colormaps
 
-    points, triangles = grid(n)
+    points, triangles = square(n)
     file = tmp_path / "linear.png"
     draw_shape(file, points, triangles, values=points[:, 0], limits=(0.0, 100.0), view=(-90, 90),
                box=False, edges=False)  # fmt: skip
@@ -177,7 +174,7 @@ def test_an_edge_is_hidden_as_far_as_something_lies_before_it(
     """A wall hides a part of the edge behind it, however long the edge is."""
     from matplotlib.axes import Axes
 
-    points, triangles = grid(1)
+    points, triangles = square(1)
     wall = np.array([(0, -50, -40), (wide, -50, -40), (wide, -50, 90), (0, -50, 90.0)])
     both = np.concatenate([triangles, [(4, 5, 6), (4, 6, 7)]])
     drawn: list[Any] = []
@@ -197,7 +194,7 @@ def test_an_edge_is_hidden_as_far_as_something_lies_before_it(
 
 
 def test_pictures_show_something(tmp_path: Path) -> None:
-    points, triangles = grid(6)
+    points, triangles = square(6)
     points[:, 2] = 10 * np.sin(np.pi * points[:, 0] / 100) * np.sin(np.pi * points[:, 1] / 100)
     cable = Line(points[:7], {"tension": np.arange(7.0), "force": np.arange(6.0)}, "cable 1")
     for number, options in enumerate(
@@ -205,7 +202,7 @@ def test_pictures_show_something(tmp_path: Path) -> None:
             {},
             {"values": points[:, 2], "label": "z", "line_values": "tension", "unit": "cm"},
             {"values": np.r_[np.nan, np.ones(71)], "line_values": "force", "show_names": True},
-            {"ghost": grid(3, 5.0), "title": "ghost", "view": (30, -40), "box": False},
+            {"ghost": square(3, 5.0), "title": "ghost", "view": (30, -40), "box": False},
         ]
     ):
         file = tmp_path / f"{number}.png"
@@ -222,7 +219,7 @@ def test_pictures_show_something(tmp_path: Path) -> None:
 def test_the_same_picture_in_any_unit(tmp_path: Path) -> None:
     images = []
     for number, scale in enumerate((1.0, 1e-6, 1e6)):
-        points, triangles = grid(5)
+        points, triangles = square(5)
         points[:, 2] = 0.002 * points[:, 0] * (100 - points[:, 0])
         draw_shape(
             tmp_path / f"{number}.png", points * scale, triangles,
@@ -238,7 +235,7 @@ def test_the_same_picture_in_any_unit(tmp_path: Path) -> None:
 
 
 def test_a_colour_bar_where_values_differ_and_words_where_they_do_not(tmp_path: Path) -> None:
-    points, triangles = grid(4)
+    points, triangles = square(4)
     file = tmp_path / "bars.png"
 
     def width(tensions: list[float], **options: Any) -> int:
@@ -261,7 +258,7 @@ def test_a_colour_bar_where_values_differ_and_words_where_they_do_not(tmp_path: 
 @pytest.mark.parametrize(("width", "title"), [(8.0, ""), (6.0, "A flat, wide shape")])
 def test_the_legend_covers_nothing(width: float, title: str) -> None:
     """Neither the box nor colour bars nor the title, with up to five entries in one picture."""
-    points, triangles = grid(4)
+    points, triangles = square(4)
     points *= (1.0, 0.6, 1.0)
     place = np.column_stack([np.linspace(10.0, 90.0, 4), np.full((4, 2), (30.0, 0.0))])
     lines = [Line(place, {"tension": 5.0, "lifted": np.array([0.0, 1.0, 1.0])}, name="a long name")]
@@ -289,7 +286,7 @@ def test_the_legend_covers_nothing(width: float, title: str) -> None:
 
 
 def test_a_box_gives_pictures_the_same_view_and_ends_lines(tmp_path: Path) -> None:
-    points, triangles = grid(6)
+    points, triangles = square(6)
     box = ((-10.0, -10.0, -10.0), (110.0, 110.0, 10.0))
     counts, shapes = [], []
     for reach in (10.0, 500.0):
@@ -347,7 +344,7 @@ def test_joined_pictures_stand_side_by_side(tmp_path: Path) -> None:
 
 
 def test_vector_formats_and_folders(tmp_path: Path) -> None:
-    points, triangles = grid(2)
+    points, triangles = square(2)
     draw_shape(tmp_path / "new" / "shape.pdf", points, triangles)
     assert (tmp_path / "new" / "shape.pdf").read_bytes().startswith(b"%PDF")
     assert [entry.name for entry in (tmp_path / "new").iterdir()] == ["shape.pdf"]
@@ -434,7 +431,7 @@ def test_pieces_of_a_line() -> None:
 
 
 def test_outline_counts_vertices_at_one_place_once() -> None:
-    points, triangles = grid(4)
+    points, triangles = square(4)
     own = points[triangles].reshape(-1, 3)  # each triangle brings its own vertices
     for p, t in ((points, triangles), (own, np.arange(len(own)).reshape(-1, 3))):
         ends = outline_of(Surface(p, t))
@@ -503,15 +500,12 @@ def tightened(comm: MPI.Intracomm, results: Path | None = None) -> Solver:
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.fix("corners")
     cable = scene.lay_cable(Cable(EA=32000.0), path=[(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)])
-    solver = Solver(scene, results=results)
-    solver.advance(move={cable: (0.0, 0.0, -4.0)})
-    return solver
+    return advanced(Solver(scene, results=results), move={cable: (0.0, 0.0, -4.0)})
 
 
 @pytest.mark.ranks
-def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, folder: Path) -> None:
     """With more than one rank, some have no cell."""
-    folder = comm.bcast(tmp_path)
     solver = tightened(comm, folder)
     for colour in ("height", "displacement", "stress", "stress 2", "strain", "state", None):
         file = folder / f"{colour}.png"
@@ -589,7 +583,7 @@ def test_what_varies_by_the_tolerance_only_is_constant() -> None:
     assert default_panels(history) == [["tension"]]
     figures = [draw_history(history, panels=[["pressure"], ["area"]])]
     still = Line(np.tile([41.0, 23.0, 0.0], (3, 1)) + np.outer([0.0, 1e-7, 3e-7], [1.0, 0.0, 0.0]))
-    points, triangles = grid(2)
+    points, triangles = square(2)
     figures += [draw_path(None, [still], points=points, triangles=triangles, closeups={"x": [0]})]
     for figure in figures:
         assert figure is not None
@@ -684,7 +678,7 @@ def test_feet_are_drawn_within_the_box_where_nothing_hides_them(
 ) -> None:
     from matplotlib.axes import Axes
 
-    points, triangles = grid(4, 20.0)
+    points, triangles = square(4, 20.0)
     places = np.array([(-5.0, 50.0, 0.0), (50.0, 50.0, 0.0), (105.0, 50.0, 0.0), (200.0, 0.0, 0.0)])
     drawn: list[Any] = []
     monkeypatch.setattr(Axes, "scatter", lambda axes, x, *more, **named: drawn.append(x))
@@ -702,7 +696,7 @@ def test_feet_are_drawn_within_the_box_where_nothing_hides_them(
 
 def test_cables_off_the_membrane_are_striped(tmp_path: Path) -> None:
     """Where a segment is off, about half of the cable's colour gives way to the rim's."""
-    points, triangles = grid(4)
+    points, triangles = square(4)
     x = np.linspace(5.0, 95.0, 10)
     place = np.column_stack([x, np.full(10, 50.0), np.full(10, 2.0)])
     file = tmp_path / "net.png"
@@ -726,7 +720,7 @@ def test_cables_off_the_membrane_are_striped(tmp_path: Path) -> None:
 
 
 def test_bad_input(tmp_path: Path) -> None:
-    points, triangles = grid(2)
+    points, triangles = square(2)
     line = Line([[0, 0, 0], [1, 1, 1]], {"tension": 1.0}, "A")
     file = tmp_path / "never.png"
     for arguments, options, message in (
@@ -767,7 +761,7 @@ def test_drawing_works_without_pyplot_and_its_global_state(
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # importing it is an error now
 
     before = matplotlib.rcParams.copy()
-    points, triangles = grid(2)
+    points, triangles = square(2)
     draw_shape(tmp_path / "a.png", points, triangles, values=points[:, 0], dpi=40)
     draw_history(a_history(), tmp_path / "b.png", dpi=40)
     assert matplotlib.rcParams.copy() == before

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped, sheet
+from cabled_square import advanced, clamped, sheet, square
 from mpi4py import MPI
-from reference_meshes import square
 from vtu_file import VtuFile, read_vtu
 
 from crms_fenicsx import (
@@ -31,18 +30,12 @@ pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
-
-
 def run(results: Path | None) -> Solver:
     """Inflate a square in 2 steps, then tighten a cable over it in 1."""
     fabric = OrthotropicMembrane(E1=300.0, E2=270.0, G12=100.0, nu21=0.25, thickness=0.08)
     scene = clamped(square(COMM, 7, "structured"), fabric)
     scene.set_strengths((2.0, 1.0))
-    solver = Solver(scene, results=results)
-    solver.advance(pressure=0.01, steps=2)
+    solver = advanced(Solver(scene, results=results), pressure=0.01, steps=2)
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)], name="ridge")
     solver.advance(L0={cable: 100.8})
     return solver
@@ -185,8 +178,7 @@ def test_a_failed_step_is_not_recorded_and_the_run_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = sheet(COMM, 7)
-    solver = Solver(scene, max_halvings=0)
-    solver.advance(pressure=0.01)
+    solver = advanced(Solver(scene, max_halvings=0), pressure=0.01)
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)], L0=110.0)
     solver.advance()
     slack = scene.energy

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 from PIL import Image
 from report_page import Page, read_csv
@@ -38,11 +38,6 @@ FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
 
 
-@pytest.fixture
-def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
-    return Path(comm.bcast(str(tmp_path)))
-
-
 def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     """A roof of two halves over a wall, a cable across it, snow and wind."""
     ranks = (lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None
@@ -50,8 +45,7 @@ def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     scene = clamped(mesh, FABRIC, pressure_on=["roof"])
     scene.put_load((0.0, 0.0, -0.3), name="snow", per="plan")
     scene.put_wind(0.5, -0.6)
-    solver = Solver(scene)
-    solver.advance(pressure=0.4)
+    solver = advanced(Solver(scene), pressure=0.4)
     scene.lay_cable(Cable(EA=2000.0), [(0.0, 5.0), (8.0, 5.5)], tension=8.0, name="ridge")
     solver.advance()
     scene.set_strengths({"roof": (30.0, 25.0)})

@@ -1,4 +1,5 @@
-"""Bars, joints, ponds and sealed air in summaries, reports and files of one scene."""
+"""Bars, joints, ponds and sealed air in summaries, reports and files of one scene; foundations that
+carry several points."""
 
 from __future__ import annotations
 
@@ -7,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import clamped
+from cabled_square import advanced, clamped
 from mpi4py import MPI
 from report_page import Page, read_csv
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver, meshes
+from crms_fenicsx.results.foundations import FoundationPoint
 from crms_fenicsx.results.output.report.case import case_of, shape_of
+from crms_fenicsx.results.output.report.foundation_tables import _summed
 from crms_fenicsx.results.output.report.results_tables import families
 
 SNOW, LAMP, WATER = 0.2, 0.5, 10.0
@@ -35,9 +38,9 @@ def braced(comm: MPI.Intracomm, folder: Path | None = None) -> Solver:
     scene.put_joint_load({top: (0.0, 0.0, -LAMP)}, name="lamp")
     scene.lay_cable(Cable(EA=2e3), [top, (4.0, 4.0, 0.0), (4.0, 8.0, 0.0)], name="ridge")
     scene.seal(volume=200.0)
-    solver = Solver(scene, results=folder)
-    solver.advance(L0={scene.cables[0]: 10.3}, load={"puddle": 0.5, "lamp": 1.0})
-    return solver
+    return advanced(
+        Solver(scene, results=folder), L0={scene.cables[0]: 10.3}, load={"puddle": 0.5, "lamp": 1.0}
+    )
 
 
 @pytest.mark.ranks
@@ -63,8 +66,7 @@ def test_all_supports_carry_all_loads(comm: MPI.Intracomm) -> None:
 
 
 @pytest.mark.ranks
-def test_a_report_has_them_all(comm: MPI.Intracomm, tmp_path: Path) -> None:
-    folder = Path(comm.bcast(str(tmp_path)))
+def test_a_report_has_them_all(comm: MPI.Intracomm, folder: Path) -> None:
     solver = braced(comm)
     scene = solver.scene
     found = solver.combine({"calm": {"lamp": 1.0}, "snow": {"snow": 1.0}}, steps=2)
@@ -118,9 +120,8 @@ def test_pictures_have_room_for_bars(comm: MPI.Intracomm) -> None:
     assert case.high[2] == pytest.approx(solver.scene.joint("top").position[2])
 
 
-def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, folder: Path) -> None:
     """Those of a belt by the one with the largest force; tables in files have all."""
-    folder = Path(comm.bcast(str(tmp_path)))
     mesh = meshes.rectangle(comm, 10.0, 4.0, 1.0, structured=True)
     scene = clamped(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
     row = [scene.vertex_at((float(x), 2.0, 0.0)) for x in range(11)]
@@ -145,3 +146,51 @@ def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, tmp_path: Path) -> 
     assert float(envelope[3]) == pytest.approx(max(forces["snow"]), rel=1e-3)
     assert envelope[4] == "snow" and max(forces["snow"]) > 2.0 * min(forces["snow"])
     assert families(["guy 1", "guy 2", "mast"]) == {n: [n] for n in ("guy 1", "guy 2", "mast")}
+
+
+def test_a_couple() -> None:
+    """Opposite forces: no force, and the moment of the couple about any point."""
+    for place in ((0.0, 0.0, 0.0), (7.0, -3.0, 2.0)):
+        ends = [np.add(place, (sign, 0.0, 0.0)) for sign in (1.5, -1.5)]
+        points = [
+            FoundationPoint((name,), tuple(end.tolist()), (0.0, 0.0, force))
+            for name, end, force in zip("ab", ends, (4.0, -4.0), strict=True)
+        ]
+        found = _summed(points)
+        assert found.force == (0.0, 0.0, 0.0)
+        np.testing.assert_allclose(found.moment, (0.0, -12.0, 0.0), atol=1e-12)
+    assert _summed(points[:1]).moment == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1000.0, 1e-3)], ids=["m, kN", "mm, MN"])
+def test_moment_of_a_braced_mast(
+    comm: MPI.Intracomm, folder: Path, units: tuple[float, float]
+) -> None:
+    """One block carries mast and guys: the moment of the load at the top about its place."""
+    length, force = units
+    mesh = meshes.rectangle(comm, 4.0 * length, 4.0 * length, 2.0 * length)
+    foil = IsotropicMembrane(
+        E=800.0 * force / length, nu=0.3, thickness=1.0, prestress=force / length
+    )
+    scene = clamped(mesh, foil)
+    top = scene.add_joint((10.0 * length, 0.0, 5.0 * length), name="top")
+    feet = {"mast": (10.0, 0.5, 0.0), "guy a": (13.0, 2.0, 0.0), "guy b": (13.0, -2.0, 1.0)}
+    for name, foot in feet.items():
+        bar = Bar(EA=1e5 * force, tension_only=name != "mast")
+        scene.add_bar(bar, tuple(x * length for x in foot), top, name=name)
+    load = np.array([-40.0, 3.0, -20.0]) * force
+    scene.put_joint_load({top: tuple(load.tolist())}, name="pull")
+    solver = Solver(scene)
+    found = solver.combine({"pull": {"pull": 1.0}})
+    block = {"Block": [f"start of {name}" for name in feet]}
+    solver.report(folder / "a.html", found, pictures=["height"], foundations=block)
+    solver.report(folder / "b.html", found, pictures=["height"])
+    comm.barrier()
+    solver.restore(found["pull"].snapshot)
+    (row,) = read_csv(folder / "a_foundations.csv")
+    np.testing.assert_allclose([float(row[f"F{x}"]) for x in "xyz"], load, rtol=1e-7)
+    due = np.cross(top.position - np.mean([*feet.values()], axis=0) * length, load)
+    moment = [float(row[f"M{x}"]) for x in "xyz"]
+    np.testing.assert_allclose(moment, due, atol=1e-6 * np.linalg.norm(due))
+    assert "Mx" not in read_csv(folder / "b_foundations.csv")[0]

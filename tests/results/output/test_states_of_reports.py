@@ -8,28 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 from report_page import Page
 
-from crms_fenicsx import (
-    Bar,
-    Cable,
-    ConvergenceError,
-    InputError,
-    IsotropicMembrane,
-    Scene,
-    Solver,
-)
+from crms_fenicsx import Bar, Cable, ConvergenceError, InputError, IsotropicMembrane, Scene, Solver
 from crms_fenicsx.design.study import adapt, convergence
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.tolerances import BUDGET
-
-
-@pytest.fixture
-def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
-    return Path(comm.bcast(tmp_path))
 
 
 def fabric(E: float) -> IsotropicMembrane:
@@ -42,9 +29,7 @@ def roof(comm: MPI.Intracomm) -> Solver:
     scene.add_bar(Bar(100.0), (5.0, 5.0, 5.0), scene.vertex_at((5.0, 5.0, 0.0)), name="hanger")
     scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (10.0, 4.0)], tension=3.0, name="ridge")
     scene.put_load((0.0, 0.0, -1.0), name="snow")
-    solver = Solver(scene)
-    solver.advance(load=0.2, pressure=0.5)
-    return solver
+    return advanced(Solver(scene), load=0.2, pressure=0.5)
 
 
 def page_of(solver: Solver, path: Path, *found: object) -> Page:
@@ -243,8 +228,7 @@ def test_the_base_state_of_a_loaded_state(comm: MPI.Intracomm, folder: Path) -> 
     """Of a report without combinations: the state in which loads were first brought on."""
     scene = sheet(comm, 4, material=fabric(1e3), side=10.0)
     scene.put_load((0.0, 0.0, -1.0), name="snow")
-    solver = Solver(scene)
-    solver.advance(pressure=0.5)
+    solver = advanced(Solver(scene), pressure=0.5)
     solver.draw(folder / "base.png", dpi=50)
     page_of(solver, folder / "base.html")
     assert captions(folder / "base.html")[0].startswith("The model in its current state;")

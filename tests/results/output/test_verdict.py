@@ -13,12 +13,7 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.output.report.case import (
-    Case,
-    case_of,
-    shape_of,
-    verdict_on,
-)
+from crms_fenicsx.results.output.report.case import Case, case_of, shape_of, verdict_on
 from crms_fenicsx.results.output.report.page import Table, Units, Verdict, number
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes

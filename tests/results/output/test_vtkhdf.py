@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import sheet
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Solver
@@ -24,17 +24,16 @@ def roof(comm: MPI.Intracomm) -> Solver:
     scene.add_bar(Bar(EA=1e4), (9.0, 0.0, 0.0), (9.0, 0.0, 4.0), name="mast")
     for name, sign in {"snow": -0.05, "wind": 0.05}.items():
         scene.put_load((0.0, 0.0, sign), name=name)
-    solver = Solver(scene)
-    solver.advance(pressure=0.1)
+    solver = advanced(Solver(scene), pressure=0.1)
     scene.lay_cable(Cable(1e4), [(0.0, 3.3), (8.0, 4.2)], tension=1.0, name="ridge/1")
     return solver
 
 
 @pytest.mark.ranks
-def test_each_combination_is_a_step(comm: MPI.Intracomm, tmp_path: Path) -> None:
+def test_each_combination_is_a_step(comm: MPI.Intracomm, folder: Path) -> None:
     """With shapes, section forces and tensions as in the states, which stay as they were."""
     h5py = pytest.importorskip("h5py")
-    path, solver = comm.bcast(tmp_path) / "roof.vtkhdf", roof(comm)
+    path, solver = folder / "roof.vtkhdf", roof(comm)
     found = solver.combine(TABLE)
     u = solver.scene.u.x.array.copy()
     write_vtkhdf(solver, path, found)
@@ -118,10 +117,10 @@ def test_bad_input(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("room", [0, 4096, 32768])
-def test_a_full_disk(comm: MPI.Intracomm, tmp_path: Path, room: int) -> None:
+def test_a_full_disk(comm: MPI.Intracomm, folder: Path, room: int) -> None:
     """An error on all ranks that names the file; the file of before stays, and the run goes on."""
     pytest.importorskip("h5py")
-    path, solver = comm.bcast(tmp_path) / "roof.vtkhdf", roof(comm)
+    path, solver = folder / "roof.vtkhdf", roof(comm)
     write_vtkhdf(solver, path)
     before = path.read_bytes()
     assert len(before) > room

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.foundation.meshes.triangles import cross_in_plane
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -175,19 +176,15 @@ def visible(samples: Array, corners: Array, tolerance: float) -> Booleans:
     sample, triangle = _candidates(samples, corners)
     a, b, c = (corners[triangle, i] for i in range(3))
     p = samples[sample]
-    area = _cross(b - a, c - a)
+    area = cross_in_plane(b - a, c - a)
     edge_on = np.abs(area) <= 1e-14 * np.ptp(corners[..., :2]) ** 2
     area[edge_on] = np.inf
-    v = _cross(p - a, c - a) / area
-    w = _cross(b - a, p - a) / area
+    v = cross_in_plane(p - a, c - a) / area
+    w = cross_in_plane(b - a, p - a) / area
     inside = (v >= 0) & (w >= 0) & (v + w <= 1) & ~edge_on
     nearness = a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2])
     seen[sample[inside & (nearness > p[:, 2] + tolerance)]] = False
     return seen
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
