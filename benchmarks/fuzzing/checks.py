@@ -168,7 +168,9 @@ def check_state(world: World, what: str, result: Result) -> None:
         if cable.cable.law == "total" and min(cable.tension, *cable.tensions) < 0.0:
             result.problems.append(f"{what}: {cable.name} is compressed")
         coulomb = cable.cable.sideways is None or cable.has_coulomb
-        grips = [grip for grip in (cable.state.lateral, cable.state.axial) if grip is not None]
+        grips = [
+            grip for grip in (cable.state.law.lateral, cable.state.law.axial) if grip is not None
+        ]
         if coulomb and any(grip.dissipated < 0.0 for grip in grips):
             result.problems.append(f"{what}: negative dissipation of {cable.name}")
     changed = scene.versions.model_version and what.endswith(("remove", "seal", "unseal"))

@@ -411,7 +411,7 @@ class World:
                 return {"move": {what["move"]: d}}
             ends = [e for c in cables for e in (c.start, c.end)
                     if e.cable.state.nodes[c.node_of(e.which)].kind == "anchor"
-                    and c.state.joints[0 if e.which == "start" else 1] is None]  # fmt: skip
+                    and c.state.laid.joints[0 if e.which == "start" else 1] is None]  # fmt: skip
             if what["move"] == "cable" and ends:
                 return {"move": {ends[what["of"] % len(ends)]: d}}
             anchors = [j for j in joints(scene) if j.held.all()]

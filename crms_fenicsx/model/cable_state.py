@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
 import numpy as np
@@ -83,48 +83,78 @@ class StepStart:
 
 
 @dataclass(frozen=True)
+class LaidAs:
+    """How a cable was laid, which load steps do not change."""
+
+    hold: Hold = "outside"  # its attachment to the membrane
+    layer: int = 0  # of two crossing cables the one with the higher layer lies on top
+    joints: tuple[str | None, str | None] = (None, None)  # to which its ends are fixed, by name
+    bonds: Bonds | None = None  # to the fabric
+
+
+@dataclass(frozen=True)
+class CableLaw:
+    """A cable's stiffness, lengths, tension and friction.
+
+    Attributes: `taut`: whether it has tension, as sliding points of a slack cable are not solved
+    for; `step_start`: start of the load step, with the step-wise law; `smoothing_length`: excess of
+    the smoothed lengths of its segments over their true lengths in the last equilibrium; `parts`:
+    those between clamps and bonds; `lateral`, `axial`: friction sideways, None before the first
+    load step, and along it.
+    """
+
+    cable: Cable
+    L0: float
+    length: float
+    tension: float
+    taut: bool = False
+    step_start: StepStart | None = None
+    smoothing_length: float = 0.0
+    parts: ClampedParts | None = None
+    lateral: LateralFrictionState | None = None
+    axial: AxialFrictionState | None = None
+
+
+@dataclass(frozen=True)
+class SearchMemory:
+    """What searches of an equilibrium remember of a cable from one load step to the next."""
+
+    # whether its path has been straightened once, under tension and free to slide
+    path_is_geodesic: bool = False
+    ends_before: Annotated[Array, 2, 3] | None = None  # places of its ends in the last equilibrium
+
+
+@dataclass(frozen=True)
 class CableState:
-    """State of a laid cable, as one value: what was laid, its path, its law, and what searches of
-    an equilibrium remember. Checkpoints are checked against the shapes in the type hints.
+    """State of a laid cable: its path, its law, how it was laid, and what searches remember.
+    Checkpoints are checked against the shapes in the type hints.
 
     Attributes: `nodes`: points of its path over the mesh, with anchors and crossings, also where it
     spans straight above the membrane; `positions`: where they are, on all ranks; `fractions`: of
     fold points on their unfolded edges, and of edge sliders on their held edges, outside 0 ... 1 if
     pulled beyond an end, NaN for other nodes; `lifted`: nodes that the cable passes off the
     membrane, in a straight line; `reference_positions`: of the nodes on the stress-free membrane,
-    the cable's material curve, NaN where it is off the membrane; `taut`: whether it has tension, as
-    sliding points of a slack cable are not solved for; `joints`: names of those to which its ends
-    are fixed; `parts`: those between clamps and bonds; `path_is_geodesic`: whether its path has
-    been straightened once, under tension and free to slide; `ends_before`: positions of its ends in
-    the last equilibrium; `blocked`: nodes that have run into a mesh vertex; `lateral`, `axial`:
-    friction sideways, None before the first load step, and along it; `smoothing_length`: excess of
-    the smoothed lengths of its segments over their true lengths in the last equilibrium.
+    the cable's material curve, NaN where it is off the membrane.
     """
 
-    cable: Cable
     nodes: Annotated[tuple[CableNode, ...], "n"]
     positions: Annotated[Array, "n", 3]
     fractions: Annotated[Array, "n"]
     lifted: Annotated[Booleans, "n"]
     reference_positions: Annotated[Array, "n", 3]
-    L0: float
-    length: float
-    tension: float
-    step_start: StepStart | None = None
-    taut: bool = False
-    path_is_geodesic: bool = False
-    ends_before: Annotated[Array, 2, 3] | None = None
-    blocked: tuple[int, ...] = ()
-    lateral: LateralFrictionState | None = None
-    axial: AxialFrictionState | None = None
-    smoothing_length: float = 0.0
-    hold: Hold = "outside"
-    layer: int = 0
-    joints: tuple[str | None, str | None] = (None, None)
-    parts: ClampedParts | None = None
-    bonds: Bonds | None = None
+    law: CableLaw
+    laid: LaidAs = LaidAs()
+    memory: SearchMemory = SearchMemory()
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
+
+
+PART_OF = {
+    field.name: part
+    for part, kind in (("law", CableLaw), ("laid", LaidAs), ("memory", SearchMemory))
+    for field in fields(kind)
+}
+"""Names of the parts of a `CableState` by those of their fields."""

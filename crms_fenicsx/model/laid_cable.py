@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, flags, floats
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, flags, floats, ints
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import HOLDS, Cable, Hold
-from crms_fenicsx.model.cable_state import CableNode, CableState, End
+from crms_fenicsx.model.cable_state import PART_OF, CableNode, CableState, End
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL, UNSTRAINED
 
 FOUND = "it follows from the loads, call solver.advance(...)"
@@ -83,15 +83,24 @@ class LaidCable(Handle[CableState]):
     """
 
     cable: ReadOnly[Cable] = ReadOnly(
-        "state.cable", "call scene.set_stiffness(...) or lay another one"
+        "state.law.cable", "call scene.set_stiffness(...) or lay another one"
     )
-    hold: ReadOnly[Hold] = ReadOnly("state.hold", RELAY)
-    layer: ReadOnly[int] = ReadOnly("state.layer", RELAY)
-    L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
+    hold: ReadOnly[Hold] = ReadOnly("state.laid.hold", RELAY)
+    layer: ReadOnly[int] = ReadOnly("state.laid.layer", RELAY)
+    L0: ReadOnly[float] = ReadOnly("state.law.L0", "call solver.advance(L0={cable: length})")
     reference_positions: ReadOnly[Array] = ReadOnly("state.reference_positions", FOUND)
-    length: ReadOnly[float] = ReadOnly("state.length", FOUND)
-    tension: ReadOnly[float] = ReadOnly("state.tension", FOUND)
-    taut: ReadOnly[bool] = ReadOnly("state.taut", FOUND)
+    length: ReadOnly[float] = ReadOnly("state.law.length", FOUND)
+    tension: ReadOnly[float] = ReadOnly("state.law.tension", FOUND)
+    taut: ReadOnly[bool] = ReadOnly("state.law.taut", FOUND)
+
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the state or of its parts, by name; internal to the package."""
+        parts: dict[str, dict[str, Any]] = {}
+        for name in PART_OF.keys() & changes.keys():
+            parts.setdefault(PART_OF[name], {})[name] = changes.pop(name)
+        for part, own in parts.items():
+            changes[part] = replace(getattr(self.state, part), **own)
+        super().update(**changes)
 
     @property
     def lifts_off(self) -> bool:
@@ -115,9 +124,16 @@ class LaidCable(Handle[CableState]):
         return friction is not None and friction.law == "coulomb"
 
     @property
+    def blocked(self) -> list[int]:
+        """Internal: its sliding nodes that have run into a vertex of the mesh."""
+        fractions, nodes = self.state.fractions, self.state.nodes
+        close = ((fractions < TOL.smoothing) | (fractions > 1 - TOL.smoothing)) & ~self.state.lifted
+        return [k for k in ints(np.flatnonzero(close)) if self.taut and nodes[k].slides]
+
+    @property
     def dissipated(self) -> float:
         """Energy dissipated by friction and by slip through clamps (force x length)."""
-        grips = (self.state.lateral, self.state.axial, self.state.parts)
+        grips = (self.state.law.lateral, self.state.law.axial, self.state.law.parts)
         return sum(grip.dissipated for grip in grips if grip is not None)
 
     @property
@@ -145,41 +161,50 @@ class LaidCable(Handle[CableState]):
     def part_tensions(self) -> Array:
         """Internal: tensions between consecutive `contacts` (force)."""
         parts = int(np.count_nonzero(~self.state.lifted)) - 1
-        if self.state.axial is not None and self.taut and len(self.state.axial.tensions) == parts:
-            return self.state.axial.tensions
-        if self.state.parts is not None and self.state.parts.nodes and self.taut:
-            return np.asarray(self.state.parts.tensions[self.parts_of(self.contacts()[:-1])])
+        if (
+            self.state.law.axial is not None
+            and self.taut
+            and len(self.state.law.axial.tensions) == parts
+        ):
+            return self.state.law.axial.tensions
+        if self.state.law.parts is not None and self.state.law.parts.nodes and self.taut:
+            return np.asarray(self.state.law.parts.tensions[self.parts_of(self.contacts()[:-1])])
         return np.full(parts, self.tension)
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
         """Internal: numbers of the parts between clamps that begin at or contain the nodes."""
-        clamps = () if self.state.parts is None else self.state.parts.nodes
-        return np.searchsorted(np.array(clamps, dtype=np.int64), nodes, side="right")
+        return np.searchsorted(np.array(self.clamped, dtype=np.int64), nodes, side="right")
+
+    @property
+    def clamped(self) -> tuple[int, ...]:
+        """Internal: its nodes at clamps and bonds, between which its tensions may differ."""
+        return () if self.state.law.parts is None else self.state.law.parts.nodes
 
     @property
     def is_divided(self) -> bool:
         """Internal: whether friction or clamps let its tension vary along it."""
-        return self.state.axial is not None or self.state.parts is not None
+        return self.state.law.axial is not None or self.state.law.parts is not None
 
     @property
     def may_slip(self) -> bool:
         """Internal: whether it can slip through a clamp."""
-        return self.state.parts is not None and bool(self.state.parts.grips.any())
+        return self.state.law.parts is not None and bool(self.state.law.parts.grips.any())
 
     @property
     def at_clamps(self) -> Array:
         """Internal: 1 at the points of its `line` held by clamps, 0 elsewhere."""
-        bonds = () if self.state.bonds is None else self.state.bonds.supports
-        ends = () if self.state.parts is None else self.state.parts.nodes
-        nodes = [k for k in ends if self.state.nodes[k].support not in bonds]
+        bonds = () if self.state.laid.bonds is None else self.state.laid.bonds.supports
+        nodes = [k for k in self.clamped if self.state.nodes[k].support not in bonds]
         return np.isin(self.line_nodes(), nodes).astype(float)
 
     @property
     def part_lengths(self) -> Array:
         """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
-        if self.state.parts is None:
+        if self.state.law.parts is None:
             return np.array([self.L0])
-        return np.diff([0.0, *(self.L0 * self.state.parts.at + self.state.parts.slips), self.L0])
+        return np.diff(
+            [0.0, *(self.L0 * self.state.law.parts.at + self.state.law.parts.slips), self.L0]
+        )
 
     @property
     def start(self) -> CableEnd:
@@ -225,8 +250,8 @@ class LaidCable(Handle[CableState]):
         """Replace the nodes of the polyline."""
         self.update(
             nodes=tuple(nodes), positions=positions, fractions=fractions, lifted=lifted,
-            reference_positions=np.full_like(positions, np.nan), blocked=(),
-            parts=None if self.state.parts is None else replace(self.state.parts, nodes=()),
+            reference_positions=np.full_like(positions, np.nan),
+            parts=None if self.state.law.parts is None else replace(self.state.law.parts, nodes=()),
         )  # fmt: skip
 
     @property

@@ -110,7 +110,7 @@ def _contact(line: Array, sizes: Array) -> tuple[float, float]:
 def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
     """Anchor force at an end; None without an anchor."""
     k = cable.node_of(end.which)
-    if cable.state.nodes[k].kind != "anchor" or cable.state.joints[min(k, 1)] is not None:
+    if cable.state.nodes[k].kind != "anchor" or cable.state.laid.joints[min(k, 1)] is not None:
         return None
     return triple(end.reaction)
 
@@ -199,11 +199,11 @@ def _results(scene: Scene, clamp: Clamp) -> ClampResults:
 
 def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:
     """Tensions before and after a clamp, and the cable's directions there, (2, 3)."""
-    if cable.state.parts is None or not cable.state.parts.nodes:
+    if cable.state.law.parts is None or not cable.state.law.parts.nodes:
         return (0.0, 0.0), np.zeros((2, 3))
-    i = int(np.argmin(np.abs(cable.state.parts.at - at)))
+    i = int(np.argmin(np.abs(cable.state.law.parts.at - at)))
     contacts = cable.contacts()
-    k = contacts.index(cable.state.parts.nodes[i])
+    k = contacts.index(cable.state.law.parts.nodes[i])
     ways = np.diff(cable.state.positions[contacts[k - 1 : k + 2]], axis=0)
     before, after = floats(cable.part_tensions[k - 1 : k + 1])
     return (before, after), np.asarray(ways / np.maximum(norm(ways), 1e-300)[:, None])

@@ -48,13 +48,12 @@ def cell_tensors(system: System) -> _CellTensors:
     values = membrane.cell_results()
     n = len(values)
     folded = np.zeros(n, dtype=bool)
-    if system.cables is not None and system.cables.tables is not None:
+    if system.folds is not None:
         # Evaluates the folded cells, collectively: ranks without folded cells join in.
         system.potential.sum_up()
-        cells = system.cables.tables.folded.cells
-        if len(cells):
-            values[cells] = system.cables.folds.energy.cell_results()
-            folded[cells] = True
+        cells = system.folds.tables.folded.cells
+        values[cells] = system.folds.energy.cell_results()
+        folded[cells] = True
     E = _symmetric(values[:, 0], values[:, 1], values[:, 2] / 2)
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 

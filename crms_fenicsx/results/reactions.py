@@ -43,7 +43,7 @@ def held_ends(scene: Scene) -> list[HeldEnd]:
     found = []
     for cable in scene.cables:
         for k, end in enumerate((cable.start, cable.end)):
-            if cable.state.nodes[-k].kind == "anchor" and cable.state.joints[k] is None:
+            if cable.state.nodes[-k].kind == "anchor" and cable.state.laid.joints[k] is None:
                 beside = -2 if k else 1
                 place = cable.state.positions[beside if cable.ends[k] == "held" else -k]
                 found.append(HeldEnd(f"{cable.name} {end.which}", place, end.reaction))
@@ -57,7 +57,7 @@ def _at_joint(scene: Scene, joint: Joint) -> list[HeldEnd]:
     """Ends and loads at a held joint; their sum is its reaction."""
     forces = {bar.name: -bar.pull(joint) for bar in scene.bars if joint in (bar.start, bar.end)}
     for cable in scene.cables:
-        for end, name in zip((cable.start, cable.end), cable.state.joints, strict=True):
+        for end, name in zip((cable.start, cable.end), cable.state.laid.joints, strict=True):
             if name == joint.name and cable.taut:
                 forces[f"{cable.name} {end.which}"] = end.reaction
     for load in scene.loads:

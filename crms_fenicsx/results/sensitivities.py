@@ -76,7 +76,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     setters = [_parameter(scene, one) for one in by]
     system.update()
     rubs = scene.net.has_friction or any(
-        c.state.axial is not None or c.may_slip for c in scene.cables
+        c.state.law.axial is not None or c.may_slip for c in scene.cables
     )
     if rubs or system.has_history:
         what = "friction" if rubs else "a step-wise law"

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx import Cable, LaidCable
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
 from crms_fenicsx.foundation.surface.points import EdgePoint
-from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState
 
 
 def roof(heights: Sequence[float]) -> StripShape:
@@ -30,10 +30,12 @@ def cable_of(
     x = np.array(places, dtype=float)
     fractions = [n.point.fraction if isinstance(n.point, EdgePoint) else np.nan for n in nodes]
     state = CableState(
-        cable, tuple(nodes), x, np.array(fractions), np.isin(np.arange(len(x)), lifted),
-        np.full_like(x, np.nan), 1.0, 1.0, tension, **{"taut": True} | more,
+        tuple(nodes), x, np.array(fractions), np.isin(np.arange(len(x)), lifted),
+        np.full_like(x, np.nan), CableLaw(cable, 1.0, 1.0, tension, taut=True),
     )  # fmt: skip
-    return LaidCable("cable 1", state)
+    laid = LaidCable("cable 1", state)
+    laid.update(**more)
+    return laid
 
 
 def cable_on(

@@ -8,13 +8,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mpi4py import MPI
 
-from crms_fenicsx.analysis.equilibrium.contribution import (
-    Contribution,
-    MembraneContribution,
-    PressureContribution,
-)
-from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
+from crms_fenicsx.analysis.equilibrium.contribution import Contribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.clamping import end_step, placed
 from crms_fenicsx.cabling.cables.element_tables import (
@@ -30,8 +26,9 @@ from crms_fenicsx.energy.minimization.damping import Damping
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.cable_tension import CableTension
 from crms_fenicsx.energy.terms.held_line import HeldLine
+from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns
+from crms_fenicsx.foundation.dofs.layout import FrameBlocks
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, pointers
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
@@ -50,18 +47,13 @@ class CableContribution(Contribution):
 
     Attributes: `numbering`: numbering of the cable points; `unknowns`: the layout with these
     points; `node_positions`: copies point positions to the cables; `taut`: the cables in tension;
-    `tables`: this rank's elements of these, or None; `folds`: contribution of the folded cells;
-    `tension`, `sliding`: term of the taut cables that slide freely along their axis, and these;
-    `capstan`, `gripped`: term of those with axial friction, and these; `clutches`, `slipping`: of
-    those that may slip through clamps.
+    `tables`: this rank's elements of these, or None; `tension`, `sliding`: term of the taut cables
+    that slide freely along their axis, and these; `capstan`, `gripped`: term of those with axial
+    friction, and these; `clutches`, `slipping`: of those that may slip through clamps.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        membrane: MembraneContribution,
-        pressure: PressureContribution,
-        frame: FrameBlocks | None = None,
+        self, scene: Scene, membrane: MembraneEnergy, frame: FrameBlocks | None = None
     ) -> None:
         super().__init__(scene)
         assert scene.net.strip is not None
@@ -71,10 +63,12 @@ class CableContribution(Contribution):
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
         self.slipping = [
-            cable for cable in self.taut if cable.may_slip and cable.state.axial is None
+            cable for cable in self.taut if cable.may_slip and cable.state.law.axial is None
         ]
-        self.sliding = [c for c in self.taut if c.state.axial is None and c not in self.slipping]
-        self.gripped = [cable for cable in self.taut if cable.state.axial is not None]
+        self.sliding = [
+            c for c in self.taut if c.state.law.axial is None and c not in self.slipping
+        ]
+        self.gripped = [cable for cable in self.taut if cable.state.law.axial is not None]
         # first part of each sliding cable among all parts, and the total number
         self.first_parts = pointers(
             np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
@@ -84,21 +78,23 @@ class CableContribution(Contribution):
         self.clutches: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
-            self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
-            folded = self.tables.folded.cells
-            scene.membrane.refuse_folds(folded, "a cable has slid too far")
-            membrane.fold(folded)
-        self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
+            self.tables = cable_tables(self.numbering, membrane, scene.membrane.pressed)
+            scene.membrane.refuse_folds(self.tables.folded.cells, "a cable has slid too far")
+
+    def folds(self) -> CableTables | None:
+        """The tables if some rank has folded cells; global sums need the same terms on all ranks.
+        Collective."""
+        if self.tables is None:
+            return None
+        own = len(self.tables.folded.cells)
+        return self.tables if self.scene.comm.allreduce(own, op=MPI.SUM) > 0 else None
 
     def damping(self) -> Damping | None:
         """Damping of quasi-Newton steps of the cable points; None without tension."""
         return None if self.tables is None else damping(self.numbering, self.tables.segments)
 
-    @property
-    def has_history(self) -> bool:
-        return any(cable.cable.law == "step" for cable in self.scene.cables)
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+    def terms(self) -> list[EnergyTerm]:
+        """The terms in their order. Collective."""
         terms: list[EnergyTerm] = []
         if self.tables is not None and self.sliding:
             self.tension = self._tension_term(self.tables)
@@ -118,9 +114,8 @@ class CableContribution(Contribution):
             from crms_fenicsx.cabling.friction import axial
             from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 
-            at = {self.numbering.cables.index(own): own for own in self.slipping}
-            held = {c: axial.clamped_nodes(own) for c, own in at.items()}
-            chains = axial.chain_table(self.numbering, self.tables, held)
+            at = {self.numbering.cables.index(own): own.clamped for own in self.slipping}
+            chains = axial.chain_table(self.numbering, self.tables, at)
             grips = axial.clamp_grips(self.slipping)
             self.clutches = CapstanTension(chains, grips, _whole_lengths(self.slipping))
             terms.append(self.clutches)
@@ -132,14 +127,14 @@ class CableContribution(Contribution):
     def _tension_term(self, tables: CableTables) -> CableTension:
         EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
-        starts = [own.state.step_start for own in self.sliding for _ in own.part_lengths]
+        starts = [own.state.law.step_start for own in self.sliding for _ in own.part_lengths]
         one = np.array([cable in self.sliding for cable in self.taut])
         mine, number = one[tables.cable], np.cumsum(one) - 1
         cable = number[tables.cable[mine]]
         part = self.first_parts[cable]
         node = self.numbering.nodes.place[tables.links[mine, 0]]
         for c, own in enumerate(self.sliding):
-            if own.state.parts is not None:
+            if own.state.law.parts is not None:
                 part[cable == c] += own.parts_of(node[cable == c])
         links = (tables.segments[mine], tables.eps[mine], part.astype(np.int32))
         if any(starts):
@@ -177,6 +172,7 @@ class CableContribution(Contribution):
             self.clutches.L0[:] = _whole_lengths(self.slipping)
 
     def locate(self, potential: Potential) -> None:
+        """Copy the positions of cable points to the scene, on all ranks. Collective."""
         self.node_positions.gather(potential.x)
 
     def write_scene(self, potential: Potential) -> None:
@@ -190,11 +186,11 @@ class CableContribution(Contribution):
         for cable in self.scene.cables:
             tensions = own.get(cable, 0.0 * cable.part_lengths)
             length = polyline_length(cable.state.positions[cable.contacts()])
-            if cable.state.parts is None:
+            if cable.state.law.parts is None:
                 cable.update(length=length, tension=float(tensions[0]))
                 continue
             mean = float(tensions @ cable.part_lengths) / cable.L0
-            parts = replace(cable.state.parts, tensions=tensions.copy())
+            parts = replace(cable.state.law.parts, tensions=tensions.copy())
             cable.update(length=length, tension=mean, parts=parts)
 
         if self.scene.clamps:
@@ -205,9 +201,9 @@ class CableContribution(Contribution):
         tensions, lost = record_friction(self.scene, term, potential)
         found = {}
         for c, cable in enumerate(self.slipping):
-            assert cable.state.parts is not None
+            assert cable.state.law.parts is not None
             slips = term.slips[term.nodes_of(c)].copy()
-            cable.update(parts=replace(cable.state.parts, slips=slips, loss=float(lost[c])))
+            cable.update(parts=replace(cable.state.law.parts, slips=slips, loss=float(lost[c])))
             found[cable] = tensions[term.spans_of(c)]
         return found
 
@@ -223,8 +219,8 @@ class CableContribution(Contribution):
                 lengths += [(cable, sums[term.spans_of(c)]) for c, cable in enumerate(cables)]
         changed = False
         for cable, own in lengths:
-            if cable.state.axial is not None:
-                length = float(own.sum()) - cable.state.smoothing_length
+            if cable.state.law.axial is not None:
+                length = float(own.sum()) - cable.state.law.smoothing_length
             else:
                 own = own - _smoothing(cable) if cable in self.slipping else own
                 length = float(own.sum())
@@ -232,7 +228,7 @@ class CableContribution(Contribution):
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.update(smoothing_length=cable.state.smoothing_length + more)
+                cable.update(smoothing_length=cable.state.law.smoothing_length + more)
                 changed = True
         return changed
 
@@ -263,19 +259,21 @@ def record_friction(
 
 def _renew_smoothing(cable: LaidCable, lengths: Array) -> bool:
     """Correct the smoothing lengths of a cable's parts and return whether they changed."""
-    if cable.state.parts is None:
+    if cable.state.law.parts is None:
         return False
     added = lengths - current_lengths(cable)
-    cable.update(parts=replace(cable.state.parts, smoothing=cable.state.parts.smoothing + added))
+    cable.update(
+        parts=replace(cable.state.law.parts, smoothing=cable.state.law.parts.smoothing + added)
+    )
     return bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
 
 
 def _smoothing(cable: LaidCable) -> Array:
     """Length that smoothing adds to each part of a cable between clamps (length)."""
     return (
-        np.array([cable.state.smoothing_length])
-        if cable.state.parts is None
-        else cable.state.parts.smoothing
+        np.array([cable.state.law.smoothing_length])
+        if cable.state.law.parts is None
+        else cable.state.law.parts.smoothing
     )
 
 
@@ -283,9 +281,9 @@ def _whole_lengths(cables: Sequence[LaidCable]) -> Array:
     """Unstressed lengths with what smoothing adds, of cables with friction or slipping clamps."""
     return np.array(
         [
-            cable.L0 + cable.state.smoothing_length
-            if cable.state.axial is not None or cable.state.parts is None
-            else cable.L0 + float(cable.state.parts.smoothing.sum())
+            cable.L0 + cable.state.law.smoothing_length
+            if cable.state.law.axial is not None or cable.state.law.parts is None
+            else cable.L0 + float(cable.state.law.parts.smoothing.sum())
             for cable in cables
         ]
     )
@@ -293,7 +291,7 @@ def _whole_lengths(cables: Sequence[LaidCable]) -> Array:
 
 def _parts_of_one_link(cable: LaidCable) -> Booleans:
     """Whether each part of a bonded cable runs straight between two consecutive contacts."""
-    if cable.state.bonds is None:
+    if cable.state.laid.bonds is None:
         return np.zeros(len(cable.part_lengths), dtype=bool)
     return np.bincount(cable.parts_of(cable.contacts()[:-1]), minlength=len(cable.part_lengths)) < 2
 

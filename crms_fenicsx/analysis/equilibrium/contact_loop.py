@@ -103,7 +103,9 @@ class ContactLoop:
         """Least tension, or friction force, of the cables in tension (force)."""
         taut = [cable for cable in self.scene.cables if cable.taut]
         grips = [
-            float(c.state.lateral.bounds.sum()) for c in taut if c.has_coulomb and c.state.lateral
+            float(c.state.law.lateral.bounds.sum())
+            for c in taut
+            if c.has_coulomb and c.state.law.lateral
         ]
         return min((*(cable.tension for cable in taut), *filter(None, grips)), default=0.0)
 

@@ -1,5 +1,5 @@
 """Contributions of physical features to the potential: the membrane's plain cells, its supports,
-pressure and loads, and added terms. Those of cables, folds, bars and ponds have their own files."""
+pressure and loads. Those of cables, folds, bars and ponds have their own files."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from crms_fenicsx.energy.terms.nodal_forces import NodalForces
 from crms_fenicsx.energy.terms.pressure import FollowerPressure, RimPressure, rim_of
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.runtime.arrays import Indices
+from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.tolerances import UNSTRAINED
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cabling.cables.element_tables import CableTables, PlainCells
     from crms_fenicsx.energy.terms.paper.step_membrane import StepMembraneEnergy, StepPressure
     from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
 
@@ -36,31 +37,11 @@ class Contribution:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
-    @property
-    def is_stale(self) -> bool:
-        """Whether its terms no longer fit the scene and must be recreated. Collective."""
-        return False
-
-    @property
-    def has_history(self) -> bool:
-        """Whether it depends on the state at the start of a load step."""
-        return False
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        """Create its terms for a layout, the same on all ranks. Collective."""
-        return []
-
     def read_scene(self, potential: Potential) -> None:
         """Copy loads, parameters and state from the scene to terms and potential."""
 
-    def locate(self, potential: Potential) -> None:
-        """Copy the positions of cable points from the potential to the scene. Collective."""
-
     def write_scene(self, potential: Potential) -> None:
         """Copy the solved state to the scene, whose `energies` are the potential's."""
-
-    def renew_friction(self) -> None:
-        """Update the terms' friction forces from the scene's cables. Collective."""
 
     def commit(self) -> None:
         """End a load step at the scene's current state. Collective."""
@@ -71,7 +52,7 @@ class MembraneContribution(Contribution):
 
     Attributes: `energy`: the term; `stepwise`: the same if the strain is step-wise, or None;
     `folded_energy` (1,): strain energy of folded cells in the previous steps, with step-wise strain
-    (force x length); `has_folds`: whether some rank has folded cells.
+    (force x length); `plain`: the plain cells beside folded ones, if their laws are compiled.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -85,33 +66,30 @@ class MembraneContribution(Contribution):
 
             self.energy = self.stepwise = StepMembraneEnergy(*parts)
         self.folded_energy = np.zeros(1)
-        self.has_folds = False
+        self.plain: PlainCells | None = None
         history = scene.step_history
         if self.stepwise is not None and history is not None:
             assert history.cells is not None
             self.stepwise.history.x.array[:] = history.cells.ravel()
             self.stepwise.energy_n, self.folded_energy[0] = history.energy, history.folded_energy
 
-    @property
-    def has_history(self) -> bool:
-        return self.scene.strain_law == "step"
+    def terms(self, unknowns: Unknowns, folds: CableTables | None) -> list[EnergyTerm]:
+        """The term, in the scene's materials, without folded cells, which have their own terms."""
+        energy, self.plain = self.energy, None
+        energy.renew_materials()
+        energy.plain.x.array[:] = 1.0
+        if folds is not None:
+            energy.plain.x.array[folds.folded.cells] = 0.0
+            compiled = UFL_LAW not in (m.law for m in energy.materials.values())
+            if compiled and self.stepwise is None:
+                from crms_fenicsx.cabling.cables.element_tables import PlainCells
 
-    def unfold(self) -> None:
-        """Make all cells plain."""
-        self.energy.plain.x.array[:] = 1.0
-        self.energy.elementwise = None
-        self.has_folds = False
-
-    def fold(self, cells: Indices) -> None:
-        """Exclude this rank's folded cells, which have terms of their own. Collective."""
-        self.energy.plain.x.array[cells] = 0.0
-        self.has_folds = self.scene.comm.allreduce(len(cells), op=MPI.SUM) > 0
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        if self.stepwise is not None and not self.has_folds:
+                self.plain = PlainCells(unknowns, energy)
+        elif self.stepwise is not None:
             self.stepwise.energy_n += float(self.folded_energy[0])
             self.folded_energy[0] = 0.0
-        return [self.energy]
+        energy.elementwise = None if self.plain is None else self.plain.membrane()
+        return [energy]
 
     def read_scene(self, potential: Potential) -> None:
         blocks = potential.unknowns.vertex_blocks()
@@ -158,7 +136,7 @@ class PressureContribution(Contribution):
 
     Attributes: `cells`: 1 in the cells of `term`, else 0; `value`: the pressure (force per
     area), or 1 if the air is sealed (`sealed` then has it); `term`: pressure on these cells, None
-    until there is any; `sealed`: pressure of sealed air, which includes `term`, or None;
+    until there is any; `sealed`: pressure of sealed air, which includes all others, or None;
     `folded_volume` (1,): volume gained under folded cells before, if lagged (length cubed).
     """
 
@@ -169,42 +147,41 @@ class PressureContribution(Contribution):
         self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.term: FollowerPressure | StepPressure | None = None
         self.sealed: SealedPressure | None = None
-        self._stepwise: StepPressure | None = None
-        self._history = scene.step_history or StepHistory()
-        self.folded_volume = np.array([self._history.folded_volume])
+        history = scene.step_history or StepHistory()
+        self._volume = history.volume
+        self.folded_volume = np.array([history.folded_volume])
 
     @property
-    def is_stale(self) -> bool:
+    def is_missing(self) -> bool:
+        """Whether there is pressure, but no term of it yet."""
         acts = self.scene.pressure != 0.0 or self.scene.air.sealed is not None
         return acts and self.term is None
 
-    @property
-    def has_history(self) -> bool:
-        return self.scene.pressure_law != "total"
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+    def terms(self, folds: CableTables | None) -> list[EnergyTerm]:
+        """The terms, those on folded cells included if the air is sealed. Collective."""
         self.cells.x.array[:] = self.scene.membrane.pressed
         if self.scene.pressure_law != "step":  # which acts on corners of folded cells, too
             self.cells.x.array[:] *= self.membrane.energy.plain.x.array
+        self.sealed = None
         if self.term is None:
             idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
             if idle and self.scene.air.sealed is None:
                 return []
             self.term = self._make_term()
-        self.term.elementwise, self.sealed = None, None
-        if self._stepwise is not None:
-            if not self.membrane.has_folds:
-                self._stepwise.volume_n += float(self.folded_volume[0])
+        if not isinstance(self.term, FollowerPressure):
+            if folds is None:
+                self.term.volume_n += float(self.folded_volume[0])
                 self.folded_volume[0] = 0.0
-            return [self._stepwise]
-        assert isinstance(self.term, FollowerPressure)
+            return [self.term]
+        plain = self.membrane.plain
+        self.term.elementwise = None if plain is None else plain.pressure(self.term)
         if self.scene.air.sealed is None:
             return [self.term, *self._rim_terms()]
         from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
 
         self.value.value = 1.0
-        sealed = self.scene.air.sealed
-        self.sealed = SealedPressure(sealed, self.term, self._rim_terms(), self.value)
+        others = [*self._rim_terms(), *([] if folds is None else [self.term_on(folds)])]
+        self.sealed = SealedPressure(self.scene.air.sealed, self.term, others, self.value)
         return [self.sealed]
 
     def _make_term(self) -> FollowerPressure | StepPressure:
@@ -213,15 +190,25 @@ class PressureContribution(Contribution):
             return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
         from crms_fenicsx.energy.terms.paper.step_membrane import StepPressure
 
-        self._stepwise = StepPressure(scene.u, self.cells, self.value)
-        self._stepwise.volume_n = self._history.volume
-        return self._stepwise
+        term = StepPressure(scene.u, self.cells, self.value)
+        term.volume_n = self._volume
+        return term
 
     def _rim_terms(self) -> list[EnergyTerm]:
         rim = rim_of(self.scene.membrane)
         if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
             return []
         return [RimPressure(rim, self.value, self.scene.membrane.centre)]
+
+    def term_on(self, folds: CableTables) -> EnergyTerm:
+        """The pressure on folded cells."""
+        if self.scene.pressure_law == "total":
+            from crms_fenicsx.energy.terms.folded_pressure import FoldedFollowerPressure
+
+            return FoldedFollowerPressure(folds.facets, self.value, self.scene.membrane.centre)
+        from crms_fenicsx.energy.terms.paper.step_folded_membrane import FoldedLaggedPressure
+
+        return FoldedLaggedPressure(folds.facets, self.value, self.folded_volume)
 
     def read_scene(self, potential: Potential) -> None:
         if self.sealed is None:
@@ -235,10 +222,10 @@ class PressureContribution(Contribution):
             self.scene.air.update(pressure=pressure)
 
     def commit(self) -> None:
-        if self.has_history:
+        if not isinstance(self.term, FollowerPressure) and self.scene.pressure_law != "total":
             history = replace(
                 self.scene.step_history or StepHistory(),
-                volume=0.0 if self._stepwise is None else self._stepwise.volume_n,
+                volume=0.0 if self.term is None else self.term.volume_n,
                 folded_volume=float(self.folded_volume[0]),
             )
             self.scene.record(step_history=history)
@@ -249,24 +236,14 @@ class MembraneLoadsContribution(Contribution):
 
     term: NodalForces | None = None
 
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+    def terms(self) -> list[EnergyTerm]:
+        """The term of all loads."""
         self.term = NodalForces(len(self.scene.held)) if self.scene.loads else None
         return [] if self.term is None else [self.term]
 
     def read_scene(self, potential: Potential) -> None:
         if self.term is not None:
             self.term.take(self.scene.loads)
-
-
-class AddedTermsContribution(Contribution):
-    """The terms of `Scene.add_term`."""
-
-    @property
-    def has_history(self) -> bool:
-        return any(term.has_history for term in self.scene.terms)
-
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        return list(self.scene.terms)
 
 
 def force_per_area(scene: Scene, potential: Potential) -> float:

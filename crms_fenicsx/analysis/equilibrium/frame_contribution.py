@@ -37,6 +37,7 @@ class BarContribution(Contribution):
         self.blocks = FrameBlocks(names, first, homes, places)
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        """The terms over a layout, in which the joints' supports are prescribed."""
         frame, blocks = self.scene.frame, self.blocks
         for joint, block in zip(frame.joints, blocks.joint_blocks, strict=True):
             unknowns.held[block] = joint.held
@@ -130,7 +131,9 @@ class BarContribution(Contribution):
                 if joint in (bar.start, bar.end):
                     balance -= bar.pull(joint)
             for cable in scene.cables:
-                for end, name in zip((cable.start, cable.end), cable.state.joints, strict=True):
+                for end, name in zip(
+                    (cable.start, cable.end), cable.state.laid.joints, strict=True
+                ):
                     if name == joint.name and cable.taut:
                         balance += end.reaction
             joint.update(reaction=np.where(joint.held, balance, 0.0) + 0.0)  # no -0.0

@@ -18,7 +18,6 @@ from crms_fenicsx.energy.terms.axial_friction import CapstanTension
 from crms_fenicsx.energy.terms.lateral_friction import LateralFriction
 from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElementEnergy
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.layout import Unknowns
 
 
 class FrictionContribution(Contribution):
@@ -35,11 +34,12 @@ class FrictionContribution(Contribution):
         self.elements: FrictionElementEnergy | None = None
 
     @property
-    def is_stale(self) -> bool:
-        """Whether axial friction of some cable acts at other nodes than in the potential."""
-        return not all(is_aligned(cable) for cable in self.scene.cables)
+    def fits(self) -> bool:
+        """Whether axial friction acts at the same nodes as in the potential."""
+        return all(is_aligned(cable) for cable in self.scene.cables)
 
-    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+    def terms(self) -> list[EnergyTerm]:
+        """The terms of lateral friction. Collective."""
         laws = {cable.cable.sideways.law for cable in self.cables.taut if cable.cable.sideways}
         if not laws:
             return []
@@ -56,7 +56,8 @@ class FrictionContribution(Contribution):
             terms.append(self.elements)
         return terms
 
-    def renew_friction(self) -> None:
+    def renew(self) -> None:
+        """Update the terms' friction forces from the scene's cables. Collective."""
         capstan = self.cables.capstan
         if self.stick_slip is None is self.elements and capstan is None:
             return
@@ -91,8 +92,8 @@ class FrictionContribution(Contribution):
             store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
 
     def commit(self) -> None:
-        gripped = [cable for cable in self.scene.cables if cable.state.lateral is not None]
-        held_along = [cable for cable in self.scene.cables if cable.state.axial is not None]
+        gripped = [cable for cable in self.scene.cables if cable.state.law.lateral is not None]
+        held_along = [cable for cable in self.scene.cables if cable.state.law.axial is not None]
         if not gripped and not held_along:
             return
         shape = self.scene.net.strip_shape()

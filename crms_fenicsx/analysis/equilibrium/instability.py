@@ -64,7 +64,7 @@ class _FrameStability:
     def is_alone(self) -> bool:
         """Whether no bar ends at the membrane, no cable at a joint, and the joints are few."""
         at_joints = any(
-            name is not None for cable in self.scene.cables for name in cable.state.joints
+            name is not None for cable in self.scene.cables for name in cable.state.laid.joints
         )
         return not at_joints and not self.scene.frame.vertices and self._is_small
 

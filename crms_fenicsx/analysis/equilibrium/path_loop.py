@@ -46,7 +46,7 @@ class PathLoop:
         others = CrossingTrials(self.change, tried)
         best = self._try(h0_prestress, rough)
         total, flips = best.outcome, best.flips
-        laid_again: set[int] = set()
+        laid_again, sunken = set[int](), set[int]()
         tries = 0
         settled = True  # the potential has the best paths and the scene is in equilibrium
         while best.outcome.converged:
@@ -103,12 +103,14 @@ class PathLoop:
             if not flips:
                 tried.rejected |= proposed
                 settled = False
-        return self._accepted(total, rough)
+        return self._accepted(total, rough, sunken)
 
-    def _accepted(self, total: Outcome, rough: bool) -> Outcome:
-        """Converge fully, unless `rough`, and reject unsound states."""
+    def _accepted(self, total: Outcome, rough: bool, sunken: set[int]) -> Outcome:
+        """Converge fully, unless `rough`, and reject unsound states, such as with `sunken` cables,
+        by number."""
         if total.converged and not rough and total.residual > total.tolerance:
             total = total + self.contacts.solve((0.0,))
+            sunken = self._sunk()
         if not total.converged:
             return total
         self.sliding.check_on_membrane()
@@ -118,7 +120,7 @@ class PathLoop:
             cables, net = self.scene.cables, self.scene.net
             lines = Polylines(net.nodes, positions_of(cables))
             caught &= lines.collapsed(net.strip_shape(), fractions_of(cables))
-        caught |= self._sunk()
+        caught |= sunken
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh"

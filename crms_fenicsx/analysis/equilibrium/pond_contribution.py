@@ -36,6 +36,7 @@ class PondContribution(Contribution):
         self.ponds: list[Ponding] = []
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        """The terms over a layout."""
         datum = float(self.scene.membrane.centre[2])
         self.ponds = [
             Ponding(pond, self._facets(pond, unknowns), datum) for pond in self.scene.ponds

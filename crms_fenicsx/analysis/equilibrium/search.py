@@ -92,7 +92,7 @@ class FrictionLoop:
                 from crms_fenicsx.cabling.friction.passes import LateralIteration
 
                 lags.append(LateralIteration(cable))
-            if cable.state.axial is not None:
+            if cable.state.law.axial is not None:
                 from crms_fenicsx.cabling.friction.passes import AxialIteration
 
                 lags.append(AxialIteration(cable))
@@ -100,11 +100,11 @@ class FrictionLoop:
 
 
 class EquilibriumSearch:
-    """Finds the equilibrium at a scene's loads, starting from its state."""
+    """Finds the equilibrium at a scene's loads, starting from its state; without tried paths on the
+    cables' present ones."""
 
-    def __init__(self, system: System, slide: bool, tried: TriedPaths | None = None) -> None:
-        self.system, self.scene = system, system.scene
-        self.slide, self.tried = slide, tried
+    def __init__(self, system: System, tried: TriedPaths | None) -> None:
+        self.system, self.scene, self.tried = system, system.scene, tried
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Find the equilibrium and leave the scene in it. Collective."""
@@ -117,7 +117,7 @@ class EquilibriumSearch:
             return outcome
         contacts, friction = self._loops(self.scene.state)
         outcome = self._unsmoothed(friction.solve(h0_prestress), contacts)
-        if self.slide and self.tried is not None:
+        if self.tried is not None:
             self.tried.end_step(self.scene.cables)
         return outcome
 
@@ -126,17 +126,14 @@ class EquilibriumSearch:
         from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
         from crms_fenicsx.cabling.contact.active_set import ActiveSet
 
-        if not self.slide:
+        if self.tried is None:
             contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
         from crms_fenicsx.analysis.equilibrium.path_loop import PathLoop
         from crms_fenicsx.cabling.paths.boundary_ends import renew_ends
         from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
         from crms_fenicsx.cabling.paths.path_change import PathChange
-        from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
-        if self.tried is None:
-            self.tried = TriedPaths()
         self.tried.begin_step()
         change = PathChange(self.scene.net)
         sliding = GeodesicSliding(change, self.tried)
@@ -172,7 +169,9 @@ class EquilibriumSearch:
         from crms_fenicsx.cabling.friction.lateral import start_step
 
         shape = net.strip_shape()
-        known = all(cable.slides_freely or cable.state.lateral is not None for cable in net.cables)
+        known = all(
+            cable.slides_freely or cable.state.law.lateral is not None for cable in net.cables
+        )
         for cable in net.cables:
             start_step(cable, shape)
         if not known:

@@ -10,7 +10,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.contribution import (
-    AddedTermsContribution,
     Contribution,
     MembraneContribution,
     MembraneLoadsContribution,
@@ -24,14 +23,18 @@ from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.stability import is_convex_from
+from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.model.cable_state import NodeId
 
 if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+    from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
     from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
+    from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
     from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+    from crms_fenicsx.cabling.cables.element_tables import CableTables
 
 FAR = 0.01
 """Movement in a minimisation, relative to the membrane's size, above which snap-through is checked:
@@ -48,28 +51,34 @@ class System:
     Forms are compiled when a term is first needed. The layout of the unknowns and the cable tables
     are recreated when cables are laid, tighten or slacken.
 
-    Attributes: `contributions`: those of the scene's features, in the order of their terms;
-    `membrane`, `pressure`, `cables`, `bars`, `ponds`: some of them, the last three None if absent;
-    `unknowns`, `potential`: the layout, and the sum of the terms over it; `objective`: minimum of
-    the last solve, with friction more than the scene's energy (force x length).
+    Attributes: `parts`: contributions of the scene's features, in the order of their terms;
+    `membrane`, `pressure`, `cables`, `folds`, `friction`, `bars`, `ponds`: some of them, the last
+    five None if absent; `unknowns`, `potential`: the layout, and the sum of the terms over it;
+    `objective`: minimum of the last solve, with friction more than the scene's energy (force x
+    length).
     """
 
     def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
         self.scene, self.prefix, self.rtol = scene, prefix, rtol
         self.membrane = MembraneContribution(scene)
         self.pressure = PressureContribution(scene, self.membrane)
-        self._lasting = [self.membrane, self.pressure, MembraneLoadsContribution(scene)]
+        self._loads = MembraneLoadsContribution(scene)
         self.cables: CableContribution | None = None
+        self.folds: FoldContribution | None = None
+        self.friction: FrictionContribution | None = None
+        self.bars: BarContribution | None = None
         self.ponds: PondContribution | None = None
+        self.parts: list[Contribution]
+        self.unknowns: Unknowns
+        self.potential: Potential
         self.minimizer: Minimizer | None = None
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
         self.objective = 0.0
         # number of the model that the potential is of, and whether its crossings were arranged then
-        self._built_for: tuple[int, bool]
-        self.rebuild(scene.net.arranged != scene.net.cables)
-        self.follow()
+        self._built_for = -1, False
+        self.update()
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -77,8 +86,8 @@ class System:
             self.minimizer.destroy()
             self.potential.destroy()
             self.minimizer = None
-            del self.potential, self.contributions  # free their memory before the next ones
-            self.cables = self.ponds = None
+            del self.potential, self.parts  # free their memory before the next ones
+            self.cables = self.folds = self.friction = self.bars = self.ponds = None
 
     def invalidate(self) -> None:
         """Make the next solve start with a rebuild."""
@@ -94,111 +103,117 @@ class System:
         the crossings stay as in the solve that led to this state, for inspection."""
         self.destroy()
         self.invalidate()
-        scene, damping = self.scene, None
+        scene = self.scene
         if arrange:
             scene.net.arrange_crossings()
-        self.membrane.unfold()
-        self.membrane.energy.renew_materials()
-        self.contributions: list[Contribution] = list(self._lasting)
-        self.bars: BarContribution | None = None
         if scene.frame:
             from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
 
             self.bars = BarContribution(scene)
+        frame = None if self.bars is None else self.bars.blocks
+        folds = damping = None
         if scene.cables:
             from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
 
-            frame = None if self.bars is None else self.bars.blocks
-            self.cables = CableContribution(scene, self.membrane, self.pressure, frame)
-            self.unknowns, damping = self.cables.unknowns, self.cables.damping()
-            self.contributions += [self.cables, self.cables.folds]
-            if scene.net.has_friction or any(
-                cable.state.axial is not None for cable in scene.cables
-            ):
-                from crms_fenicsx.analysis.equilibrium.friction_contribution import (
-                    FrictionContribution,
-                )
-
-                self.contributions.append(FrictionContribution(scene, self.cables))
+            self.cables = CableContribution(scene, self.membrane.energy, frame)
+            self.unknowns, folds = self.cables.unknowns, self.cables.folds()
+            damping = self.cables.damping()
         else:
-            self.cables = None
-            self.unknowns = (
-                Unknowns(scene.V) if self.bars is None else self.bars.blocks.layout(scene.V)
-            )
+            self.unknowns = Unknowns(scene.V) if frame is None else frame.layout(scene.V)
+        hold(scene, self.unknowns)
+        terms = self.membrane.terms(self.unknowns, folds) + self.pressure.terms(folds)
+        terms += self._loads.terms()
+        self.parts = [self.membrane, self.pressure, self._loads]
+        if self.cables is not None:
+            terms += self._terms_of_cables(self.cables, folds)
         if self.bars is not None:
-            self.contributions.append(self.bars)
-        self.ponds = None
+            terms += self.bars.terms(self.unknowns)
+            damping = self.bars.damping(damping)
+            self.parts.append(self.bars)
         if scene.ponds:
             from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
 
             self.ponds = PondContribution(scene, self.membrane, self.cables)
-            self.contributions.append(self.ponds)
-        self.contributions.append(AddedTermsContribution(scene))
-        hold(scene, self.unknowns)
-        terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
-        if self.bars is not None:
-            damping = self.bars.damping(damping)
-        self.potential = Potential(self.unknowns, scene.u, terms, damping)
+            terms += self.ponds.terms(self.unknowns)
+            self.parts.append(self.ponds)
+        self.potential = Potential(self.unknowns, scene.u, [*terms, *scene.terms], damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
-        self._begun = False
         self._built_for = scene.versions.model_version, arrange or not scene.cables
+
+    def _terms_of_cables(
+        self, cables: CableContribution, folds: CableTables | None
+    ) -> list[EnergyTerm]:
+        """Terms of cables, the cells that they fold, and friction. Collective."""
+        scene, terms = self.scene, cables.terms()
+        self.parts.append(cables)
+        if folds is not None:
+            from crms_fenicsx.analysis.equilibrium.fold_contribution import FoldContribution
+
+            self.folds = FoldContribution(
+                scene, self.membrane, self.pressure, cables.numbering, folds
+            )
+            terms += self.folds.terms
+            self.parts.append(self.folds)
+        if scene.net.has_friction or any(
+            cable.state.law.axial is not None for cable in scene.cables
+        ):
+            from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
+
+            self.friction = FrictionContribution(scene, cables)
+            terms += self.friction.terms()
+            self.parts.append(self.friction)
+        return terms
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""
         built = self._built_for == (self.scene.versions.model_version, True)
-        if not built or any([part.is_stale for part in self.contributions]):
+        fits = self.friction is None or self.friction.fits
+        if not built or not fits or self.pressure.is_missing:
             self.rebuild()
         else:  # the potential still counts slips from the start of the last step
             self.renew_friction()
 
     def read_scene(self) -> None:
         """Copy state and loads from the scene."""
-        for part in self.contributions:
+        for part in self.parts:
             part.read_scene(self.potential)
         self.potential.place()
 
     def update(self) -> None:
         """Bring the potential to the scene's state for inspection."""
-        self._follow_scene()
-        if not self._begun:  # step-wise laws have no forces before
-            self._begin_step()
-
-    def _follow_scene(self) -> None:
-        """Copy state and loads from the scene, in a new layout if its parts changed."""
-        if self._built_for[0] != self.scene.versions.model_version:
+        known = self._built_for[0] == self.scene.versions.model_version
+        if not known:
             self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
-
-    def _begin_step(self) -> None:
-        """Begin a load step at the state read."""
-        self.potential.begin_step()
-        self._begun = True
+        if not known:  # step-wise laws have no forces before a step begins
+            self.potential.begin_step()
 
     def added_force_per_area(self) -> float:
         """Mean size of the forces of ponds and user terms (force per area). Collective."""
         if not self.scene.terms and not self.scene.ponds:
             return 0.0
-        self._follow_scene()
+        self.update()
         of_terms = force_per_area(self.scene, self.potential) if self.scene.terms else 0.0
         return of_terms + (0.0 if self.ponds is None else self.ponds.force_per_area(self.potential))
 
     def locate_cables(self) -> None:
-        """Copy the positions of cable points to the scene, on all ranks. Collective."""
-        for part in self.contributions:
-            part.locate(self.potential)
+        """Copy the positions of cable points and joints to the scene, on all ranks. Collective."""
+        for part in (self.cables, self.bars):
+            if part is not None:
+                part.locate(self.potential)
 
     def write_scene(self) -> None:
         """Copy the solved state to the scene. Collective."""
         self.potential.bring_up_to_date()
         self.scene.record(energies=self.potential.energies())
         self.objective = self.scene.energy
-        for part in self.contributions:
+        for part in self.parts:
             part.write_scene(self.potential)
 
     def renew_friction(self) -> None:
         """Update the potential's friction forces from the cables. Collective."""
-        for part in self.contributions:
-            part.renew_friction()
+        if self.friction is not None:
+            self.friction.renew()
 
     def renew_smoothing_length(self) -> bool:
         """Correct the cable lengths for smoothing and return whether that changed them."""
@@ -214,7 +229,7 @@ class System:
         self.minimizer.newton = self._solved
         if self.ponds is not None:
             self.minimizer.reach = ENDLESS * self.scene.membrane.size
-        self._begin_step()
+        self.potential.begin_step()
         start = self.potential.x.copy()
         try:
             outcome = self.minimizer.solve(h0_prestress, interrupt)
@@ -255,7 +270,7 @@ class System:
 
     def kinked_nodes(self, limit: float) -> set[NodeId]:
         """Fold points with an edge kink above a limit (rad). Collective."""
-        return set() if self.cables is None else self.cables.folds.kinked_nodes(limit)
+        return set() if self.folds is None else self.folds.kinked_nodes(limit)
 
     def kinked_cables(self, limit: float) -> set[int]:
         """Numbers of the cables with caught nodes."""
@@ -264,21 +279,14 @@ class System:
     @property
     def has_history(self) -> bool:
         """Whether some law depends on the state at the start of a load step."""
-        return any(part.has_history for part in self.contributions)
-
-    @property
-    def is_outdated(self) -> bool:
-        """Whether another system has changed the scene's state since."""
-        return self._state_version != self.scene.versions.state_version
-
-    def follow(self) -> None:
-        """Record that this system agrees with the state of its scene."""
-        self._state_version = self.scene.versions.state_version
+        scene = self.scene
+        stepwise = scene.strain_law == "step" or scene.pressure_law != "total"
+        stepwise |= any(cable.cable.law == "step" for cable in scene.cables)
+        return stepwise or any(term.has_history for term in scene.terms)
 
     def commit(self) -> None:
         """End a load step. Collective."""
         self.potential.commit()
         self.scene.versions.change_state()
-        self.follow()
-        for part in self.contributions:
+        for part in self.parts:
             part.commit()

@@ -591,7 +591,7 @@ class Scene:
             bar = self.frame.bar(bar)
         checks.own("remove_bar", "bar", bar, self.bars)
         used: set[str | None] = {name for load in self.loads for name in load.joints}
-        used |= {name for cable in self.cables for name in cable.state.joints}
+        used |= {name for cable in self.cables for name in cable.state.laid.joints}
         self.frame.remove(bar, used)
 
     @collective

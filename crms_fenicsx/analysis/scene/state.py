@@ -60,7 +60,7 @@ class SceneState:
 
     @property
     def tensions(self) -> dict[str, float]:
-        return {cable.name: state.tension for cable, state in self.net.cables.items()}
+        return {cable.name: state.law.tension for cable, state in self.net.cables.items()}
 
     def __repr__(self) -> str:
         """One line."""

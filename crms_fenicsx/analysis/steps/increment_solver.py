@@ -119,55 +119,52 @@ class IncrementSolver:
         self.scene, self._options = scene, options
         self._verifier = Verifier(scene) if options.verify else None
         self._system: System | None = None
-        self._search: EquilibriumSearch | None = None
-        self._earlier: TriedPaths | None = None
-        """Rejected paths of the run that this one resumes."""
+        self._version = 0
+        """Number of the scene's state that the system has led to."""
+        self.tried: TriedPaths | None = None
+        """Paths that cables tried and rejected; None before the first."""
         self._known: tuple[LaidCable, ...] = ()
         """Cables at the last load step."""
 
     @property
     def system(self) -> System:
         """The scene's potential and its minimiser, made on first use."""
-        if self._system is not None and self._system.is_outdated:
+        if self._system is not None and self._version != self.scene.versions.state_version:
             self.release()  # another solver has advanced the scene
         if self._system is None:
             self._system = System(self.scene, self._options.prefix, self._options.rtol)
+            self._version = self.scene.versions.state_version
         return self._system
 
     def release(self) -> None:
         """Free the potential's memory; `system` makes it again."""
         if self._system is not None:
             self._system.destroy()
-        self._system = self._search = self._earlier = None
+        self._system = self.tried = None
 
     @property
     def search(self) -> EquilibriumSearch:
-        """Search for the equilibrium of each increment, made on first use."""
+        """A search for the equilibrium, which goes on from the paths tried before."""
         system = self.system
-        if self._search is None:
-            tried = self._earlier if self._options.slide else None
-            self._search = EquilibriumSearch(system, self._options.slide, tried)
-        return self._search
+        if not self._options.slide:
+            return EquilibriumSearch(system, None)
+        if self.tried is None and self.scene.cables:
+            from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
-    @property
-    def tried(self) -> TriedPaths | None:
-        """Paths that cables tried and rejected; None before the first."""
-        if self._search is not None and self._search.tried is not None:
-            return self._search.tried
-        return self._earlier
+            self.tried = TriedPaths()
+        return EquilibriumSearch(system, self.tried)
 
     def forget_removed(self) -> None:
         """Drop tried paths of removed cables: a new cable may have the same name."""
-        tried = self.tried
         for cable in self._known:
-            if tried is not None and cable not in self.scene.cables:
-                tried.forget(cable.name)
+            if self.tried is not None and cable not in self.scene.cables:
+                self.tried.forget(cable.name)
         self._known = self.scene.cables
 
     def resume(self, tried: TriedPaths | None) -> None:
         """Continue from the scene's state and the paths tried before."""
         self.release()
-        self._earlier, self._known = tried, self.scene.cables
+        self.tried, self._known = tried, self.scene.cables
 
     def restart_h0(self) -> None:
         """Reset H0, so that the next solve equals that of a resumed run."""
@@ -226,7 +223,7 @@ class IncrementSolver:
             if unstable:
                 outcome = replace(outcome, converged=False, reason=unstable[0])
         if outcome.converged:
-            self.system.commit()
+            self._commit()
         return Increment(outcome, verification, warnings)
 
     def _lower(
@@ -253,7 +250,7 @@ class IncrementSolver:
         """Solve again under lagged pressure until its forces are normal to the final shape."""
         earlier: list[Array] = []
         for _ in range(BUDGET.follower_solves):
-            self.system.commit()
+            self._commit()
             more = self.search.find((0.0,))
             outcome = outcome + more
             if more.iterations == 0 or not more.converged:
@@ -282,12 +279,17 @@ class IncrementSolver:
             if size <= self._options.rtol * outcome.scale:
                 return outcome
             scene.loads.update(loads=turned)
-            self.system.commit()
+            self._commit()
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
                 return outcome
         reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
+
+    def _commit(self) -> None:
+        """End a load step at the state found. Collective."""
+        self.system.commit()
+        self._version = self.scene.versions.state_version
 
     def snapshot(self) -> SceneState:
         """The scene's state and the paths tried."""
@@ -296,20 +298,19 @@ class IncrementSolver:
     def go_back_to(self, snapshot: SceneState) -> None:
         """Restore a state and the paths tried up to it."""
         self._restore(snapshot)
-        self._search, self._earlier = None, deepcopy(snapshot.tried)
-        self._known = self.scene.cables
+        self.tried, self._known = deepcopy(snapshot.tried), self.scene.cables
 
     def _restore(self, state: SceneState) -> None:
         """Restore a state of the scene."""
         scene, system = self.scene, self._system
         # Terms hold the history of step-wise laws, so another history needs new terms.
         same = scene.step_history is state.step_history
-        keeps = same and system is not None and not system.is_outdated
+        keeps = same and self._version == scene.versions.state_version
         scene.state = state
         if system is not None:  # its tables may be for other taut cables
             system.invalidate()
             if keeps:
-                system.follow()
+                self._version = scene.versions.state_version
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         held, before_it = (
-            one.lateral.held if one.taut and one.lateral is not None else 0
+            one.law.lateral.held if one.law.taut and one.law.lateral is not None else 0
             for one in (cable.state, was)
         )
         if held > 0 == before_it:
@@ -125,7 +125,7 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
 def warn_of_blocked(number: int, scene: Scene) -> None:
     """Warn of cables stopped by vertices that they must not pass."""
     for cable in scene.cables:
-        blocked = cable.state.blocked
+        blocked = cable.blocked
         if blocked and scene.comm.rank == 0:
             text = (
                 f"{cable.name!r} has run into {len(blocked)} mesh vertices, the first at "

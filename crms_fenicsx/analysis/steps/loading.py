@@ -125,13 +125,13 @@ class Target:
             length = start + share * (end - start)
             if (
                 isinstance(one, LaidCable)
-                and one.state.axial is not None
-                and one.state.parts is not None
+                and one.state.law.axial is not None
+                and one.state.law.parts is not None
             ):
-                rest = one.state.axial.rest * (
+                rest = one.state.law.axial.rest * (
                     length / one.L0
                 )  # the parts between clamps scale alike
-                one.update(axial=replace(one.state.axial, rest=rest))
+                one.update(axial=replace(one.state.law.axial, rest=rest))
             one.update(L0=length)
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
@@ -168,7 +168,7 @@ def checked_target(
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
         checks.collection(f"advance: {name}", given, Mapping, f"{name}={{what: value}}")
-    scene.frame.check_held(name for cable in scene.cables for name in cable.state.joints)
+    scene.frame.check_held(name for cable in scene.cables for name in cable.state.laid.joints)
     movements = checked_movements(scene, move, steps)
     if inner.acts:
         _check_rim(scene)

@@ -158,12 +158,13 @@ class Movements:
             of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
             of_joints = [motion.at(share).reshape(3) for _, motion in self.joints]
         u = scene.u.x.array.reshape(-1, 3)
-        further = (share - before) * self.rigid_translation
-        u += further
-        for cable in scene.cables:
-            cable.update(positions=cable.state.positions + further)
-        for joint in scene.joints:
-            joint.update(position=joint.position + further)
+        if self.rigid_translation.any():
+            further = (share - before) * self.rigid_translation
+            u += further
+            for cable in scene.cables:
+                cable.update(positions=cable.state.positions + further)
+            for joint in scene.joints:
+                joint.update(position=joint.position + further)
         some, moved_by = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
         for (dofs, motion), displacement in zip(self.vertices, of_vertices, strict=True):
             some[dofs] |= motion.moving()
@@ -252,7 +253,7 @@ def _ends_at_moved_edges(
     named, found, moving = {(cable, k) for cable, k, _ in given}, [], []
     for cable in scene.cables:
         for end, k in ((cable.start, 0), (cable.end, -1)):
-            if cable.state.nodes[k].kind != "anchor" or cable.state.joints[k] is not None:
+            if cable.state.nodes[k].kind != "anchor" or cable.state.laid.joints[k] is not None:
                 continue
             beside = cable.path_nodes()[k]
             away = np.linalg.norm(cable.state.positions[k] - cable.state.positions[beside])
@@ -295,10 +296,10 @@ def _anchor(scene: Scene, end: CableEnd) -> int:
             "which is not held there; hold it with scene.fix before laying the cable, "
             "or lay the cable to an anchor off the membrane."
         )
-    if end.cable.state.joints[k] is not None:
+    if end.cable.state.laid.joints[k] is not None:
         raise InputError(
             f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
-            f"{end.cable.state.joints[k]!r}, which moves by its balance; move what holds that."
+            f"{end.cable.state.laid.joints[k]!r}, which moves by its balance; move what holds that."
         )
     return k  # the last node's number changes with the path
 
@@ -361,7 +362,7 @@ def _carried(
         (cable, k): np.zeros(3)
         for cable in scene.cables
         for k in (0, -1)
-        if cable.state.nodes[k].kind == "anchor" and cable.state.joints[k] is None
+        if cable.state.nodes[k].kind == "anchor" and cable.state.laid.joints[k] is None
     }
     for one in sewn:  # they move as their supports
         del travels[one.end.cable, one.k]

@@ -127,7 +127,7 @@ class CableVerifier:
         joints = {joint.name: joint.position for joint in scene.joints}
         self.doubts, self.others = {}, pulls_of_others(scene.cables)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
-            for k, name in enumerate(cable.state.joints):
+            for k, name in enumerate(cable.state.laid.joints):
                 if name is not None:
                     ends[c, k] = joints[name]
             values = _places(cable, nodes, ends[c], shape)
@@ -189,7 +189,7 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
         errors = local[starts[-1] + 3 * c :][:3]
         for i, end in enumerate((cable.start, cable.end)):
             k = cable.node_of(end.which)
-            given = cable.state.nodes[k].kind == "anchor" and cable.state.joints[i] is None
+            given = cable.state.nodes[k].kind == "anchor" and cable.state.laid.joints[i] is None
             if cable.taut and given and numbering.is_mine(c, k):
                 beside = cable.state.positions[cable.contacts()[1 if i == 0 else -2]]
                 if np.linalg.norm(cable.state.positions[k] - beside) > 1e-6 * cable.length:
@@ -262,34 +262,37 @@ def _rounding(positions: Array) -> float:
 
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     """Errors of tensions against span lengths, relative to the elongation."""
-    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.state.smoothing_length
+    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.state.law.smoothing_length
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
-    if cable.state.axial is not None and len(cable.state.axial.spans):
+    if cable.state.law.axial is not None and len(cable.state.law.axial.spans):
         from crms_fenicsx.cabling.friction.axial import gripped_nodes
 
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
     rounding = ROUNDED + _rounding(cable.state.positions) / L0
-    start = cable.state.step_start
+    start = cable.state.law.step_start
     if start is not None:
         force = start.tension + EA / start.length * (length - start.length)
         error = max(abs(cable.tension - force) / EA - rounding, 0.0)
         strain = max(abs(cable.tension), abs(force)) / EA
         return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.length - length) / L0]
-    if cable.state.parts is not None and cable.state.axial is None:
+    if cable.state.law.parts is not None and cable.state.law.axial is None:
         of_part = cable.parts_of(cable.contacts()[:-1]).astype(np.int64)
-        own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.state.parts.smoothing
+        own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.state.law.parts.smoothing
         longer = np.maximum(own - cable.part_lengths, 0.0)
         errors.append(
-            float(np.abs(cable.state.parts.tensions / EA * cable.part_lengths - longer).max()) / L0
+            float(np.abs(cable.state.law.parts.tensions / EA * cable.part_lengths - longer).max())
+            / L0
         )
     else:
         errors.append(abs(cable.tension / EA - max(length / L0 - 1, 0.0)))
-    if cable.state.axial is not None and len(spans):
-        unstressed = np.diff([0.0, *cable.state.axial.arcs, L0 + cable.state.smoothing_length])
+    if cable.state.law.axial is not None and len(spans):
+        unstressed = np.diff(
+            [0.0, *cable.state.law.axial.arcs, L0 + cable.state.law.smoothing_length]
+        )
         # Compare elongations, as the strain of a short span is dominated by rounding.
         told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)
@@ -309,7 +312,8 @@ def _open_clamps(scene: Scene) -> int:
         if all(cable.taut for cable in cables):
             pairs = zip(cables, clamp.at, strict=True)
             count += any(
-                cable.state.parts is None or not np.any(np.abs(cable.state.parts.at - at) < 1e-9)
+                cable.state.law.parts is None
+                or not np.any(np.abs(cable.state.law.parts.at - at) < 1e-9)
                 for cable, at in pairs
             )
     return count

@@ -141,11 +141,12 @@ def _held(
 
 def _folds(cable: LaidCable) -> list[int]:
     """Nodes that slide freely on mesh edges and touch no other cable."""
+    blocked = cable.blocked
     return [
         k
         for k in held_nodes(cable)
         if cable.state.nodes[k].kind == "fold" and not cable.state.nodes[k].touches_cable
-        if k not in cable.state.blocked
+        if k not in blocked
     ]
 
 
@@ -153,12 +154,12 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     """Friction forces beyond their bounds, relative to the contact force; negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
-    if friction is None and cable.state.axial is None:
+    if friction is None and cable.state.law.axial is None:
         return values
-    from crms_fenicsx.cabling.friction.axial import clamped_nodes, gripped_nodes
+    from crms_fenicsx.cabling.friction.axial import gripped_nodes
     from crms_fenicsx.cabling.friction.lateral import energies
 
-    if friction is not None and cable.has_coulomb and cable.state.lateral is not None:
+    if friction is not None and cable.has_coulomb and cable.state.law.lateral is not None:
         forces = contact_forces(cable, shape)
         bounds = friction.at_rest * forces.bearing
         if friction.cone:
@@ -171,9 +172,8 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         values["friction beyond its bound"] = float(beyond) / max(most, least)
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
-    if cable.state.axial is not None and len(cable.state.axial.spans):
-        clamps = clamped_nodes(cable)
-        nodes = [k for k in gripped_nodes(cable) if k not in clamps]
+    if cable.state.law.axial is not None and len(cable.state.law.axial.spans):
+        nodes = [k for k in gripped_nodes(cable) if k not in cable.clamped]
         tensions = cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]
@@ -182,7 +182,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         beyond = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
         whole = max(float(bounds.sum()), least)
         values["friction along beyond its bound"] = float(beyond) / whole
-        heat = -cable.state.axial.loss / max(cable.tension * cable.length, 1e-300)
+        heat = -cable.state.law.axial.loss / max(cable.tension * cable.length, 1e-300)
         values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
     return values
 
@@ -191,7 +191,7 @@ def _left_sideways(cable: LaidCable, shape: StripShape) -> Array:
     """Part of the lateral friction bounds left by the axial friction in the cone."""
     nodes = held_nodes(cable)
     left = np.ones(len(nodes))
-    if cable.state.axial is None or not len(cable.state.axial.spans):
+    if cable.state.law.axial is None or not len(cable.state.law.axial.spans):
         return left
     at = np.searchsorted(cable.contacts(), nodes)
     most = cable.cable.along * wrap_angles(cable, shape)[nodes]

@@ -127,7 +127,7 @@ def tension_range(
     cable: LaidCable, shape: StripShape, others: Pulls | None = None
 ) -> tuple[float, float]:
     """Least and largest tension of a cable that the mesh holds sideways (force)."""
-    start = cable.state.step_start
+    start = cable.state.law.step_start
     rate = cable.cable.EA / (cable.L0 if start is None else start.length)
     return max(cable.tension - rate * _longer(cable, shape, others), 0.0), cable.tension
 
@@ -162,11 +162,9 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
     what friction carries."""
     contacts = np.array(cable.contacts())
     places = cable.state.positions[contacts]
-    clamps = () if cable.state.parts is None else cable.state.parts.nodes
+    held = {*cable.clamped, *cable.blocked}
     free = [
-        i
-        for i, k in enumerate(contacts)
-        if cable.state.nodes[k].kind == "fold" and k not in clamps and k not in cable.state.blocked
+        i for i, k in enumerate(contacts) if cable.state.nodes[k].kind == "fold" and k not in held
     ]
     if not free:
         return 0.0

@@ -87,7 +87,9 @@ def _own_forces(scene: Scene) -> Array:
             forces[k] += abs(bar.force)
             least[k] = max(least[k], NO_STRAIN * bar.bar.EA)
     for cable in scene.cables:
-        for tension, name in zip(cable.part_tensions[[0, -1]], cable.state.joints, strict=True):
+        for tension, name in zip(
+            cable.part_tensions[[0, -1]], cable.state.laid.joints, strict=True
+        ):
             for k, point in enumerate(points):
                 if cable.taut and isinstance(point, Joint) and point.name == name:
                     forces[k] += tension

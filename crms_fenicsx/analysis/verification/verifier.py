@@ -130,7 +130,7 @@ class Verifier:
         size = force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
         step = VIRTUAL_DISPLACEMENT * size
         largest = LARGEST_DISPLACEMENT * scene.membrane.size / np.sqrt(cells)
-        for axial in (cable.state.axial for cable in scene.cables if cable.taut):
+        for axial in (cable.state.law.axial for cable in scene.cables if cable.taut):
             if axial is not None:
                 slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
                 largest = min(largest, SMALLEST_SLIP * slip)

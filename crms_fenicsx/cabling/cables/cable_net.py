@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.cabling.cables.clamping import divide, meetings, named, with_clamps
 from crms_fenicsx.cabling.cables.crossings import arrange
@@ -16,6 +17,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, as_text
 from crms_fenicsx.model.cable import Clamp
@@ -51,6 +53,7 @@ class CableNet:
         self.clamps: tuple[Clamp, ...] = ()  # between pairs of cables
         self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
         self._nodes: NodeTable | None = None
+        self._shape: tuple[StripShape, Array] | None = None  # the last, and displacements there
 
     @property
     def nodes(self) -> NodeTable:
@@ -93,9 +96,14 @@ class CableNet:
         return checks.named("cable", {cable.name: cable for cable in self.cables}, name)
 
     def strip_shape(self) -> StripShape:
-        """Gather the current positions of the strip's vertices. Collective."""
+        """Current positions of the strip's vertices, gathered only if they have changed.
+        Collective."""
         assert self.strip is not None
-        return StripShape.of(self.membrane, self.strip)
+        u, known = self.membrane.u.x.array, self._shape
+        same = known is not None and known[0].strip is self.strip and np.array_equal(known[1], u)
+        if known is None or not self.membrane.comm.allreduce(same, op=MPI.LAND):
+            known = self._shape = StripShape.of(self.membrane, self.strip), u.copy()
+        return known[0]
 
     def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:
         """Add the cells around some vertices to the strip. Collective."""
@@ -109,7 +117,7 @@ class CableNet:
             return
         known = with_clamps(self.crossings, self.clamps, self.cables)
         self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
-        if self.clamps or any(cable.state.parts is not None for cable in self.cables):
+        if self.clamps or any(cable.state.law.parts is not None for cable in self.cables):
             self.clamps = divide(self.cables, self.crossings, self.clamps)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:

@@ -79,11 +79,8 @@ def _share(cable: LaidCable, i: int, t: float) -> float:
     of = cable.parts_of(cable.contacts()[:-1])
     own = of == of[i]
     passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
-    clamps = (
-        floats(cable.state.parts.at)
-        if cable.state.parts is not None and cable.state.parts.nodes
-        else []
-    )
+    parts = cable.state.law.parts
+    clamps = floats(parts.at) if parts is not None and parts.nodes else []
     start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
     return start + passed * (end - start)
 
@@ -149,8 +146,8 @@ def divide(
             for clamp in clamps
             if cable.name in nodes[clamp.name]
         }
-        if cable.state.bonds is not None:
-            bonds = zip(_bonded_nodes(cable), floats(cable.state.bonds.at), strict=True)
+        if cable.state.laid.bonds is not None:
+            bonds = zip(_bonded_nodes(cable), floats(cable.state.laid.bonds.at), strict=True)
             shares |= {k: (at, 0.0) for k, at in bonds}
         own = sorted(shares.items())
         cable.update(parts=_parts(cable, own))
@@ -163,8 +160,9 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
     found = []
     for clamp in clamps:
         cable = by_name[clamp.cables[0]]
-        if cable.taut and cable.state.parts is not None and cable.state.parts.nodes:
-            k = cable.state.parts.nodes[int(np.argmin(np.abs(cable.state.parts.at - clamp.at[0])))]
+        parts = cable.state.law.parts
+        if cable.taut and parts is not None and parts.nodes:
+            k = parts.nodes[int(np.argmin(np.abs(parts.at - clamp.at[0])))]
             clamp = replace(clamp, place=cable.state.positions[k].copy())
         found.append(clamp)
     return tuple(found)
@@ -189,7 +187,7 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:
     """Parts of a cable between clamps (nodes, unstressed fractions, grips); None without any."""
-    old = cable.state.parts
+    old = cable.state.law.parts
     if not own:
         return None
     nodes = tuple(k for k, _ in own)
@@ -198,7 +196,7 @@ def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> 
     if old is not None and np.array_equal(old.at, shares) and np.array_equal(old.grips, grips):
         return replace(old, nodes=nodes)
     force = np.full(count, cable.tension)
-    smoothing = cable.state.smoothing_length * np.diff([0.0, *shares, 1.0])
+    smoothing = cable.state.law.smoothing_length * np.diff([0.0, *shares, 1.0])
     spent = 0.0 if old is None else old.dissipated
     return ClampedParts(
         shares, nodes, force, smoothing, grips, np.zeros(count - 1), dissipated=spent
@@ -220,20 +218,20 @@ def bonds_of(cable: LaidCable) -> Bonds:
 
 def bonded_parts(cable: LaidCable) -> ClampedParts:
     """Parts of a newly bonded cable."""
-    assert cable.state.bonds is not None
-    count = len(cable.state.bonds.at) + 1
+    assert cable.state.laid.bonds is not None
+    count = len(cable.state.laid.bonds.at) + 1
     force = np.full(count, cable.tension)
     inner = np.zeros(count - 1)
     return ClampedParts(
-        cable.state.bonds.at, tuple(_bonded_nodes(cable)), force, np.zeros(count), inner, inner
+        cable.state.laid.bonds.at, tuple(_bonded_nodes(cable)), force, np.zeros(count), inner, inner
     )
 
 
 def _bonded_nodes(cable: LaidCable) -> list[int]:
     """Nodes at which a cable is bonded to the fabric, in order."""
-    assert cable.state.bonds is not None
+    assert cable.state.laid.bonds is not None
     on, found = iter(cable.path_nodes()), []
-    for support in cable.state.bonds.supports:
+    for support in cable.state.laid.bonds.supports:
         node = next((k for k in on if cable.state.nodes[k].support == support), None)
         if node is None:
             raise PathError(
@@ -246,18 +244,20 @@ def _bonded_nodes(cable: LaidCable) -> list[int]:
 
 def bounds_and_slips(cable: LaidCable) -> tuple[Array, Array]:
     """Grips (m,) and elastic slips (m,) (length) of clamps; unlimited grips are EA."""
-    assert cable.state.parts is not None
-    EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.state.parts.at, 1.0])
-    bounds = np.where(cable.state.parts.grips > 0.0, np.minimum(cable.state.parts.grips, EA), EA)
+    assert cable.state.law.parts is not None
+    EA, lengths = cable.cable.EA, cable.L0 * np.diff([0.0, *cable.state.law.parts.at, 1.0])
+    bounds = np.where(
+        cable.state.law.parts.grips > 0.0, np.minimum(cable.state.law.parts.grips, EA), EA
+    )
     return bounds, TOLERANCE * bounds / EA * np.minimum(lengths[1:], lengths[:-1])
 
 
 def held_by_clamps(cable: LaidCable) -> tuple[Array, Array]:
     """The same for a cable with axial friction: unlimited grips get a smaller elastic slip, since
     spans between its nodes are shorter than parts."""
-    assert cable.state.parts is not None
+    assert cable.state.law.parts is not None
     bounds, eps = bounds_and_slips(cable)
-    return bounds, np.where(cable.state.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
+    return bounds, np.where(cable.state.law.parts.grips > 0.0, eps, CLAMP_SLIP * cable.L0)
 
 
 def smallest_slip(cables: Sequence[LaidCable]) -> float:
@@ -270,13 +270,13 @@ def end_step(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clam
     """End a load step: clamps adopt the slipped positions. Returns the clamps."""
     moved: dict[tuple[str, float], float] = {}
     for cable in cables:
-        parts = cable.state.parts
+        parts = cable.state.law.parts
         if parts is None or not parts.slips.any():
             continue
-        if cable.state.axial is None:
+        if cable.state.law.axial is None:
             (_, eps), length = bounds_and_slips(cable), cable.L0
         else:
-            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.state.smoothing_length
+            (_, eps), length = held_by_clamps(cable), cable.L0 + cable.state.law.smoothing_length
         elastic = np.clip(parts.slips, -eps, eps)
         at = np.asarray(parts.at + (parts.slips - elastic) / length)
         moved |= {

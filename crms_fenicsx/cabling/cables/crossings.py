@@ -214,8 +214,7 @@ def arrange(
         cables[c].set_nodes(list(nodes[own]), positions[own], fractions[own], lifted[own])
         alike = (np.array_equal(rows[a][own], before.rows[a][old]) for a in ("kind", "support"))
         if all(alike):  # keep what the last solve has found of the points
-            solved = state.reference_positions
-            cables[c].update(reference_positions=solved, blocked=state.blocked)
+            cables[c].update(reference_positions=state.reference_positions)
     on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
     of_cables = [cable.state.nodes for cable in cables]
     return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)

@@ -1,4 +1,5 @@
-"""A rank's element tables of taut cables: segments, folded cells, facets, held points.
+"""A rank's element tables of taut cables: segments, folded cells, facets, held points; and of plain
+cells beside them.
 
 They address cable nodes and vertices as local blocks of unknowns; see `numbering` for ownership.
 """
@@ -15,10 +16,13 @@ from crms_fenicsx.cabling.cables.points_on_edges import ANCHOR, CROSSING, FOLD, 
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.energy.minimization.damping import Damping, Springs
 from crms_fenicsx.energy.terms.fold_penalty import FoldAngles
-from crms_fenicsx.energy.terms.folded_membrane import FoldedCells
-from crms_fenicsx.energy.terms.folded_pressure import Facets
+from crms_fenicsx.energy.terms.folded_membrane import FoldedCells, FoldedMembraneEnergy
+from crms_fenicsx.energy.terms.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energy.terms.held_line import HeldPoints
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
+from crms_fenicsx.energy.terms.pressure import FollowerPressure
+from crms_fenicsx.energy.terms.term import ElementwiseTerms
+from crms_fenicsx.foundation.dofs.layout import Unknowns, rows_of, rows_on
 from crms_fenicsx.foundation.meshes.triangles import area_vectors, cell_sides
 from crms_fenicsx.foundation.runtime.arrays import (
     Array,
@@ -258,6 +262,65 @@ class _FoldedCellsOf:
         weights = np.concatenate([shares, np.full(len(rows), -1.0), signs * parts])
         cell = np.concatenate([pieces.cell[fan_owners(pieces.starts)], every, side // 3])
         return Facets(corners, weights, below[:0]), self.local[cell]
+
+
+class PlainCells:
+    """This rank's plain cells beside folded ones, for terms of some of them: DOLFINx forms
+    integrate over all cells, local relaxation next to a cable needs only a few."""
+
+    def __init__(self, unknowns: Unknowns, membrane: MembraneEnergy) -> None:
+        self._energy, mesh = membrane, membrane.u.function_space.mesh
+        self.cells = np.flatnonzero(
+            membrane.plain.x.array[: mesh.topology.index_map(2).size_local]
+        ).astype(np.int32)
+        dofs = membrane.u.function_space.dofmap.list[self.cells]
+        self.blocks = unknowns.vertex_blocks()[dofs]
+
+    def _around(self, chosen: Booleans) -> Integers:
+        """Rows of the cells with any chosen vertex."""
+        rows: Integers = rows_on(*rows_of(self.blocks), chosen)
+        return rows
+
+    def membrane(self) -> ElementwiseTerms:
+        """Compiled counterpart of their strain energy."""
+        stiffening = self._energy.stiffening
+        return ElementwiseTerms(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
+
+    def _cells(self, chosen: Booleans) -> FoldedCells | None:
+        """The cells with any chosen vertex, (n_local,)."""
+        rows, membrane = self._around(chosen), self._energy
+        if len(rows) == 0:
+            return None
+        cells, n = self.cells[rows], 3 * len(rows)
+        sides = cell_sides(membrane.u.function_space.mesh, cells)
+        laws, parameters = membrane.laws(cells)
+        ends = self.blocks[rows]
+        return FoldedCells(
+            cells=cells,
+            segments=np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2),
+            eps=np.zeros(n),
+            side_pointers=np.arange(n + 1, dtype=np.int32),
+            side_segments=np.arange(n, dtype=np.int32),
+            sides=np.arange(n, dtype=np.int32).reshape(-1, 3),
+            side_vectors=np.einsum("nki,nai->nka", sides, membrane.material_axes(cells)),
+            laws=laws,
+            parameters=parameters,
+        )
+
+    def pressure(self, term: FollowerPressure) -> ElementwiseTerms:
+        """Compiled counterpart of a pressure on them."""
+
+        def facets(chosen: Booleans) -> Facets | None:
+            rows = self._around(chosen)
+            rows = rows[term.cells.x.array[self.cells[rows]] > 0.0]
+            none = np.zeros((0, 3), dtype=np.int32)
+            table = Facets(self.blocks[rows], np.ones(len(rows)), none)
+            return table if len(rows) else None
+
+        return ElementwiseTerms(
+            facets,
+            lambda table: FoldedFollowerPressure(table, term.pressure, term.origin.value),
+        )
 
 
 def damping(numbering: CableNumbering, segments: Indices) -> Damping:

@@ -12,7 +12,6 @@ from crms_fenicsx.cabling.cables.points_on_edges import CROSSING
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
-from crms_fenicsx.model.tolerances import TOL
 
 
 class NodePositions:
@@ -20,42 +19,28 @@ class NodePositions:
 
     def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
         self.numbering, self.unknowns = numbering, unknowns
-        self._starts = [int(start) for start in numbering.nodes.starts]
+        nodes, points, rank = numbering.nodes, numbering.points, numbering.rank
+        self._starts = [int(start) for start in nodes.starts]
         empty = np.zeros(0, dtype=bool)
-        self._lifted = np.concatenate([empty, *(cable.state.lifted for cable in numbering.cables)])
-        self._list_own_nodes()
-        self._list_lines()
-        self._list_links()
-
-    def _list_own_nodes(self) -> None:
-        """List the nodes that this rank places, their blocks and their supports on the membrane."""
-        numbering, nodes = self.numbering, self.numbering.nodes
-        own = ~(self._lifted & nodes.taut) & (numbering.node_owners == numbering.rank)
-        self._own = np.flatnonzero(own)
+        lifted = np.concatenate([empty, *(cable.state.lifted for cable in numbering.cables)])
+        # Nodes that this rank places, with their blocks and supports on the membrane.
+        self._own = np.flatnonzero(~(lifted & nodes.taut) & (numbering.node_owners == rank))
         self._blocks = numbering.node_blocks[self._own]
         self._corners = np.maximum(numbering.support_blocks(self._own), 0)
         self._weights = nodes.weights[self._own]
         self._sliders = np.flatnonzero(nodes.slides[self._own])
-
-    def _list_lines(self) -> None:
-        """List this rank's edges with points on them, and its edge sliders."""
-        numbering, points, nodes = self.numbering, self.numbering.points, self.numbering.nodes
-        owner = numbering.strip.simplices.owner
-        edges = points.edges[owner[points.edges] == numbering.rank]
+        # This rank's edges with points on them, and its edge sliders.
+        edges = points.edges[numbering.strip.simplices.owner[points.edges] == rank]
         self._lines = _Lines(*numbering.lines(edges))
         self._on_lines = points.nodes[runs(points.starts[edges], points.counts[edges])]
         edge_sliders = [int(nodes.starts[c]) + k for c, k in numbering.edge_sliders.members]
         self._edge_sliders = np.array(edge_sliders, dtype=np.int64)
-        self._own_edge_sliders = np.flatnonzero(
-            numbering.node_owners[self._edge_sliders] == numbering.rank
-        )
-
-    def _list_links(self) -> None:
-        """List the links with crossings, and the two nodes of each crossing."""
-        nodes = self.numbering.nodes
-        on = (nodes.size > 0) & ~self._lifted
+        own = numbering.node_owners[self._edge_sliders] == rank
+        self._own_edge_sliders = np.flatnonzero(own)
+        # Links with crossings, and the two nodes of each crossing.
+        on = (nodes.size > 0) & ~lifted
         self._known, self._slides = on & (nodes.kind != CROSSING), nodes.slides
-        self._free = nodes.taut & ~self._lifted
+        self._free = nodes.taut & ~lifted
         others = np.flatnonzero(nodes.kind != CROSSING)
         a, b = others[:-1], others[1:]
         crossed = (nodes.cable[a] == nodes.cable[b]) & (b - a > 1) & on[a] & on[b]
@@ -99,12 +84,10 @@ class NodePositions:
             positions[known] = part[known, :3]
             if cable.taut:
                 fractions[slides] = part[slides, 3]
-            close = (fractions < TOL.smoothing) | (fractions > 1 - TOL.smoothing)
             cable.update(
                 positions=positions,
                 fractions=fractions,
                 reference_positions=part[:, 4:].copy(),
-                blocked=tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut),
             )
 
     def _set_material(self, total: Array) -> None:

@@ -306,7 +306,9 @@ class CableNumbering:
         """Local blocks of the joints to which nodes are fixed, (nodes,); -1 for others."""
         found = np.full(len(self.nodes.kind), -1)
         for c, cable in enumerate(self.cables):
-            for k, name in zip((0, len(cable.state.nodes) - 1), cable.state.joints, strict=True):
+            for k, name in zip(
+                (0, len(cable.state.nodes) - 1), cable.state.laid.joints, strict=True
+            ):
                 if name is not None:
                     assert self._frame is not None
                     found[self.row(c, k)] = self._frame.block(name)

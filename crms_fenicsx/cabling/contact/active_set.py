@@ -89,22 +89,19 @@ class ActiveSet:
         lengths; return the changes in words. Collective."""
         # Each trial of other paths that is rejected restores taut cables, which may slacken again.
         self._switches.clear()
-        return self._switch(self.net.strip_shape(), self._lines(), solved=False)
+        return self._switch(self.net.strip_shape(), None)
 
     def update(self, shape: StripShape) -> list[str]:
         """Update the active set from a solved state and return the changes in words."""
         self.only_lifted = True
         if self._first_look:
             self._forget()
-        lines = self._lines()
-        changes = self._switch(shape, lines, solved=True) or self._contacts(shape, lines)
+        lines = Polylines(self.net.nodes, positions_of(self.net.cables))
+        changes = self._switch(shape, lines) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
             changes = self._crossings(shape, lines)
         self.only_lifted &= len(changes) > 0
         return changes
-
-    def _lines(self) -> Polylines:
-        return Polylines(self.net.nodes, positions_of(self.net.cables))
 
     def _forget(self) -> None:
         """Forget the contact history of cables that have moved; other contacts would recur."""
@@ -121,8 +118,9 @@ class ActiveSet:
         """Name of a cable that keeps switching between slack and taut; "" if none does."""
         return next((name for name, n in self._switches.items() if n > BUDGET.switches), "")
 
-    def _switch(self, shape: StripShape, lines: Polylines, solved: bool) -> list[str]:
-        """Tighten slack cables that have become too short for their paths, slacken others.
+    def _switch(self, shape: StripShape, solved: Polylines | None) -> list[str]:
+        """Tighten slack cables that have become too short for their paths, slacken others if the
+        polylines are those of a solved state.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It counts as taut if it is nearly tight on flat cells and
@@ -131,28 +129,29 @@ class ActiveSet:
         not with axial friction, which is path-dependent.
         """
         changes: list[str] = []
-        lengths, flat = floats(lines.lengths), None
+        lengths, flat = None if solved is None else floats(solved.lengths), None
         for c, cable in enumerate(self.net.cables):
             if cable.cable.law == "step":
                 continue
             if not cable.taut and cable.lifts_off:
                 contact.drape(cable, shape)
             untried = cable.name not in self._tried and not self._rested(cable)
-            judged = solved and cable.taut
-            if judged and cable.state.parts is None:
+            judged = solved is not None and cable.taut
+            if lengths is not None and judged and cable.state.law.parts is None:
                 taut = tight = lengths[c] > cable.L0 * (1 + UNSTRAINED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
-            if judged and tight and untried and cable.slides_freely and not cable.is_divided:
+            alone = cable.slides_freely and not cable.is_divided
+            if solved is not None and judged and tight and untried and alone:
                 if flat is None:
-                    flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
+                    flat = floats(solved.flat_lengths(shape, fractions_of(self.net.cables)))
                 taut = flat[c] > cable.L0
             if taut == cable.taut:
                 continue
             if taut or not tight:
                 self._tried.add(cable.name)
             # A cable that slackens recovers its folds from the straight path.
-            cable.update(taut=taut, path_is_geodesic=taut and cable.state.path_is_geodesic)
+            cable.update(taut=taut, path_is_geodesic=taut and cable.state.memory.path_is_geodesic)
             self._switches[cable.name] += 1
             self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
@@ -219,8 +218,7 @@ class ActiveSet:
         """Whether a clamp joins each node to another, (n,): these only lift off together."""
         clamped = np.zeros(len(nodes.kind), dtype=bool)
         for start, cable in zip(nodes.starts, self.net.cables, strict=False):
-            if cable.state.parts is not None:
-                clamped[start + np.array(cable.state.parts.nodes, dtype=np.int64)] = True
+            clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
         return clamped
 
     def _covered(self, nodes: NodeTable) -> Booleans:

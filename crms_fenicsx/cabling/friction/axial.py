@@ -62,10 +62,9 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
     """Supports of the nodes with axial friction; negative numbers for clamps."""
     last = len(cable.state.nodes) - 1
     supports: list[Support] = []
-    clamps = clamped_nodes(cable)
-    for k in sorted({*held_nodes(cable), *clamps}):
-        if k in clamps:
-            supports.append((-1 - clamps.index(k),))  # no vertex has such a number
+    for k in sorted({*held_nodes(cable), *cable.clamped}):
+        if k in cable.clamped:
+            supports.append((-1 - cable.clamped.index(k),))  # no vertex has such a number
             continue
         node, anchor = cable.state.nodes[k], {1: 0, last - 1: last}.get(k)
         if (
@@ -81,24 +80,19 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
     return tuple(supports)
 
 
-def clamped_nodes(cable: LaidCable) -> list[int]:
-    """Numbers of the clamped nodes of a cable."""
-    return [] if cable.state.parts is None else list(cable.state.parts.nodes)
-
-
 def is_aligned(cable: LaidCable) -> bool:
     """Whether the axial state refers to the current nodes with friction."""
     return (
-        cable.state.axial is None
+        cable.state.law.axial is None
         or not cable.taut
-        or cable.state.axial.supports == _supports(cable)
+        or cable.state.law.axial.supports == _supports(cable)
     )
 
 
 def gripped_nodes(cable: LaidCable) -> list[int]:
     """Node numbers of the axial state, which stay fixed during a minimisation."""
-    assert cable.state.axial is not None
-    own, clamps = set(cable.state.axial.supports), clamped_nodes(cable)
+    assert cable.state.law.axial is not None
+    own, clamps = set(cable.state.law.axial.supports), cable.clamped
     return sorted(
         k
         for k in {*held_nodes(cable), *clamps}
@@ -109,7 +103,7 @@ def gripped_nodes(cable: LaidCable) -> list[int]:
 
 def remap_axial(cable: LaidCable) -> None:
     """Transfer the bounds to the cable's current nodes."""
-    grip = cable.state.axial
+    grip = cable.state.law.axial
     if grip is None or (now := _supports(cable)) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
@@ -142,7 +136,7 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     # of the directions before and after; divided by the stretch, this is the slope. Then tensions
     # T1, T2 and friction give the fold point the force (T1 + T2)/2 (t2 - t1) along the edge, which
     # vanishes on a geodesic, as without friction.
-    grip = cable.state.axial
+    grip = cable.state.law.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
     places = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
@@ -158,11 +152,11 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
             edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
-    at_clamps = np.isin(nodes, clamped_nodes(cable))
+    at_clamps = np.isin(nodes, cable.clamped)
     if at_clamps.any():
-        assert cable.state.parts is not None
+        assert cable.state.law.parts is not None
         slope[at_clamps] = 0.0
-        rest[at_clamps] = cable.state.parts.at * (cable.L0 + cable.state.smoothing_length)
+        rest[at_clamps] = cable.state.law.parts.at * (cable.L0 + cable.state.law.smoothing_length)
     fractions = np.where(np.isnan(cable.state.fractions[nodes]), 0.0, cable.state.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
 
@@ -183,16 +177,16 @@ def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
     """Store lengths and tensions (n + 1,) of the solved spans, and slips (n,) between them."""
-    grip = cable.state.axial
+    grip = cable.state.law.axial
     assert grip is not None
     axial = replace(
         grip, tensions=between_contacts(cable, tensions), spans=spans.copy(),
         arcs=np.cumsum(unstressed)[:-1], slips=slips.copy(), loss=loss,
     )  # fmt: skip
     tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    parts = cable.state.parts
+    parts = cable.state.law.parts
     if parts is not None and cable.may_slip:
-        parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), clamped_nodes(cable))])
+        parts = replace(parts, slips=slips[np.isin(gripped_nodes(cable), cable.clamped)])
     cable.update(tension=tension, axial=axial, parts=parts)
 
 
@@ -204,7 +198,7 @@ def between_contacts(cable: LaidCable, of_spans: Array) -> Array:
 
 def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: the present state becomes the rest state of the next one."""
-    grip = cable.state.axial
+    grip = cable.state.law.axial
     if grip is None:
         return
     dissipated = grip.dissipated + grip.loss
@@ -234,14 +228,14 @@ def _curve(
     curve = MaterialCurve(points, arc_lengths(points), parts, none, none)
     passed = arc_lengths(cable.state.positions)
     rest = np.interp(
-        passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.state.smoothing_length]
+        passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.state.law.smoothing_length]
     )
     return curve, rest[on]
 
 
 def held_along(cable: LaidCable) -> bool:
     """Whether a cable is taut and has axial friction."""
-    return cable.taut and cable.state.axial is not None
+    return cable.taut and cable.state.law.axial is not None
 
 
 def chain_table(
@@ -276,7 +270,7 @@ def gripped_cables(numbering: CableNumbering) -> dict[int, list[int]]:
 def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
     """Current bounds and rest arcs of these cables."""
     places = {c: reference_arcs(k, shape) for c, k in enumerate(numbering.cables) if held_along(k)}
-    grips = [axial for c in places if (axial := numbering.cables[c].state.axial) is not None]
+    grips = [axial for c in places if (axial := numbering.cables[c].state.law.axial) is not None]
 
     def joined(parts: list[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -296,7 +290,7 @@ def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
     """Grips of cables at the clamps through which they may slip."""
     rows: list[Array] = [np.zeros((4, 0))]
     for cable in cables:
-        parts = cable.state.parts
+        parts = cable.state.law.parts
         assert parts is not None
         bounds, eps = bounds_and_slips(cable)
         rest = cable.L0 * parts.at + np.cumsum(parts.smoothing)[:-1]
@@ -312,6 +306,6 @@ def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
         (n, c, i)
         for n, (c, nodes) in enumerate(gripped_cables(numbering).items())
         for i, k in enumerate(nodes)
-        if k not in clamped_nodes(numbering.cables[c])
+        if k not in numbering.cables[c].clamped
         if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

@@ -53,14 +53,14 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     """Prepare a cable with friction for a load step."""
     if cable.cable.sideways is None:
         return
-    last = cable.state.lateral or LateralFrictionState(
+    last = cable.state.law.lateral or LateralFrictionState(
         material_curve(cable, shape), (), np.zeros(0), np.zeros(0)
     )
     if last.elements is not None:
         last = replace(last, bounds=last.elements.bound)
     cable.update(lateral=last)
     remap(cable)
-    grip = cable.state.lateral
+    grip = cable.state.law.lateral
     assert grip is not None
     if grip.elements is not None:
         return
@@ -80,9 +80,9 @@ def _tension_in_place(cable: LaidCable) -> float:
     """Tension (force) of a cable in its last place, with its ends at their current positions."""
     # from its old length, as new crossings are not in equilibrium yet
     length, places = cable.length, cable.state.positions[cable.contacts()]
-    if cable.state.ends_before is not None:
+    if cable.state.memory.ends_before is not None:
         beside = places[[1, -2]]
-        chords = norm(places[[0, -1]] - beside) - norm(cable.state.ends_before - beside)
+        chords = norm(places[[0, -1]] - beside) - norm(cable.state.memory.ends_before - beside)
         length += float(chords.sum())
     return cable.cable.EA * (length / cable.L0 - 1)
 
@@ -105,7 +105,7 @@ def start_elements(
 def place_elements(cable: LaidCable, shape: StripShape) -> None:
     """Place the friction elements that nodes do not have yet: at the nearer end of the edge, in the
     direction to the cable's left. Their slip starts with that of the node."""
-    grip = cable.state.lateral
+    grip = cable.state.law.lateral
     if grip is None or grip.elements is None:
         return
     slips, old = node_slips(cable, grip.curve, shape, grip.line), grip.elements
@@ -143,7 +143,7 @@ def _slips_now(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) 
 
 def remap(cable: LaidCable) -> None:
     """Transfer the bounds to the cable's current nodes."""
-    grip = cable.state.lateral
+    grip = cable.state.law.lateral
     if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
@@ -177,7 +177,7 @@ def remap(cable: LaidCable) -> None:
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     """Energies that a cable's friction stores, and has dissipated in this step."""
-    friction, grip = cable.cable.sideways, cable.state.lateral
+    friction, grip = cable.cable.sideways, cable.state.law.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
     slips = _slips_now(cable, grip, shape)
@@ -187,7 +187,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     """Friction force (n,) at nodes with friction, positive on a cable sliding left (force)."""
-    friction, grip = cable.cable.sideways, cable.state.lateral
+    friction, grip = cable.cable.sideways, cable.state.law.lateral
     assert friction is not None and grip is not None
     # a node on a vertex cannot slip: friction balances the pull, up to the bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
@@ -199,7 +199,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
 
 def note_sliding(cable: LaidCable, shape: StripShape) -> None:
     """Note in which directions the nodes of the paper's friction elements slide in this step."""
-    friction, grip = cable.cable.sideways, cable.state.lateral
+    friction, grip = cable.cable.sideways, cable.state.law.lateral
     if friction is None or grip is None or grip.elements is None or not cable.taut:
         return
     slips, moving = _slips_now(cable, grip, shape), np.zeros(len(grip.supports))
@@ -211,7 +211,7 @@ def note_sliding(cable: LaidCable, shape: StripShape) -> None:
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: slips then count from the cable's current place."""
-    friction, grip = cable.cable.sideways, cable.state.lateral
+    friction, grip = cable.cable.sideways, cable.state.law.lateral
     if friction is None or grip is None:
         return
     dissipated = grip.dissipated + energies(cable, shape)[1]
@@ -284,6 +284,6 @@ def _slips(
 ) -> Iterator[tuple[int, LaidCable, Friction, LateralFrictionState, NodeSlips]]:
     """Slips of the nodes of taut cables with a given friction law."""
     for c, cable in enumerate(numbering.cables):
-        friction, grip = cable.cable.sideways, cable.state.lateral
+        friction, grip = cable.cable.sideways, cable.state.law.lateral
         if cable.taut and friction is not None and grip is not None and friction.law == law:
             yield c, cable, friction, grip, node_slips(cable, grip.curve, shape, grip.line)

@@ -19,7 +19,6 @@ from crms_fenicsx.cabling.friction.axial import (
     LEAST_PART,
     RestPlaces,
     between_contacts,
-    clamped_nodes,
     reference_arcs,
 )
 from crms_fenicsx.cabling.friction.slip import (
@@ -128,7 +127,7 @@ class LateralIteration:
 
     def renew(self, shape: StripShape) -> float:
         """Update the bounds from the current state; return their change, relative to their sum."""
-        cable, grip = self.cable, self.cable.state.lateral
+        cable, grip = self.cable, self.cable.state.law.lateral
         assert grip is not None
         if not cable.taut:
             return 0.0
@@ -246,13 +245,13 @@ class AxialIteration:
 
     def renew(self, shape: StripShape) -> float:
         """Update the bounds from the current state; return the relative change of tension."""
-        cable, grip = self.cable, self.cable.state.axial
+        cable, grip = self.cable, self.cable.state.law.axial
         assert grip is not None
         if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:
             return 0.0
         places, EA = reference_arcs(cable, shape), cable.cable.EA
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
-        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        clamped = np.isin(places.nodes, cable.clamped)
         if clamped.any():
             wrap[clamped] = self._held_ratios(clamped)
         law = self._law(places, wrap, shape)
@@ -293,9 +292,9 @@ class AxialIteration:
     def _held_ratios(self, clamped: Booleans) -> Array:
         """Logarithms of the tension ratios that clamps hold, at the current tensions on both sides:
         with P = T + T^2/(2 EA) the grip is P2 - P1."""
-        cable, grip = self.cable, self.cable.state.axial
+        cable, grip = self.cable, self.cable.state.law.axial
         assert grip is not None
-        unstressed = np.diff([0.0, *grip.arcs, cable.L0 + cable.state.smoothing_length])
+        unstressed = np.diff([0.0, *grip.arcs, cable.L0 + cable.state.law.smoothing_length])
         strains = np.maximum((grip.spans - unstressed) / unstressed, EPSILON)
         mean = np.sqrt(strains[1:] * strains[:-1])[clamped]
         held = held_by_clamps(cable)[0] / cable.cable.EA
@@ -309,18 +308,18 @@ class AxialIteration:
 
     def _law(self, places: RestPlaces, wrap: Array, shape: StripShape) -> _Law:
         """Solve Coulomb's law along the cable for the lengths of its spans."""
-        cable, grip = self.cable, self.cable.state.axial
+        cable, grip = self.cable, self.cable.state.law.axial
         assert grip is not None
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
-        clamped = np.isin(places.nodes, clamped_nodes(cable))
+        clamped = np.isin(places.nodes, cable.clamped)
         if clamped.any():
             full[clamped] = held_by_clamps(cable)[1]
-        L0 = cable.L0 + cable.state.smoothing_length
-        if not cable.cable.cone or cable.state.lateral is None:
+        L0 = cable.L0 + cable.state.law.smoothing_length
+        if not cable.cable.cone or cable.state.law.lateral is None:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
             return _Law(wrap, full, full, slips, unstressed)
-        sideways = slips_sideways(cable, cable.state.lateral, shape, places.nodes)
+        sideways = slips_sideways(cable, cable.state.law.lateral, shape, places.nodes)
         for _ in range(MAX_ITERATIONS):
             before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
             bound, width, elastic = law_along(sideways, along)

@@ -240,7 +240,7 @@ def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
 ) -> LateralLaw | None:
     """Lateral law reduced by axial friction at the nodes with friction; None if unchanged."""
-    friction, axial = cable.cable.sideways, cable.state.axial
+    friction, axial = cable.cable.sideways, cable.state.law.axial
     assert friction is not None
     if not cable.cable.cone or axial is None or not len(axial.spans):
         return None

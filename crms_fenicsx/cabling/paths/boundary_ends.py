@@ -55,10 +55,13 @@ def renew_ends(change: PathChange) -> bool:
 def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     """Whether an anchor has left the vertical plane of its cable since the last equilibrium, so
     that the old path would draw the cable into the membrane sideways."""
-    if cable.state.nodes[k].kind != "anchor" or cable.state.ends_before is None:
+    if cable.state.nodes[k].kind != "anchor" or cable.state.memory.ends_before is None:
+        return False
+    way = cable.state.positions[k] - cable.state.memory.ends_before[k]
+    if not way.any():
         return False
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
-    chords = cable.state.positions[contacts] - cable.state.ends_before[k]
+    chords = cable.state.positions[contacts] - cable.state.memory.ends_before[k]
     # An end on the boundary occurs twice, as an anchor and as the path's first point.
     apart = np.linalg.norm(chords, axis=1) > SAME_PLACE * cable.length
     beside, along = contacts[np.argmax(apart)], chords[np.argmax(apart)]
@@ -66,8 +69,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     assert point is not None
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
-    moved = float((cable.state.positions[k] - cable.state.ends_before[k]) @ aside)
-    return abs(moved) > TOL.stays * size_at(shape, point.support) * length
+    return abs(float(way @ aside)) > TOL.stays * size_at(shape, point.support) * length
 
 
 def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:
@@ -78,7 +80,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
     led = False
     if isinstance(node.point, CellPoint):
         # pulled taut to the old place the path would go back and forth
-        before, now = cable.state.ends_before, cable.state.positions[anchor]
+        before, now = cable.state.memory.ends_before, cable.state.positions[anchor]
         moved = 0.0 if before is None else float(np.linalg.norm(now - before[anchor]))
         led = moved > SAME_PLACE * cable.length and _lead(change, cable, last)
         node = cable.state.nodes[beside]

@@ -46,7 +46,7 @@ def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
     return {
         c: cable
         for c, cable in enumerate(cables)
-        if cable.taut and cable.state.lateral is not None and cable.state.lateral.known
+        if cable.taut and cable.state.law.lateral is not None and cable.state.law.lateral.known
     }
 
 
@@ -108,13 +108,13 @@ def _flatten_edges(change: PathChange, tried: TriedPaths, shape: StripShape) -> 
 
 def _pulled(cable: LaidCable, shape: StripShape) -> list[int]:
     """Fold points whose lateral pull is far from the friction force."""
-    assert cable.state.lateral is not None
-    if cable.state.lateral.elements is not None:  # their forces do not turn with the cable
+    assert cable.state.law.lateral is not None
+    if cable.state.law.lateral.elements is not None:  # their forces do not turn with the cable
         return []
     nodes = np.array(held_nodes(cable), dtype=np.int64)
     carried = friction_forces(cable, shape)
     excess = contact_forces(cable, shape).lateral[nodes] - carried
-    far = np.abs(excess) > TOL.bent_pull * cable.state.lateral.bounds
+    far = np.abs(excess) > TOL.bent_pull * cable.state.law.lateral.bounds
     return [k for k in ints(nodes[far]) if cable.state.nodes[k].slides]
 
 

@@ -70,8 +70,8 @@ class GeodesicSliding:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.state.path_is_geodesic and leaves_cells(cable)
-            if cable.state.parts is None  # clamps may hold it in bends
+            if cable.taut and not cable.state.memory.path_is_geodesic and leaves_cells(cable)
+            if cable.state.law.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
             return False
@@ -152,7 +152,7 @@ class GeodesicSliding:
         for cable in self.net.cables:
             nodes = [cable.state.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
-            if not cable.taut or not places or len(cable.state.blocked) < len(places):
+            if not cable.taut or not places or len(cable.blocked) < len(places):
                 continue
             common = set.intersection(*places)
             surface = self.change.surface(sorted(common))
@@ -185,14 +185,14 @@ class GeodesicSliding:
             return lambda cable: self._pulled(cable, creased, max_flips, fresh)
 
         pulled = self._for_each(cables, pull, self.net.strip_shape())
-        surface = CreasedSurface(self.net.strip_shape(), folds)
-        most = 0
         for cable, new in zip(cables, pulled, strict=True):
             self._note(cable, new.followed)
-            if new.flips or fresh:
-                self.change.replace(cable, new.points, new.lifted, surface)
-                most = max(most, new.flips)
+        most = max(new.flips for new in pulled)
         if most or fresh:
+            surface = CreasedSurface(self.net.strip_shape(), folds)
+            for cable, new in zip(cables, pulled, strict=True):
+                if new.flips or fresh:
+                    self.change.replace(cable, new.points, new.lifted, surface)
             nodes = [node.point for cable in cables for node in cable.state.nodes]
             self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
@@ -315,13 +315,11 @@ Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
 
 def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
     """Lifted and other parts of a path between clamps."""
-    if cable.state.parts is None:
-        return [(is_off, run, (None, None)) for is_off, run in lifted_runs(cable)]
     on_path = cable.path_nodes()
     # clamps by the index of the path's first point after them, except where the cable follows an
     # edge between two of its vertices: these cannot be ends
     at: dict[int, SurfacePoint] = {}
-    for k in cable.state.parts.nodes:
+    for k in cable.clamped:
         point, after = cable.state.nodes[k].point, int(np.searchsorted(on_path, k))
         if cable.state.nodes[k].kind != "crossing":
             at[after + 1] = cable.point(k)

@@ -74,7 +74,7 @@ def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, 
     """Taut cables with their nodes, for each clamp on a vertex or at a crossing."""
     at: dict[object, list[tuple[LaidCable, int]]] = defaultdict(list)
     for cable in cables:
-        for k in () if cable.state.parts is None or not cable.taut else cable.state.parts.nodes:
+        for k in cable.clamped if cable.taut else ():
             node = cable.state.nodes[k]
             at[node.support if node.kind == "vertex" else node.crossing].append((cable, k))
     return [held for held in at.values() if len(held) > 1]
@@ -102,25 +102,25 @@ def held_vertices(
     near = {} if cable.keeps_line else _near(cable, shape, others or {})
     if not near:
         return []
-    at = _at(cable) if cable.state.lateral is not None else near
+    at = _at(cable) if cable.state.law.lateral is not None else near
     at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
     nodes = sorted({k for some in at.values() for k in some if not cable.state.lifted[k]})
     # By node of the cable; zero where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.state.nodes)))
     press[nodes], pull[nodes] = forces_at(cable, nodes, shape, others)
-    if cable.state.lateral is not None:
+    if cable.state.law.lateral is not None:
         from crms_fenicsx.cabling.friction.lateral import friction_forces
 
         carried = friction_forces(cable, shape)
         for k in nodes:
-            row = cable.state.lateral.row_of.get(cable.state.nodes[k].support)
+            row = cable.state.law.lateral.row_of.get(cable.state.nodes[k].support)
             if row is not None:
                 pull[k] -= carried[row]
-                bound[k] = cable.state.lateral.bounds[row]
+                bound[k] = cable.state.law.lateral.bounds[row]
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    rubs = cable.state.lateral is not None
+    rubs = cable.state.law.lateral is not None
     uneven = TOL.friction_excess * most if rubs else TOL.uneven * np.abs(down)
     allowed = TOL.contact * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
@@ -137,7 +137,7 @@ def held_runs(cable: LaidCable, shape: StripShape, others: Pulls | None = None) 
     pulls: near the ends the cable's turn may pull the other way. With friction each vertex is left
     to the side of its pull. Neighbours left to different sides are in different runs."""
     held = held_vertices(cable, shape, others)
-    if cable.state.lateral is not None:  # it sticks to the others
+    if cable.state.law.lateral is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
     runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
     return [run for run in runs if run.excess > 0.0]
@@ -151,7 +151,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     ends = max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, len(arc) - 1)
     places = np.concatenate([arc[[ends[0]]], arc[at], arc[[ends[1]]]])
     moved = np.array([one.pull for one in row])
-    if cable.state.lateral is None:
+    if cable.state.law.lateral is None:
         moved = string_displacements(places, moved)
         moved[np.abs(moved) < 1e-9 * np.abs(moved).max()] = 0.0  # rounding at the string's ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
@@ -170,8 +170,7 @@ def string_displacements(places: Array, forces: Array) -> Array:
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
     """Rows of consecutive vertices; without clamped vertices, which hold other cables too."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
-    clamps = () if cable.state.parts is None else cable.state.parts.nodes
-    held_there = [k for k in clamps if cable.state.nodes[k].kind == "vertex"]
+    held_there = [k for k in cable.clamped if cable.state.nodes[k].kind == "vertex"]
     rows: list[list[HeldVertex]] = []
     for one in held:
         first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
@@ -187,10 +186,10 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
     which it can only slide, and at clamps, unless all of their cables can slide."""
-    near = TOL.pressed if cable.state.lateral is None else TOL.gripped
+    near = TOL.pressed if cable.state.law.lateral is None else TOL.gripped
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
     boundary = _along_boundary(nodes, shape)
-    clamped = () if cable.state.parts is None else set(cable.state.parts.nodes) - set(others)
+    clamped = set(cable.clamped) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
     # near an edge's end or beyond it, or not on an edge
     beside = np.flatnonzero(~((near <= fractions) & (fractions <= 1 - near)))

@@ -28,7 +28,7 @@ from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import route_points
 from crms_fenicsx.model.cable import HOLDS, Cable, Hold
-from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
+from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState, End, LaidAs, StepStart
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
@@ -118,9 +118,9 @@ def lay(
     if HOLDS[hold].sideways and _follows_free_edge(way, strip):
         hold = "pocket"
     state = CableState(
-        _held_kind(cable, hold), nodes, positions, fractions_of(nodes), off,
-        np.full_like(positions, np.nan), L0=1.0, length=0.0, tension=0.0, hold=hold, layer=layer,
-        joints=joints,
+        nodes, positions, fractions_of(nodes), off, np.full_like(positions, np.nan),
+        CableLaw(_held_kind(cable, hold), L0=1.0, length=0.0, tension=0.0),
+        LaidAs(hold, layer, joints),
     )  # fmt: skip
     laid = LaidCable(name, state)
     _refuse_folds(net.membrane, strip, laid)

@@ -194,7 +194,7 @@ class PathChange:
             _key(node): k
             for k, node in enumerate(cable.state.nodes)
             if node.kind != "crossing"
-            and (cable.state.path_is_geodesic or not cable.slides_freely or not node.slides)
+            and (cable.state.memory.path_is_geodesic or not cable.slides_freely or not node.slides)
         }
         ends = cable.ends if ends is None else ends
         first, last = (int(end != "off") for end in ends)

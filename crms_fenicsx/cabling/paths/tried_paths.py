@@ -61,13 +61,15 @@ class TriedPaths:
 
     def forget(self, name: str) -> None:
         """Remove the history of a cable."""
-        for table in (self.refused, self.left, self.ways, self.at, self.L0):
-            table.pop(name, None)
+        self._forget_paths(name)
+        self.at.pop(name, None)
+        self.L0.pop(name, None)
         for keys in (self.released, self.settled):
             keys -= {key for key in keys if name in key}
-        self._forget_ways(name)
 
-    def _forget_ways(self, name: str) -> None:
+    def _forget_paths(self, name: str) -> None:
+        for table in (self.refused, self.left, self.ways):
+            table.pop(name, None)
         for ways in (self.rejected, self.straightened):
             ways -= {way for way in ways if way[0] == name}
 
@@ -79,10 +81,7 @@ class TriedPaths:
         self._first_look = False
         for cable in cables:
             if self.has_moved(cable):
-                self.refused.pop(cable.name, None)
-                self.left.pop(cable.name, None)
-                self.ways.pop(cable.name, None)
-                self._forget_ways(cable.name)
+                self._forget_paths(cable.name)
 
     def has_moved(self, cable: LaidCable) -> bool:
         """Whether a cable is no longer where earlier load steps left it."""

@@ -173,7 +173,8 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {(c, run.key) for c, run in group}
             group = [(c, run) for c, run in runs if (c, run.key) in known]
-            shape = self._shape(group)
+            vertices = [vertex for _, run in group for vertex in run.vertices]
+            shape = self.change.shape(vertices, rings=2)  # also around the edges beside the runs
             moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
             if moved:
@@ -189,11 +190,6 @@ class VertexTrials:
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
         return True
 
-    def _shape(self, group: list[Trial]) -> StripShape:
-        """Positions of the vertices around runs and around the edges beside them. Collective."""
-        vertices = [vertex for _, run in group for vertex in run.vertices]
-        return self.change.shape(vertices, rings=2)
-
     def _held(self) -> list[Trial]:
         """Untried runs that hold cables."""
         net, shape = self.change.net, self.change.net.strip_shape()
@@ -204,7 +200,7 @@ class VertexTrials:
                 continue
             if cable.slides_freely:
                 least[c] = 1
-            elif cable.state.lateral is not None and cable.state.lateral.known:
+            elif cable.state.law.lateral is not None and cable.state.law.lateral.known:
                 from crms_fenicsx.cabling.friction.lateral import remap
 
                 remap(cable)

@@ -139,13 +139,14 @@ def rim_of(membrane: Membrane) -> _Rim:
     )
     free = [pairs[plane == -1].ravel()]
     owned = edges.numbers < V.mesh.topology.index_map(1).size_local
-    products: list[tuple[Indices, Array]] = []
+    products: list[tuple[Indices, Array]] = [(np.zeros((0, 3), dtype=np.int32), np.zeros(0))]
 
     def add(factor: Array, *coordinates: tuple[Indices, int]) -> None:
         columns = [3 * dofs + direction for dofs, direction in coordinates]
         products.append((np.stack(columns, axis=1).astype(np.int32), factor / 6))
 
-    for k in range(3):
+    in_planes = np.bincount(plane[owned & (plane >= 0)], minlength=3)
+    for k in np.flatnonzero(membrane.comm.allreduce(in_planes)):
         i, j = (k + 1) % 3, (k + 2) % 3
         own = owned & (plane == k)
         a, b, s = pairs[own, 0], pairs[own, 1], senses[own]

@@ -28,7 +28,7 @@ class SealedPressure(EnergyTerm):
     """Potential of sealed air; see `SealedAir`.
 
     Attributes: `air`: the air; load steps change its temperature and the atmospheric pressure;
-    `parts`: terms of parts of the volume; that of folded cells is added before the term is used.
+    `parts`: terms of parts of the volume.
     """
 
     name = "pressure"
@@ -37,11 +37,11 @@ class SealedPressure(EnergyTerm):
         self,
         air: SealedAir,
         plain: FollowerPressure,
-        rim: Sequence[EnergyTerm],
+        others: Sequence[EnergyTerm],
         unit: fem.Constant,
     ) -> None:
         self.air, self._unit = air, unit
-        self.parts: list[EnergyTerm] = [plain, *rim]
+        self.parts: list[EnergyTerm] = [plain, *others]
         self.integral, self._origin = plain.integral, plain.origin
         self._pressed = fem.Constant(plain.u.function_space.mesh, PETSc.ScalarType(0.0))
 

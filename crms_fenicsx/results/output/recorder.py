@@ -148,7 +148,9 @@ class Recorder:
             row[f"volume {pond.name}"] = pond.volume
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
-        held = any(c.state.lateral is not None or c.state.axial is not None for c in scene.cables)
+        held = any(
+            c.state.law.lateral is not None or c.state.law.axial is not None for c in scene.cables
+        )
         held |= any(cable.may_slip for cable in scene.cables)
         if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
@@ -175,7 +177,7 @@ class Recorder:
             row[f"bar length {bar.name}"] = bar.length
             row[f"bar L0 {bar.name}"] = bar.L0
         if scene.cables or "blocked points" in self.history.columns:
-            row["blocked points"] = sum(len(cable.state.blocked) for cable in scene.cables)
+            row["blocked points"] = sum(len(cable.blocked) for cable in scene.cables)
         if step.warnings:
             row["warnings"] = "; ".join(map(str, step.warnings))
         counts = ("iterations", "evaluations", "factorizations", "solves", "flips", "residual")

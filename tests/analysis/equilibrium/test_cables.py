@@ -339,6 +339,6 @@ def test_friction_is_renewed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "FrictionLoop", Loop)
     system: Any = SimpleNamespace(scene=None, renew_smoothing_length=lambda: changes.pop(0))
     contacts: Any = SimpleNamespace(solve_in_cells=in_cells)
-    found = EquilibriumSearch(system, slide=True)._unsmoothed(FOUND, contacts)
+    found = EquilibriumSearch(system, None)._unsmoothed(FOUND, contacts)
     assert solved == ["friction", "in cells", "in cells"]
     assert found.converged and found.unsettled == 0.03 and found.iterations == 4

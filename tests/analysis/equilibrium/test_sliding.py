@@ -121,7 +121,7 @@ def test_without_sliding_a_cable_is_blocked_and_says_so(comm) -> None:
     first = pytest.warns(PathWarning, match="cannot slide on into other cells")
     with first if comm.rank == 0 else nullcontext():
         blocked, cable, _ = slid(comm, 9, "unstructured", detour, 103.0, slide=False)
-    assert cable.state.blocked
+    assert cable.blocked
     assert blocked.energy > free.energy + 1e-3 * abs(free.energy)
 
 

@@ -58,7 +58,7 @@ def path_of(cable: LaidCable) -> list[object]:
 
 def held(cable: LaidCable) -> list[int]:
     """Nodes that friction held in the last step."""
-    grip = cable.state.lateral
+    grip = cable.state.law.lateral
     if grip is None:
         return []
     still = dict(zip(grip.supports, (grip.moving == 0.0) & (grip.bounds > 0.0), strict=True))

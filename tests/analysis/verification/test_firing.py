@@ -104,7 +104,7 @@ def less_bound(solver: Solver) -> None:
     """Let hardly any friction hold the points at a vertex, which the cable is pulled off."""
     cable = solver.scene.cables[0]
     vertex = onto_vertex(solver)
-    grip = cable.state.lateral
+    grip = cable.state.law.lateral
     assert grip is not None
     bounds = grip.bounds.copy()
     bounds[[vertex in support for support in grip.supports]] *= 1e-3
@@ -120,9 +120,9 @@ def less_friction(solver: Solver, friction: Friction) -> None:
 def heated(solver: Solver) -> None:
     """Let friction along the cable have given work."""
     cable = solver.scene.cables[0]
-    assert cable.state.axial is not None
+    assert cable.state.law.axial is not None
     loss = -1e-9 * cable.tension * cable.length
-    cable.update(axial=replace(cable.state.axial, loss=loss))
+    cable.update(axial=replace(cable.state.law.axial, loss=loss))
 
 
 def turn_end(solver: Solver) -> None:

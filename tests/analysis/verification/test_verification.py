@@ -230,14 +230,14 @@ def test_too_much_friction_is_found(comm: MPI.Intracomm, friction: float | Frict
     solver = advanced(Solver(scene), pressure=PRESSURE)
     solver.advance(move={cable: (0.0, 8.0, 2.0)})
     assert not checked(solver).failed
-    less = Friction(1e-6) if cable.state.axial is None else Friction(0.0, along=1e-6)
+    less = Friction(1e-6) if cable.state.law.axial is None else Friction(0.0, along=1e-6)
 
     def spoil() -> None:
         cable.update(cable=Cable(32000.0, friction=less))
 
     found = names(checked(solver, spoil))
     axial = "friction along beyond its bound"
-    assert found == {axial if cable.state.axial is not None else "friction beyond its bound"}
+    assert found == {axial if cable.state.law.axial is not None else "friction beyond its bound"}
 
 
 @pytest.mark.ranks

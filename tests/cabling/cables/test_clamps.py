@@ -104,7 +104,7 @@ def test_tensions_balance_at_a_clamp(comm) -> None:
     # to rounding, from the state that a cycle of this load leaves: before it a cable lay on the
     # other side of a vertex, at an energy 5e-7 higher
     np.testing.assert_allclose(after, before, rtol=1e-9)
-    assert not scene.clamps and a.state.parts is None
+    assert not scene.clamps and a.state.law.parts is None
 
 
 def test_clamping_changes_nothing_in_an_equilibrium(comm) -> None:
@@ -182,13 +182,16 @@ def test_clamps_near_places_and_of_removed_cables(comm) -> None:
     (more,) = scene.clamp(*scene.cables)
     assert more.name == "a x b" and scene.clamp(*scene.cables) == ()
     solver.advance(pressure=1.0)
-    assert len(scene.cable("b").state.parts.at) == 2 and len(scene.cable("a").state.parts.at) == 1
+    assert (
+        len(scene.cable("b").state.law.parts.at) == 2
+        and len(scene.cable("a").state.law.parts.at) == 1
+    )
     assert "clamp" in repr(solver.summary()) and set(solver.summary().clamps) == {"b x c", "a x b"}
     scene.unclamp("b", "c", near=[(5.0, 2.2, 0.0)])
     scene.remove("a")
     assert scene.clamps == ()
     solver.advance()
-    assert scene.cable("b").state.parts is None
+    assert scene.cable("b").state.law.parts is None
 
 
 @pytest.mark.ranks
@@ -434,7 +437,9 @@ def test_friction_along_cables_between_clamps(comm) -> None:
             steps = np.abs(np.diff(a.tensions))
             assert np.count_nonzero(steps > 1e-4) > 5
             assert steps.max() == pytest.approx(abs(force.differences[0]), rel=1e-6)
-            rest = a.state.axial.arcs[np.argmin(np.abs(a.state.axial.arcs - clamp.at[0] * a.L0))]
+            rest = a.state.law.axial.arcs[
+                np.argmin(np.abs(a.state.law.axial.arcs - clamp.at[0] * a.L0))
+            ]
             assert rest == pytest.approx(clamp.at[0] * a.L0, abs=1e-6 * a.L0)
             solver.advance(L0={a: 0.999 * a.L0})
             assert solver.steps[-1].verification.passed

@@ -295,7 +295,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
             abs(f - 0.5) < 0.5 - 1e-9
             for f in cable.state.fractions[np.isfinite(cable.state.fractions)]
         ]
-        assert all(far) and not cable.state.blocked
+        assert all(far) and not cable.blocked
 
 
 @pytest.mark.ranks
@@ -310,4 +310,4 @@ def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
     put(cable, "positions", k, place + 1e-9 * (cable.state.positions[k] - place))
     system.read_scene()
     system.locate_cables()
-    assert cable.state.blocked == (k,) and cable.state.fractions[k] < 1e-6
+    assert cable.blocked == [k] and cable.state.fractions[k] < 1e-6

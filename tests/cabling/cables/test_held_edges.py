@@ -116,7 +116,7 @@ def test_an_oblique_cable_over_a_held_boundary(comm) -> None:
     """It does not pull along the boundary, as it does where it is tied to its first places."""
     scene, cable, solver = oblique(comm, slide=False)
     first = [cable.state.nodes[k].point.fraction for k in edge_sliders(cable)]
-    assert cable.tension > 20.0 and len(edge_sliders(cable)) == 2 and cable.state.blocked == ()
+    assert cable.tension > 20.0 and len(edge_sliders(cable)) == 2 and cable.blocked == []
     energy, places = scene.energy, {k: float(cable.state.fractions[k]) for k in edge_sliders(cable)}
     assert np.abs(cable.state.positions[edge_sliders(cable), 0] - [0, 100]).max() < 1e-12
     for k in edge_sliders(cable):
@@ -312,7 +312,7 @@ def test_an_edge_slider_that_runs_into_a_vertex_is_reported(comm) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PathWarning)
         solver.advance(move={cable.start: (0.0, -20.0, 0.0)}, steps=2)
-    assert edge_sliders(cable)[0] in cable.state.blocked
+    assert edge_sliders(cable)[0] in cable.blocked
     assert all(w.category is PathWarning for w in caught)
     assert bool(caught) == (comm.rank == 0)
     # it stays on the line of its edge, and the state is found again

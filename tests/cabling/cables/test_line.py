@@ -87,7 +87,7 @@ def test_tension_is_what_the_line_says(comm: MPI.Intracomm, along: float) -> Non
             length = polyline_length(cable.line)
             assert cable.length == pytest.approx(length, rel=1e-14)
             assert cable.tension == pytest.approx(EA * (length / cable.L0 - 1), rel=1e-8)
-            smoothing_length = max(smoothing_length, abs(cable.state.smoothing_length))
+            smoothing_length = max(smoothing_length, abs(cable.state.law.smoothing_length))
         strain = sum(c.tension**2 * c.L0 / (2 * EA) for c in cables)
         if not along:
             assert scene.energies["cables"] == pytest.approx(strain, rel=1e-8)

@@ -75,13 +75,13 @@ def test_friction_of_a_cable_that_is_gone() -> None:
     solver = inflated(["a", "across"], ROUGH)
     scene = solver.scene
     solver.advance(pressure=0.012)
-    lost, bounds = scene.dissipated, scene.cable("a").state.lateral.bounds
+    lost, bounds = scene.dissipated, scene.cable("a").state.law.lateral.bounds
     assert scene.cable("a").dissipated > 0.0 < scene.cable("across").dissipated
     scene.remove("across")
     assert scene.dissipated == pytest.approx(lost, rel=1e-14)
     solver.advance()
     assert scene.dissipated >= lost
-    assert len(scene.cable("a").state.lateral.bounds) and len(bounds)
+    assert len(scene.cable("a").state.law.lateral.bounds) and len(bounds)
     scene.remove("a")
     solver.advance()
     np.testing.assert_allclose(solver.history["dissipated"][-1], scene.dissipated)
@@ -115,7 +115,7 @@ def test_a_new_cable_of_its_name_inherits_nothing() -> None:
     tried.refused["a"], tried.refused["b"] = {((0,),)}, {((1,),)}
     scene.remove(old)
     new = lay(scene, "a")
-    assert new is not old and new.state.ends_before is None
+    assert new is not old and new.state.memory.ends_before is None
     solver._increments.forget_removed()  # as the next load step does
     assert solver.search.tried.refused == {"b": {((1,),)}}
     assert set(solver.search.tried.at) == {"b"}

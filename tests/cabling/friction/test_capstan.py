@@ -249,7 +249,7 @@ LIMIT = (853.2, 1049.7)
 def test_friction_zero_changes_nothing(inflated) -> None:
     scene, cable, step = inflated(9, Friction(0.0, along=0.0), "structured")
     twin, other, same = inflated(9, 0.0, "structured")
-    assert cable.state.axial is None
+    assert cable.state.law.axial is None
     # the same operations, but sums over several ranks may come in another order
     assert cable.tension == pytest.approx(other.tension, rel=1e-12)
     assert scene.energy == pytest.approx(twin.energy, rel=1e-12)
@@ -296,10 +296,10 @@ def gripped(comm: MPI.Intracomm, bound: float = 3.0, eps: float = 0.05, seed: in
     scene.lay_cable(Cable(2000.0), [(22, 72), (78, 82)], tension=20.0)
     scene.lay_cable(Cable(1000.0, friction=rough), [(20, 12), (83, 19)], tension=20.0)
     for cable in scene.cables:
-        if cable.state.axial is not None:
-            n = len(cable.state.axial.supports)
+        if cable.state.law.axial is not None:
+            n = len(cable.state.law.axial.supports)
             bounds = bound * rng.uniform(0.5, 1.5, n) * (np.arange(n) % 5 != 2)
-            cable.update(axial=replace(cable.state.axial, bounds=bounds, eps=np.full(n, eps)))
+            cable.update(axial=replace(cable.state.law.axial, bounds=bounds, eps=np.full(n, eps)))
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     return system
@@ -365,8 +365,10 @@ def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
     rough = Friction(0.0, along=0.3)
     for path in [(0, 31), (100, 52)], [(22, 100), (38, 0)]:
         cable = scene.lay_cable(Cable(3200.0, friction=rough), path, tension=20.0)
-        n = len(cable.state.axial.supports)
-        cable.update(axial=replace(cable.state.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3)))
+        n = len(cable.state.law.axial.supports)
+        cable.update(
+            axial=replace(cable.state.law.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3))
+        )
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     f = on_mesh(system, "CapstanTension")

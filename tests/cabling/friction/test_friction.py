@@ -285,8 +285,8 @@ def test_caught_points_are_put_back_once_where_the_cable_is() -> None:
     """In each pass of the friction forces it cost as much as the pass, and was rejected again."""
     scene, _ = friction_dome()
     cable = scene.cables[0]
-    assert cable.state.lateral is not None
-    cable.update(lateral=replace(cable.state.lateral, known=True))
+    assert cable.state.law.lateral is not None
+    cable.update(lateral=replace(cable.state.law.lateral, known=True))
     caught = [(0, next(k for k in cable.contacts() if cable.state.nodes[k].slides))]
     change, tried = PathChange(scene.net), TriedPaths()
     for _ in range(2):
@@ -307,11 +307,11 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
-    before = cable.state.lateral, scene.energy, cable.state.positions.copy()
+    before = cable.state.law.lateral, scene.energy, cable.state.positions.copy()
     monkeypatch.setitem(vars(BUDGET), "passes", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
-    assert cable.state.lateral is before[0]
+    assert cable.state.law.lateral is before[0]
     assert scene.energy == before[1]
     np.testing.assert_array_equal(cable.state.positions, before[2])
 

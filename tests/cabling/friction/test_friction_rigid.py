@@ -336,7 +336,7 @@ for choice in ({}, dict(friction=0), dict(friction=Friction(0.0))):
     done = solver.advance(L0={cable: 99.5}).outcome
     work = [(o.solves, o.factorizations, o.evaluations) for o in (solver.steps[0].outcome, done)]
     found.append((np.append(cable.state.positions, scene.energy), work, list(scene.energies)))
-    assert done.passes == 0 and "friction" not in scene.energies and cable.state.lateral is None
+    assert done.passes == 0 and "friction" not in scene.energies and cable.state.law.lateral is None
 for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])

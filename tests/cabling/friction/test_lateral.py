@@ -76,10 +76,10 @@ def test_bounds_move_to_a_new_path(path, bounds, moving):
     cable = along(*path)
     cable.update(lateral=gripped([1, 2, 4, 5], [0, -1, -1, 0]))
     remap(cable)
-    assert cable.state.lateral.supports == tuple(path)
-    assert cable.state.lateral.bounds.tolist() == bounds
-    assert cable.state.lateral.moving.tolist() == moving
-    assert cable.state.lateral.bounds.sum() == 12
+    assert cable.state.law.lateral.supports == tuple(path)
+    assert cable.state.law.lateral.bounds.tolist() == bounds
+    assert cable.state.law.lateral.moving.tolist() == moving
+    assert cable.state.law.lateral.bounds.sum() == 12
 
 
 def test_widths_of_the_cone_are_not_shared_out() -> None:
@@ -95,7 +95,7 @@ def test_widths_of_the_cone_are_not_shared_out() -> None:
         )
     )
     remap_axial(cable)
-    axial = cable.state.axial
+    axial = cable.state.law.axial
     assert axial is not None
     np.testing.assert_allclose(axial.bounds, [1, 2, 2, 2, 5])
     for values, scale in ((axial.eps, 1.0), (axial.elastic, 0.5), (axial.slips, 1.0)):
@@ -106,17 +106,20 @@ def test_random_path_changes_keep_the_sum():
     rng = np.random.default_rng(0)
     cable = along(*[(k, k + 1) for k in range(12)])
     cable.update(lateral=gripped(rng.uniform(0, 1, 12)))
-    total = cable.state.lateral.bounds.sum()
+    total = cable.state.law.lateral.bounds.sum()
     for number in range(200):
-        supports = list(cable.state.lateral.supports)
+        supports = list(cable.state.law.lateral.supports)
         start = int(rng.integers(0, len(supports) - 2))
         gone = int(rng.integers(1, 3))
         new = [(1000 + 3 * number, 1001 + 3 * number + i) for i in range(int(rng.integers(1, 4)))]
-        old, cable = cable.state.lateral, along(*supports[:start], *new, *supports[start + gone :])
+        old, cable = (
+            cable.state.law.lateral,
+            along(*supports[:start], *new, *supports[start + gone :]),
+        )
         cable.update(lateral=old)
         remap(cable)
-        assert cable.state.lateral.bounds.sum() == pytest.approx(total, rel=1e-12)
-        assert cable.state.lateral.bounds.min() >= 0
+        assert cable.state.law.lateral.bounds.sum() == pytest.approx(total, rel=1e-12)
+        assert cable.state.law.lateral.bounds.min() >= 0
 
 
 def found_from(monkeypatch, law):
@@ -133,7 +136,7 @@ def found_from(monkeypatch, law):
     lag = LateralIteration(cable)
     for passes in range(1, 60):
         if lag.renew(None) <= iteration.SETTLED:
-            return cable.state.lateral.bounds, passes
+            return cable.state.law.lateral.bounds, passes
     raise AssertionError("never settles")
 
 
@@ -172,13 +175,13 @@ def test_first_bounds_hold_by_all_means():
     """More than the cable could ever pull sideways at one node, its tension: it sticks first."""
     scene, shape = friction_dome()
     for cable in scene.cables:
-        bounds = cable.state.lateral.bounds
-        assert not cable.state.lateral.known
+        bounds = cable.state.law.lateral.bounds
+        assert not cable.state.law.lateral.known
         assert np.all(bounds > 0.99 * cable.tension)
         lateral = contact_forces(cable, shape).lateral
         for k, node in enumerate(cable.state.nodes):
-            if node.point is not None and node.point.support in cable.state.lateral.row_of:
-                assert cable.state.lateral.at(node.point.support) > abs(lateral[k])
+            if node.point is not None and node.point.support in cable.state.law.lateral.row_of:
+                assert cable.state.law.lateral.at(node.point.support) > abs(lateral[k])
 
 
 def test_bounds_are_those_of_the_contact_forces():
@@ -190,8 +193,8 @@ def test_bounds_are_those_of_the_contact_forces():
         forces = contact_forces(cable, shape)
         for k, node in enumerate(cable.state.nodes[1:-1], start=1):
             if node.kind in ("fold", "edge slider", "vertex") and not cable.state.lifted[k]:
-                assert cable.state.lateral.at(node.point.support) == 0.4 * forces.bearing[k]
-        assert cable.state.lateral.known
+                assert cable.state.law.lateral.at(node.point.support) == 0.4 * forces.bearing[k]
+        assert cable.state.law.lateral.known
         assert lag.renew(shape) < 1e-12  # of slips counted from another line, to rounding
         cable.update(taut=False)
         assert LateralIteration(cable).renew(shape) == 0.0
@@ -208,9 +211,9 @@ def slid_dome(friction, size=0.02):
 def energies_twin(cable, shape):
     """Integral of the force over the slip: up to eps it is stored, beyond it is heat."""
     friction, stored, heat = cable.cable.sideways, 0.0, 0.0
-    slips = node_slips(cable, cable.state.lateral.curve, shape)
+    slips = node_slips(cable, cable.state.law.lateral.curve, shape)
     for s, size, support in zip(np.abs(slips.slip), slips.size, slips.supports, strict=True):
-        eps, F = friction.tolerance * size, cable.state.lateral.at(support)
+        eps, F = friction.tolerance * size, cable.state.law.lateral.at(support)
         way = np.linspace(0.0, min(s, eps), 2001)
         stored += np.trapezoid(F * (2 * way / eps - (way / eps) ** 2), way)
         heat += F * max(s - eps, 0.0)
@@ -233,13 +236,13 @@ def test_end_of_a_step():
     scene, shape = slid_dome(Friction(0.4, tolerance=0.01), size=0.1)
     for cable in scene.cables:
         stored, heat = energies(cable, shape)
-        before = node_slips(cable, cable.state.lateral.curve, shape)
+        before = node_slips(cable, cable.state.law.lateral.curve, shape)
         eps = 0.01 * before.size
-        cable.update(lateral=replace(cable.state.lateral, dissipated=7.0))
+        cable.update(lateral=replace(cable.state.law.lateral, dissipated=7.0))
         end_step(cable, shape)
-        assert cable.state.lateral.dissipated == pytest.approx(7.0 + heat, rel=1e-14)
-        assert not cable.state.lateral.moving.any()
-        after = node_slips(cable, cable.state.lateral.curve, shape)
+        assert cable.state.law.lateral.dissipated == pytest.approx(7.0 + heat, rel=1e-14)
+        assert not cable.state.law.lateral.moving.any()
+        after = node_slips(cable, cable.state.law.lateral.curve, shape)
         np.testing.assert_allclose(after.slip, np.clip(before.slip, -eps, eps), atol=1e-12)
         far = np.abs(before.slip) > TOL.sliding * before.size
         assert far.any() and not far.all()
@@ -254,33 +257,35 @@ def test_a_slack_cable_forgets():
     cable = scene.cables[0]
     cable.update(taut=False)
     end_step(cable, shape)
-    assert not cable.state.lateral.known
-    assert not cable.state.lateral.curve.elastic.any()
+    assert not cable.state.law.lateral.known
+    assert not cable.state.law.lateral.curve.elastic.any()
     cable.update(L0=cable.L0 * 0.99)
     start_step(cable, shape)
-    assert np.all(cable.state.lateral.bounds > 0.009 * cable.cable.EA)
+    assert np.all(cable.state.law.lateral.bounds > 0.009 * cable.cable.EA)
 
 
 def test_kinetic_coefficient_where_it_slides():
     """Once the bounds have nearly settled; before, sliding may be theirs."""
     scene, shape = slid_dome(Friction(0.4, static=0.6), size=0.15)
     cable = scene.cables[0]
-    slips = node_slips(cable, cable.state.lateral.curve, shape)
+    slips = node_slips(cable, cable.state.law.lateral.curve, shape)
     far = np.abs(slips.slip) > TOL.sliding * slips.size
     assert far.any() and not far.all()
-    rows = [cable.state.lateral.row_of[s] for s in slips.supports]
+    rows = [cable.state.law.lateral.row_of[s] for s in slips.supports]
     bearing = contact_forces(cable, shape).bearing[slips.nodes]
-    found, moving = iteration._bounds(cable, cable.state.lateral, shape, settled=False)
+    found, moving = iteration._bounds(cable, cable.state.law.lateral, shape, settled=False)
     np.testing.assert_allclose(found[rows], 0.6 * bearing, rtol=1e-14)
     assert not moving.any()
-    found, moving = iteration._bounds(cable, cable.state.lateral, shape, settled=True)
+    found, moving = iteration._bounds(cable, cable.state.law.lateral, shape, settled=True)
     np.testing.assert_allclose(found[rows], np.where(far, 0.4, 0.6) * bearing, rtol=1e-14)
     np.testing.assert_array_equal(moving[rows], np.sign(slips.slip) * far)
     # not unset in the step, though the slip has become small
     cable.update(
-        lateral=replace(cable.state.lateral, moving=np.ones_like(cable.state.lateral.moving))
+        lateral=replace(
+            cable.state.law.lateral, moving=np.ones_like(cable.state.law.lateral.moving)
+        )
     )
-    assert iteration._bounds(cable, cable.state.lateral, shape, settled=True)[1].all()
+    assert iteration._bounds(cable, cable.state.law.lateral, shape, settled=True)[1].all()
 
 
 def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
@@ -297,4 +302,4 @@ def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
     monkeypatch.setattr(iteration, "_turned", lambda cable, grip, shape: (grip, 0.0))
     assert LateralIteration(cable).renew(SimpleNamespace()) > iteration.SETTLED
     assert asked == [False, True]
-    assert cable.state.lateral.bounds.tolist() == [0.4, 0.4]
+    assert cable.state.law.lateral.bounds.tolist() == [0.4, 0.4]

@@ -140,7 +140,7 @@ def test_slip_is_the_distance_to_the_left():
     scene, shape = friction_dome()
     for cable in scene.cables:
         start_step(cable, shape)
-        curve = cable.state.lateral.curve
+        curve = cable.state.law.lateral.curve
         for size, seed in ((0.02, 1), (0.01, 2)):
             shaken_fractions(scene, size, seed)
             slips = node_slips(cable, curve, shape)
@@ -177,7 +177,7 @@ def test_slip_does_not_depend_on_the_direction_of_the_path():
         for k in by_edge.values():
             if cable.state.nodes[k].slides:
                 put(cable, "fractions", k, cable.state.fractions[k] * 0.95)
-        slips = node_slips(cable, cable.state.lateral.curve, shape)
+        slips = node_slips(cable, cable.state.law.lateral.curve, shape)
         slipped.append(dict(zip(slips.supports, slips.slip, strict=True)))
     assert slipped[0].keys() == slipped[1].keys()
     for support, slip in slipped[0].items():

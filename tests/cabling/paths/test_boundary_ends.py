@@ -62,10 +62,10 @@ def test_ends_moved_over_many_cells_at_once(comm) -> None:
 def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> None:
     """Also one that was held on the boundary, where two points of the cable coincide."""
     scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
-    assert cable.state.path_is_geodesic and cable.ends == ("held", "held")
+    assert cable.state.memory.path_is_geodesic and cable.ends == ("held", "held")
     put(cable, "positions", 0, cable.state.positions[0] + movement)
     renew_ends(PathChange(scene.net))
-    assert cable.state.path_is_geodesic == stays
+    assert cable.state.memory.path_is_geodesic == stays
 
 
 @pytest.mark.ranks

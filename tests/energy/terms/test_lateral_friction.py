@@ -231,7 +231,7 @@ def test_hessian():
 def frozen_slips(scene):
     """Slips of all cables, as linear functions of the places on the edges."""
     shape = scene.net.strip_shape()
-    return [node_slips(cable, cable.state.lateral.curve, shape) for cable in scene.cables]
+    return [node_slips(cable, cable.state.law.lateral.curve, shape) for cable in scene.cables]
 
 
 def energy_by_hand(scene, frozen):
@@ -241,7 +241,7 @@ def energy_by_hand(scene, frozen):
         slip = slips.slope * cable.state.fractions[slips.nodes] + slips.offset
         eps = cable.cable.sideways.tolerance * slips.size
         for s, e, support in zip(slip, eps, slips.supports, strict=True):
-            total += potential(s, cable.state.lateral.at(support), e)[0]
+            total += potential(s, cable.state.law.lateral.at(support), e)[0]
     return total
 
 
@@ -367,13 +367,13 @@ def test_paper_elements_of_a_scene(comm):
     shape, twin = system.scene.net.strip_shape(), 0.0
     for cable in system.scene.cables:
         slips, own = (
-            node_slips(cable, cable.state.lateral.curve, shape),
-            cable.state.lateral.elements,
+            node_slips(cable, cable.state.law.lateral.curve, shape),
+            cable.state.law.lateral.elements,
         )
         for k, support, size in zip(slips.nodes, slips.supports, slips.size, strict=True):
-            row = cable.state.lateral.row_of[support]
+            row = cable.state.law.lateral.row_of[support]
             assert own.vertices[row] in support
             way = cable.state.positions[k] - shape.at(own.vertices[row])
             slip = own.left[row] @ way + own.offset[row]
-            twin += potential(slip, cable.state.lateral.bounds[row], 0.01 * size)[0]
+            twin += potential(slip, cable.state.law.lateral.bounds[row], 0.01 * size)[0]
     assert energy == pytest.approx(twin, rel=1e-10)

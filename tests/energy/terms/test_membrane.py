@@ -236,7 +236,7 @@ def test_patch_of_orthotropic_membrane_with_folded_cells(comm, angle):
     e = np.array([E[0, 0], E[1, 1], 2 * E[0, 1]])
     stress = fabric.stiffness @ e + fabric.prestress_vector
     assert energy == pytest.approx(100.0**2 * float(density(fabric, e)), rel=1e-11)
-    folded = system.cables.folds.energy.results
+    folded = system.folds.energy.results
     assert comm.allreduce(len(folded)) > 20
     np.testing.assert_allclose(folded[:, :3], np.tile(e, (len(folded), 1)), atol=1e-13)
     np.testing.assert_allclose(folded[:, 3:6], np.tile(stress, (len(folded), 1)), rtol=1e-10)

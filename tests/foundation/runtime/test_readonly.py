@@ -82,7 +82,7 @@ def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
             with pytest.raises(ValueError, match="read-only"):
                 value[:] = 0
     cable.update(tension=7.0)
-    assert cable.tension == 7.0 and before.tension != 7.0
+    assert cable.tension == 7.0 and before.law.tension != 7.0
     assert cable.state.positions is before.positions
 
 
@@ -116,7 +116,7 @@ def test_a_failed_increment_changes_no_cable_and_no_crossing(comm, monkeypatch, 
     def fails(self: Any, *arguments: Any) -> Outcome:
         outcome = whole(self, *arguments)
         for own in scene.cables:
-            own.update(path_is_geodesic=not own.state.path_is_geodesic)
+            own.update(path_is_geodesic=not own.state.memory.path_is_geodesic)
         self.system.rebuild()
         return replace(outcome, converged=False)
 

@@ -86,10 +86,8 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     scene = solver.scene
     assert scene.net.crossings and scene.cable("tied").state.lifted.any()
     rough = scene.cable("rough")
-    assert rough.state.lateral is not None is not rough.state.axial
-    rough.update(
-        lateral=replace(rough.state.lateral, dissipated=0.25), blocked=(2,)
-    )  # also what is rare
+    assert rough.state.law.lateral is not None is not rough.state.law.axial
+    rough.update(lateral=replace(rough.state.law.lateral, dissipated=0.25))  # also what is rare
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")

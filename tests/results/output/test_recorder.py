@@ -61,7 +61,7 @@ def test_history_of_a_run() -> None:
         column = history[f"{name} ridge"]
         assert np.isnan(column[:2]).all()
         assert column[2] == value
-    assert history["blocked points"][2] == len(cable.state.blocked)
+    assert history["blocked points"][2] == len(cable.blocked)
     outcome = solver.steps[-1].outcome
     for name in ("iterations", "evaluations", "factorizations", "residual"):
         assert history[name][-1] == getattr(outcome, name)

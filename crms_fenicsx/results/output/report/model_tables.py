@@ -240,7 +240,7 @@ def _cable(cable: LaidCable, strength: float | None) -> Row:
     lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")
-        for end, joint in zip(cable.ends, cable.state.joints, strict=True)
+        for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
     return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies, strength
 
