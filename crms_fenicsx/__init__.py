@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from mpi4py import MPI as _MPI  # noqa: F401  # before DOLFINx: wheels of PyPI count on its library
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.steps.load_step import Step
 from crms_fenicsx.analysis.steps.movements import Rotation
+from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.energy.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation import meshes

@@ -18,7 +18,10 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
 from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
-from crms_fenicsx.analysis.steps.load_step import (
+from crms_fenicsx.analysis.steps.loading import checked_target
+from crms_fenicsx.analysis.steps.movements import Move
+from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
+from crms_fenicsx.analysis.steps.step_record import (
     Step,
     no_equilibrium,
     warn_of_blocked,
@@ -26,9 +29,6 @@ from crms_fenicsx.analysis.steps.load_step import (
     warn_of_state,
     warn_of_staying,
 )
-from crms_fenicsx.analysis.steps.loading import checked_target
-from crms_fenicsx.analysis.steps.movements import Move
-from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
 from crms_fenicsx.cabling.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime import checks

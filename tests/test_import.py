@@ -34,8 +34,8 @@ KERNELS = (
     "crms_fenicsx.energy.terms.paper.step_folded_membrane",
     "crms_fenicsx.energy.terms.ponding",
     "crms_fenicsx.energy.terms.segments",
-    "crms_fenicsx.energy.terms.stress_laws",
-    "crms_fenicsx.energy.terms.stress_laws",
+    "crms_fenicsx.energy.terms.compiled_laws",
+    "crms_fenicsx.energy.terms.compiled_laws",
 )
 OPTIONAL = ("gmsh", "meshio", "matplotlib", "tqdm", "pyvista", *KERNELS)
 

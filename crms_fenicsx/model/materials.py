@@ -24,7 +24,7 @@ from crms_fenicsx.model.tolerances import UNSTRAINED
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
-"""Codes of the stress laws; kernels of all but the last: `energy.terms.stress_laws`."""
+"""Codes of the stress laws; kernels of all but the last: `energy.terms.compiled_laws`."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""

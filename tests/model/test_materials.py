@@ -10,7 +10,7 @@ from term_scene import FABRIC, ISOTROPIC, STIFF, STIFF_FABRIC, irregular_square
 from term_twins import density, energy_at_angle, relaxed_energy
 
 from crms_fenicsx import InputError, Scene, meshes
-from crms_fenicsx.energy.terms import stress_laws as compiled
+from crms_fenicsx.energy.terms import compiled_laws as compiled
 from crms_fenicsx.foundation.runtime.compat import interpolation_points
 from crms_fenicsx.model.materials import (
     LINEAR,

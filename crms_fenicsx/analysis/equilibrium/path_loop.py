@@ -16,7 +16,7 @@ from crms_fenicsx.cabling.contact.lift_off import Polylines, sunk
 from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials
 from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
+from crms_fenicsx.cabling.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 
@@ -152,7 +152,7 @@ class PathLoop:
         if not self.scene.net.has_friction:
             return 0
 
-        from crms_fenicsx.cabling.paths.friction_release import pass_vertices
+        from crms_fenicsx.cabling.paths.sliding_with_friction import pass_vertices
 
         return pass_vertices(self.change, self.tried, most)
 
@@ -161,7 +161,7 @@ class PathLoop:
         if not self.scene.net.has_friction:
             return False
 
-        from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
+        from crms_fenicsx.cabling.paths.sliding_with_friction import straighten_kinks
 
         return straighten_kinks(self.change, self.tried, self.system.kinked_nodes(TOL.tense_kink))
 

@@ -1,1 +1,1 @@
-"""Load steps."""
+"""Load steps: increments are solved here; `Solver.advance` divides those that fail."""

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.loads import AIR
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.analysis.steps.load_step import Step
 from crms_fenicsx.analysis.steps.loading import checked_target
+from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly

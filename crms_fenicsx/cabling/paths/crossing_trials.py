@@ -27,7 +27,7 @@ from crms_fenicsx.cabling.contact.lift_off import captured, lift, may_lift, outw
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun, clamped_together, held_vertices
 from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells, vertices_near
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
-from crms_fenicsx.cabling.paths.vertex_passing import pass_run
+from crms_fenicsx.cabling.paths.vertex_trials import pass_run
 from crms_fenicsx.foundation.surface.corridor import corridor, why_invalid
 from crms_fenicsx.foundation.surface.points import Edge, VertexPoint
 from crms_fenicsx.model.cable_state import Crossing

@@ -15,7 +15,7 @@ from functools import cached_property
 import numba
 import numpy as np
 
-from crms_fenicsx.energy.terms import stress_laws as laws
+from crms_fenicsx.energy.terms import compiled_laws as laws
 from crms_fenicsx.energy.terms.kinematics import Stiffening
 from crms_fenicsx.energy.terms.segments import (
     add_segment_forces,
@@ -116,7 +116,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Energy of all cells, and of each into `energies` (n,); forces of the segments (m,); strain,
     stress and state into `out` (n, 7). `orthotropic` as in
-    `energy.terms.stress_laws.stress`."""
+    `energy.terms.compiled_laws.stress`."""
     forces[:] = 0.0
     energy = 0.0
     e, s, r = np.empty(3), np.empty(3), np.empty(3)

@@ -39,7 +39,7 @@ from crms_fenicsx.model.membrane import own_areas
 from crms_fenicsx.model.ufl_material import UflMembrane
 
 if TYPE_CHECKING:
-    from crms_fenicsx.energy.terms.stress_laws import TensionField
+    from crms_fenicsx.energy.terms.compiled_laws import TensionField
 
 
 class MembraneEnergy(EnergyTerm):
@@ -195,7 +195,7 @@ class MembraneEnergy(EnergyTerm):
         )
         if not wanted:
             return None
-        from crms_fenicsx.energy.terms.stress_laws import TensionField
+        from crms_fenicsx.energy.terms.compiled_laws import TensionField
 
         tags = self.material_tags(cells)
         own = np.isin(tags, wanted)

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
-from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.energy.terms.kinematics import warp_field

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.cabling.cables.deformed_surface import gained_volume
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together

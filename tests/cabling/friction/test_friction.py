@@ -27,8 +27,8 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.analysis.equilibrium import search
-from crms_fenicsx.cabling.paths.friction_release import straighten_kinks
 from crms_fenicsx.cabling.paths.path_change import PathChange
+from crms_fenicsx.cabling.paths.sliding_with_friction import straighten_kinks
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.model.tolerances import BUDGET
 

@@ -342,7 +342,7 @@ for values, *other in found[1:]:
     assert tuple(other) == found[0][1:], (other, found[0][1:])
 names = (
     "energy.terms.paper", "energy.terms.lateral_friction", "energy.terms.axial_friction",
-    "cabling.friction.lateral", "cabling.friction.slip", "cabling.paths.friction_release",
+    "cabling.friction.lateral", "cabling.friction.slip", "cabling.paths.sliding_with_friction",
 )
 print([name for name in names if "crms_fenicsx." + name in sys.modules])
 """

@@ -18,7 +18,7 @@ from crms_fenicsx.analysis.verification.doubts import tension_range
 from crms_fenicsx.cabling.contact.contact_force import contact_forces, directions, turns
 from crms_fenicsx.cabling.paths import held_vertices as held
 from crms_fenicsx.cabling.paths.held_vertices import held_runs, held_vertices
-from crms_fenicsx.cabling.paths.vertex_passing import VertexTrials
+from crms_fenicsx.cabling.paths.vertex_trials import VertexTrials
 
 REFERENCE = {"T": 103.0532, "y": 29.60632, "W": -298.76483}
 """Of a cable from (0, 30) to (100, 30) with L0 = 100, as in `test_sliding`."""

@@ -15,10 +15,10 @@ from mpi4py import MPI
 
 from crms_fenicsx import LaidCable, Scene, Solver
 from crms_fenicsx.cabling.cables.strip import StripShape
-from crms_fenicsx.cabling.paths import vertex_passing
+from crms_fenicsx.cabling.paths import vertex_trials
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-from crms_fenicsx.cabling.paths.vertex_passing import Trial, VertexTrials
+from crms_fenicsx.cabling.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.model.tolerances import TOL
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
@@ -211,7 +211,7 @@ class Trials(VertexTrials):
 
 
 def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_passing, "pass_run", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials, tried = Trials(8), []
     while group := trials.next(energy=0.0, scale=1.0):
         tried.append([c for c, _ in group])
@@ -222,7 +222,7 @@ def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
 
 
 def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_passing, "pass_run", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials = Trials(4)
     for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-7, False)):
         assert bool(trials.next(energy, scale=1.0)) == goes_on
@@ -230,7 +230,7 @@ def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
 
 
 def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_passing, "pass_run", lambda change, c, run, shape: c == 2)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run, shape: c == 2)
     trials = Trials(3)
     assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
     trials.halve([trials.runs[2]])

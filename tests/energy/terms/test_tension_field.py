@@ -16,9 +16,9 @@ from term_twins import axes_of, best_angle, relaxed_energy, strain
 from twisted_annulus import radial, reference, small_twist_torque, twisted
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
-from crms_fenicsx.analysis.steps.load_step import Step
+from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
-from crms_fenicsx.energy.terms import stress_laws as compiled
+from crms_fenicsx.energy.terms import compiled_laws as compiled
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.materials import MembraneMaterial

@@ -18,7 +18,7 @@ from crms_fenicsx.cabling.friction.lateral import friction_forces
 from crms_fenicsx.cabling.paths.held_vertices import HeldVertex, VertexRun, held_vertices
 from crms_fenicsx.cabling.paths.path_change import PathChange
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-from crms_fenicsx.cabling.paths.vertex_passing import adopt, straighten, way_past
+from crms_fenicsx.cabling.paths.vertex_trials import adopt, straighten, way_past
 from crms_fenicsx.foundation.runtime.arrays import ints
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BUDGET, TOL

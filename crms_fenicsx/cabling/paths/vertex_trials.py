@@ -204,7 +204,7 @@ class VertexTrials:
                 from crms_fenicsx.cabling.friction.lateral import remap
 
                 remap(cable)
-                least[c] = 2  # `friction_release` has handled single vertices
+                least[c] = 2  # `sliding_with_friction` has handled single vertices
         known = self._runs
         moved = [c for c in least if c not in known or known[c][0] is not cables[c].state]
         runs = share_out(
