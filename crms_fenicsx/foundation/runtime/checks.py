@@ -168,7 +168,9 @@ def one_of(what: str, value: Any, known: Iterable[object]) -> Any:
 def of_type(what: str, value: Any, kind: type) -> Any:
     """Return a value if it is of a type."""
     if not isinstance(value, kind):
-        raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")
+        is_class, article = isinstance(value, type), "an" if kind.__name__[0] in "AEIOU" else "a"
+        found = f"the class {value.__name__}" if is_class else f"of type {type(value).__name__}"
+        raise InputError(f"{what} is {found}; give {article} {kind.__name__}.")
     return value
 
 

@@ -693,7 +693,7 @@ def test_a_cable_that_slides_forgets_the_way_it_was_laid(
         found.append((cable.tension, scene.energy, cable.blocked))
     straight, slid, blocked = found
     assert slid[:2] == pytest.approx(straight[:2], rel=1e-8)
-    assert slid[2] == ()
+    assert not slid[2]
     assert blocked[2] and blocked[1] > slid[1] + 100.0 and blocked[0] > 1.2 * slid[0]
 
 

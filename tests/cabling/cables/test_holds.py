@@ -275,7 +275,7 @@ def test_checkpoints_keep_what_holds_a_cable(comm: MPI.Intracomm, folder: Path) 
 
 def test_bad_holds(comm: MPI.Intracomm) -> None:
     scene = square(comm)
-    with pytest.raises(InputError, match="hold of 'cable 1'"):
+    with pytest.raises(InputError, match="lay_cable: hold = 'glued' is not known"):
         scene.lay_cable(Cable(3000.0), ACROSS, hold="glued")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="bonded, but its law"):
         scene.lay_cable(Cable(3000.0, law="step"), ACROSS, hold="bonded")

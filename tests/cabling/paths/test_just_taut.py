@@ -113,7 +113,7 @@ def test_the_papers_law_knows_the_facets(comm) -> None:
 
 def test_unknown_ways_to_measure(comm) -> None:
     scene = dome(comm, 5.0)
-    with pytest.raises(InputError, match=r"measured_on = 'chords'; use 'surface' or 'facets'"):
+    with pytest.raises(InputError, match=r"measured_on = 'chords' is not known; use 'surface'"):
         over(scene, measured_on="chords")
 
 

@@ -7,6 +7,7 @@ vertex at the crossing.
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from cabled_square import CABLE, KINDS, PRESSURE, advanced, order, place, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import LaidCable, Scene, Solver
-from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.paths import vertex_trials
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
@@ -196,15 +196,13 @@ class Trials(VertexTrials):
     """Cables 0 ... n - 1, each held by a vertex of its own."""
 
     def __init__(self, n: int) -> None:
-        super().__init__(change=None, tried=TriedPaths())  # type: ignore[arg-type]
+        change = SimpleNamespace(shape=lambda vertices, rings: None)
+        super().__init__(change, TriedPaths())  # type: ignore[arg-type]
         self.runs = [(c, VertexRun((10 + c,), True, 1.0)) for c in range(n)]
         self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
     def _held(self) -> list[Trial]:
         return [(c, run) for c, run in self.runs if run.key not in self._tried(c)]
-
-    def _shape(self, group: list[Trial]) -> StripShape:
-        return None  # type: ignore[return-value]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
         return self.known[c]
