@@ -121,6 +121,7 @@ def membrane_mesh(
 ) -> MembraneMesh:
     """The mesh of a scene."""
     groups, parts, points = flat_groups(data)
+    groups = {name: edges for name, edges in groups.items() if len(edges)}
     root = comm.rank == 0
     if data.source != "dolfinx":
         cells = data.cells if np.linalg.det(frame.turn) > 0 else data.cells[:, [0, 2, 1]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -91,7 +92,9 @@ def test_a_disk_that_is_full_at_some_write(
             elif call == "replace":
                 patch.setattr(os, "replace", full_at(count, os.replace))
             elif COMM.rank == 0:
-                patch.setattr(paraview, "_sized", full_at(count, paraview._sized))
+                write = full_at(count, io.FileIO.write)
+                full = type("Full", (io.FileIO,), {"write": lambda *some: write(*some)})
+                patch.setattr(paraview, "open", full, raising=False)
             try:
                 script(place, False)
             except InputError as error:
