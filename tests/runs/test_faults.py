@@ -92,8 +92,7 @@ def test_a_disk_that_is_full_at_some_write(
             elif call == "replace":
                 patch.setattr(os, "replace", full_at(count, os.replace))
             elif COMM.rank == 0:
-                write = full_at(count, io.FileIO.write)
-                full = type("Full", (io.FileIO,), {"write": lambda *some: write(*some)})
+                full = type("Full", (io.FileIO,), {"write": full_at(count, io.FileIO.write)})
                 patch.setattr(paraview, "open", full, raising=False)
             try:
                 script(place, False)
