@@ -39,8 +39,9 @@ class _Plane(dict[int, float]):
     def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
         super().__init__()
         self.shape, self.start = shape, start
-        # Along the membrane only: of a steep span, what has passed below its end is a small part.
-        self.along = end - start - (end - start) @ normal * normal
+        # Along the membrane only, as what has passed below a high end is a small part of a steep
+        # span. To an end below the membrane the cable goes over the boundary, farther away.
+        self.along = end - start - max(float((end - start) @ normal), 0.0) * normal
         across = cross(normal, end - start)
         self.across = across / max(float(np.linalg.norm(across)), 1e-300)
         self._places, self._row_of = shape.current, shape.strip.row_of

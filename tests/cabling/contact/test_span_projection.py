@@ -96,6 +96,19 @@ def test_the_foot_is_below_the_anchor_however_steep_the_span_is(comm, height: fl
         np.testing.assert_allclose(foot, below, atol=1e-6)
 
 
+def test_to_an_anchor_far_below_the_membrane_a_path_goes_over_the_boundary(comm) -> None:
+    """As below the edge of a roof, beside a corner: the cable does not end above it."""
+    _, shape = whole(comm, "unstructured")
+    points = route(shape, (0, 13), (100, 71))
+    node = CableNode("fold", points[len(points) // 2])
+    at = node_place(shape, node)
+    for way in (2.0, 25.0):
+        end = at + way * np.array([0.8, 0.6, 0.0]) - 90 * UP
+        found = project_span(shape, node, at, CableNode("anchor"), end)
+        assert found is not None and isinstance(found[-1], EdgePoint)
+        assert np.isclose(node_place(shape, CableNode("fold", found[-1]))[:2], 100.0).any()
+
+
 @pytest.mark.ranks
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
