@@ -105,12 +105,15 @@ class Discretisation:
     """Angle that counts as a turn: of a folded edge, above which its cable is laid again, and above
     three times which a state is rejected if fold points have approached each other; of a path along
     mesh lines, which leaves a vertex if it turns there before the cable has pressed a crease into
-    the membrane; of a cable beside a crossing, where a contact may be open up to it, and a kink of
-    an edge holds a cable that turns more within the membrane.
+    the membrane; of a cable beside a crossing, which a kink of an edge holds if it turns more
+    within the membrane.
 
     Fold points on two edges with a common vertex can approach each other away from it: their chord
     then loses its direction, and the caught cable can appear to be in equilibrium. Kinks of sound
     states are below 0.01 on meshes of 9 cells a side."""
+    light_turn: float = 0.04
+    """Turn of a cable at a contact beside a crossing up to which this may be open instead. With
+    0.05, one of 500 random scenes ends with 0.4 % more energy."""
     tense_kink: float = 0.01
     """Kink above which fold points of a cable with friction are straightened."""
     round_gain: float = 1e-5

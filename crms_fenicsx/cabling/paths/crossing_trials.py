@@ -201,7 +201,7 @@ class CrossingTrials:
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]
-            if press < TOL.kink:
+            if press < TOL.light_turn:
                 key = cable.name, cable.state.nodes[k].support
                 yield Way(c, ("open", *key, False), partial(self._lift, cable, k, key))
 
