@@ -57,7 +57,7 @@ BUDGETS = {
     "model": 3030,
     "energy": 7541,
     "cabling": 7329,
-    "analysis": 6444,
+    "analysis": 6443,
     "results": 10474,
     "solver": 930,
     "design": 8248,

@@ -22,7 +22,6 @@ from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_vertices, strin
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
-from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import StateWarning
 
@@ -58,7 +57,7 @@ def doubt(
         shape = scene.net.strip_shape()
         for cable, own in cables.items():
             told += _of_cable(cable, own, shape, others.get(cable))
-    more = [f"and {counted(len(told) - SHOWN, 'more')} of cables"] if len(told) > SHOWN else []
+    more = [f"and {len(told) - SHOWN} more of cables"] if len(told) > SHOWN else []
     told = told[:SHOWN] + more
     told += [words for check in failed for words in _of_scene(check)]
     return StateWarning("doubtful", scene.comm.bcast("; ".join(told)))
