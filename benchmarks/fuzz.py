@@ -56,9 +56,10 @@ def scenes(
         result = run(data, ranks=ranks)
         if number in earlier:
             was = earlier[number]
-            if (was.text == "") != (result.text == ""):
-                result.notes.append(f"processes: {was.text!r} and {result.text!r}")
-            elif not was.text:
+            stops = [(one.text, len(one.answers)) for one in (was, result)]
+            if stops[0] != stops[1]:
+                result.notes.append(f"processes: ended by {stops[0]} and {stops[1]}")
+            elif result.answers:
                 compare("processes", data, result, was)
         results.append(result)
         if comm.rank == 0 and given.to is not None:

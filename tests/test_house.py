@@ -53,11 +53,11 @@ OPTIONS = set("Solver.__init__ Scene.lay_cable laying.lay find_form.find_form".s
 
 
 BUDGETS = {
-    "foundation": 7810,
-    "model": 3030,
-    "energy": 7541,
+    "foundation": 7814,
+    "model": 3022,
+    "energy": 7542,
     "cabling": 7329,
-    "analysis": 6443,
+    "analysis": 6431,
     "results": 10474,
     "solver": 930,
     "design": 8248,

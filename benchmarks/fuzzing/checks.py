@@ -162,7 +162,8 @@ def check_state(world: World, what: str, result: Result) -> None:
     scene = world.scene
     now = answer(world)
     result.answers.append((what, now))
-    if not all(np.isfinite(x).all() for x in now.values()):
+    lengths = [cable.length for cable in scene.cables]
+    if not all(np.isfinite(x).all() for x in (*now.values(), lengths)):
         result.problems.append(f"{what}: not finite")
     for cable in scene.cables:
         if cable.cable.law == "total" and min(cable.tension, *cable.tensions) < 0.0:
@@ -248,17 +249,11 @@ def taylor(world: World, result: Result) -> None:
     f = TermsWithDyads.__new__(TermsWithDyads)
     f.potential, f.unknowns, f.exact = potential, unknowns, True
 
-    def value(x: Array) -> tuple[float, Array]:
-        potential.x[:n] = x
-        potential.place()
-        energy = potential.evaluate()
-        return energy, potential.g[:n].copy()
-
-    _, g = value(base)
+    _, g = f.value(base)
     slope, best = f.dot(g, way), np.inf
     scale = np.sqrt(f.dot(g, g) * f.dot(way, way)) + 1e-30
     for h in h0 * 0.1 ** np.arange(0, 5):
-        difference = (value(base + h * way)[0] - value(base - h * way)[0]) / (2 * h)
+        difference = (f.value(base + h * way)[0] - f.value(base - h * way)[0]) / (2 * h)
         best = min(best, abs(difference - slope) / scale)
     if best > 1e-5:
         result.problems.append(f"gradient off by {best:.1e} of its size")
@@ -270,7 +265,7 @@ def taylor(world: World, result: Result) -> None:
         product[unknowns.held[:n]] = 0.0
         best = np.inf
         for h in h0 * 0.1 ** np.arange(0, 5):
-            change = (value(base + h * way)[1] - value(base - h * way)[1]) / (2 * h)
+            change = (f.value(base + h * way)[1] - f.value(base - h * way)[1]) / (2 * h)
             change[unknowns.held[:n]] = 0.0
             away = change - product
             best = min(best, np.sqrt(f.dot(away, away) / max(f.dot(change, change), 1e-300)))
@@ -285,7 +280,7 @@ def taylor(world: World, result: Result) -> None:
 @contextmanager
 def watched(result: Result) -> Iterator[None]:
     """Look at each minimisation and at each state that is verified."""
-    solve, check, stage = Minimizer.solve, Verifier.check, Minimizer.solve
+    solve, check = Minimizer.solve, Verifier.check
     levels: list[float] = []
 
     def solving(self: Minimizer, *args: Any, **kwargs: Any) -> Any:
@@ -322,7 +317,7 @@ def watched(result: Result) -> Iterator[None]:
     try:
         yield
     finally:
-        Minimizer.solve, Verifier.check = stage, check  # type: ignore[method-assign]
+        Minimizer.solve, Verifier.check = solve, check  # type: ignore[method-assign]
 
 
 def lower_states(system: System) -> list[str]:

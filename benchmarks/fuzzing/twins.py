@@ -56,7 +56,7 @@ def twin(name: str, data: SceneData, comm: MPI.Intracomm, result: Result) -> Non
         if "mast" in names:  # cables may end there
             order.sort(key=lambda k: names[k] != "mast")
         options["order"] = order
-    elif name not in ("", "outputs"):
+    else:
         other = variant(name, data)
         if other is None:
             return

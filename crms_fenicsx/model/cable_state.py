@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -99,7 +99,7 @@ class CableLaw:
     Attributes: `taut`: whether it has tension, as sliding points of a slack cable are not solved
     for; `step_start`: start of the load step, with the step-wise law; `smoothing_length`: excess of
     the smoothed lengths of its segments over their true lengths in the last equilibrium; `parts`:
-    those between clamps and bonds; `lateral`, `axial`: friction sideways, None before the first
+    its parts between clamps and bonds; `lateral`, `axial`: friction sideways, None before the first
     load step, and along it.
     """
 
@@ -122,6 +122,10 @@ class SearchMemory:
     # whether its path has been straightened once, under tension and free to slide
     path_is_geodesic: bool = False
     ends_before: Annotated[Array, 2, 3] | None = None  # places of its ends in the last equilibrium
+
+    def __post_init__(self) -> None:
+        if self.ends_before is not None:
+            self.ends_before.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -150,11 +154,3 @@ class CableState:
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
-
-
-PART_OF = {
-    field.name: part
-    for part, kind in (("law", CableLaw), ("laid", LaidAs), ("memory", SearchMemory))
-    for field in fields(kind)
-}
-"""Names of the parts of a `CableState` by those of their fields."""

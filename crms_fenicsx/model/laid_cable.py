@@ -14,7 +14,7 @@ from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 from crms_fenicsx.model.cable import HOLDS, Cable, Hold
-from crms_fenicsx.model.cable_state import PART_OF, CableNode, CableState, End
+from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL, UNSTRAINED
 
 FOUND = "it follows from the loads, call solver.advance(...)"
@@ -95,11 +95,10 @@ class LaidCable(Handle[CableState]):
 
     def update(self, **changes: Any) -> None:
         """Replace fields of the state or of its parts, by name; internal to the package."""
-        parts: dict[str, dict[str, Any]] = {}
-        for name in PART_OF.keys() & changes.keys():
-            parts.setdefault(PART_OF[name], {})[name] = changes.pop(name)
-        for part, own in parts.items():
-            changes[part] = replace(getattr(self.state, part), **own)
+        for part in ("law", "laid", "memory"):
+            old = getattr(self.state, part)
+            if own := {name: changes.pop(name) for name in vars(old).keys() & changes.keys()}:
+                changes[part] = replace(old, **own)
         super().update(**changes)
 
     @property
@@ -126,9 +125,11 @@ class LaidCable(Handle[CableState]):
     @property
     def blocked(self) -> list[int]:
         """Internal: its sliding nodes that have run into a vertex of the mesh."""
+        if not self.taut:
+            return []
         fractions, nodes = self.state.fractions, self.state.nodes
         close = ((fractions < TOL.smoothing) | (fractions > 1 - TOL.smoothing)) & ~self.state.lifted
-        return [k for k in ints(np.flatnonzero(close)) if self.taut and nodes[k].slides]
+        return [k for k in ints(np.flatnonzero(close)) if nodes[k].slides]
 
     @property
     def dissipated(self) -> float:
@@ -160,15 +161,11 @@ class LaidCable(Handle[CableState]):
     @property
     def part_tensions(self) -> Array:
         """Internal: tensions between consecutive `contacts` (force)."""
-        parts = int(np.count_nonzero(~self.state.lifted)) - 1
-        if (
-            self.state.law.axial is not None
-            and self.taut
-            and len(self.state.law.axial.tensions) == parts
-        ):
-            return self.state.law.axial.tensions
-        if self.state.law.parts is not None and self.state.law.parts.nodes and self.taut:
-            return np.asarray(self.state.law.parts.tensions[self.parts_of(self.contacts()[:-1])])
+        law, parts = self.state.law, int(np.count_nonzero(~self.state.lifted)) - 1
+        if self.taut and law.axial is not None and len(law.axial.tensions) == parts:
+            return law.axial.tensions
+        if self.taut and law.parts is not None and self.clamped:
+            return np.asarray(law.parts.tensions[self.parts_of(self.contacts()[:-1])])
         return np.full(parts, self.tension)
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
@@ -200,11 +197,10 @@ class LaidCable(Handle[CableState]):
     @property
     def part_lengths(self) -> Array:
         """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
-        if self.state.law.parts is None:
+        parts = self.state.law.parts
+        if parts is None:
             return np.array([self.L0])
-        return np.diff(
-            [0.0, *(self.L0 * self.state.law.parts.at + self.state.law.parts.slips), self.L0]
-        )
+        return np.diff([0.0, *(self.L0 * parts.at + parts.slips), self.L0])
 
     @property
     def start(self) -> CableEnd:

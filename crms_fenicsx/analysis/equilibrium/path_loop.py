@@ -14,8 +14,7 @@ from crms_fenicsx.cabling.cables.crossings import tangled
 from crms_fenicsx.cabling.cables.points_on_edges import fractions_of, positions_of
 from crms_fenicsx.cabling.contact.lift_off import Polylines, sunk
 from crms_fenicsx.cabling.paths.crossing_trials import CrossingTrials
-from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
-from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.cabling.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
@@ -25,27 +24,26 @@ from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 class _Try:
     """Equilibrium on some paths, perhaps rough, and the path changes it demands."""
 
-    outcome: Outcome  # of the minimisation
+    outcome: Outcome  # of the minimisation, with the vertices passed by the path change
     state: SceneState  # before the path change
     energy: float  # potential energy of that state (force x length)
-    flips: int  # vertices passed by the path change
 
 
 class PathLoop:
     """Solves one load step of laterally sliding cables, and finds their paths."""
 
-    def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
+    def __init__(self, contacts: ContactLoop) -> None:
         assert contacts.sliding is not None
         self.contacts, self.sliding = contacts, contacts.sliding
         self.system, self.scene = contacts.system, contacts.scene
-        self.change, self.tried = change, tried
+        self.change, self.tried = self.sliding.change, self.sliding.tried
 
     def solve(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium and the paths of the cables. Collective."""
         tried, trials = self.tried, VertexTrials(self.change, self.tried)
         others = CrossingTrials(self.change, tried)
         best = self._try(h0_prestress, rough)
-        total, flips = best.outcome, best.flips
+        total, flips = best.outcome, best.outcome.flips
         laid_again, sunken = set[int](), set[int]()
         tries = 0
         settled = True  # the potential has the best paths and the scene is in equilibrium
@@ -86,7 +84,7 @@ class PathLoop:
             total = total + new.outcome
             excess = new.energy - best.energy if new.outcome.converged else math.inf
             if excess < (-SAME_VALUE * self._scale() if other else 0.0):
-                best, flips, settled = new, new.flips, True
+                best, flips, settled = new, new.outcome.flips, True
                 if moved or other:
                     laid_again.clear()
                     others.accept(-excess)
@@ -139,7 +137,7 @@ class PathLoop:
             return flips > 0 or (rough and not contacts_change)
 
         outcome = self.contacts.solve(h0_prestress, look)
-        return _Try(replace(outcome, flips=flips), state, energy, flips)
+        return _Try(replace(outcome, flips=flips), state, energy)
 
     def _change_paths(self, most: int | None) -> int:
         """Move the cables over at most `most` vertices each; return the number passed."""

@@ -138,11 +138,10 @@ class EquilibriumSearch:
         change = PathChange(self.scene.net)
         sliding = GeodesicSliding(change, self.tried)
         contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), sliding, start)
-        paths = PathLoop(contacts, change, self.tried)
         changed = renew_ends(change)
         if sliding.renew_projections(self.scene.net.strip_shape()) or changed:
             self.system.rebuild()
-        return contacts, FrictionLoop(contacts, paths.solve, self.tried)
+        return contacts, FrictionLoop(contacts, PathLoop(contacts).solve, self.tried)
 
     def _unsmoothed(self, outcome: Outcome, contacts: ContactLoop) -> Outcome:
         """Repeat a solve until cable lengths are those of their polylines. Smoothing is meant for

@@ -380,6 +380,7 @@ class Air(Stateful[AirState]):
     @property
     def volume(self) -> float:
         """Volume gained under the pressurised cells since the stress-free shape (length cubed).
+        Collective.
 
         It lies between the two shapes as long as the rim of these cells is held, or slides in
         planes that are held in their normal direction.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from mpi4py import MPI
@@ -25,19 +26,13 @@ from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.cabling.contact.lift_off import is_foot, size_at
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
-from crms_fenicsx.foundation.runtime.errors import as_text
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 from crms_fenicsx.model.versions import StateWarning
 
 if TYPE_CHECKING:
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-
-
-from pathlib import Path
-from typing import Literal
-
-from crms_fenicsx.foundation.runtime.errors import InputError
-from crms_fenicsx.model.tolerances import BUDGET, SAME_VALUE, TOL
 
 
 def _starting_prestress(

@@ -123,15 +123,10 @@ class Target:
         self.movements.apply(scene, first, before, share)
         for one, start, end in self.lengths:
             length = start + share * (end - start)
-            if (
-                isinstance(one, LaidCable)
-                and one.state.law.axial is not None
-                and one.state.law.parts is not None
-            ):
-                rest = one.state.law.axial.rest * (
-                    length / one.L0
-                )  # the parts between clamps scale alike
-                one.update(axial=replace(one.state.law.axial, rest=rest))
+            law = one.state.law if isinstance(one, LaidCable) else None
+            if law is not None and law.axial is not None and law.parts is not None:
+                # the parts between clamps scale alike
+                one.update(axial=replace(law.axial, rest=law.axial.rest * (length / one.L0)))
             one.update(L0=length)
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:

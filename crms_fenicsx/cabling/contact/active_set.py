@@ -69,7 +69,7 @@ class _ContactMemory(Protocol):
 
 
 class ActiveSet:
-    """Updates the active set of one solve.
+    """Updates the active set in a search for the equilibrium.
 
     Attributes: `only_lifted`: whether all changes of the last update are cables that lift off.
     """
@@ -124,7 +124,7 @@ class ActiveSet:
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It counts as taut if it is nearly tight on flat cells and
-        remains tight on folded ones, which is tried once per solve. A taut cable that would be
+        remains tight on folded ones, which is tried once per search. A taut cable that would be
         slack on flat cells is released first, so that the result does not depend on the load path;
         not with axial friction, which is path-dependent.
         """

@@ -102,26 +102,26 @@ def held_vertices(
     near = {} if cable.keeps_line else _near(cable, shape, others or {})
     if not near:
         return []
-    at = _at(cable) if cable.state.law.lateral is not None else near
+    grip = cable.state.law.lateral
+    at = near if grip is None else _at(cable)
     at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
     nodes = sorted({k for some in at.values() for k in some if not cable.state.lifted[k]})
     # By node of the cable; zero where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.state.nodes)))
     press[nodes], pull[nodes] = forces_at(cable, nodes, shape, others)
-    if cable.state.law.lateral is not None:
+    if grip is not None:
         from crms_fenicsx.cabling.friction.lateral import friction_forces
 
         carried = friction_forces(cable, shape)
         for k in nodes:
-            row = cable.state.law.lateral.row_of.get(cable.state.nodes[k].support)
+            row = grip.row_of.get(cable.state.nodes[k].support)
             if row is not None:
                 pull[k] -= carried[row]
-                bound[k] = cable.state.law.lateral.bounds[row]
+                bound[k] = grip.bounds[row]
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    rubs = cable.state.law.lateral is not None
-    uneven = TOL.friction_excess * most if rubs else TOL.uneven * np.abs(down)
+    uneven = TOL.uneven * np.abs(down) if grip is None else TOL.friction_excess * most
     allowed = TOL.contact * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [

@@ -176,10 +176,10 @@ class WholeSurface:
         """Extend a line straight by steps, one of a single point along `way`, to the rim or until
         it closes."""
         line = list(line)
+        if way is None:
+            way = (line[-1] - line[-2]) / norm(line[-1] - line[-2])
         while True:
             last = line[-1]
-            if way is None:
-                way = (last - line[-2]) / norm(last - line[-2])
             new = self.step(last, way, length)
             if new is None:
                 end = self.rim_ahead(last, way, length)
@@ -188,7 +188,7 @@ class WholeSurface:
             if (norm(before - new) < length * (1 - SAME_POINT)).any():
                 return line
             line.append(new)
-            way = None
+            way = (new - last) / norm(new - last)
 
 
 def _crossing(a: Array, b: Array, height_a: Array, height_b: Array) -> Array:

@@ -1,4 +1,5 @@
-"""The numbers that steer a minimisation: they decide how fast it ends, not where."""
+"""The numbers that steer a minimisation. Most decide only how fast it ends; `stall` and
+`least_fall` decide whether it does, and `afar` keeps cables from sliding early, to worse paths."""
 
 from __future__ import annotations
 

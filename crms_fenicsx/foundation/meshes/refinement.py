@@ -24,7 +24,11 @@ def _length(what: str, value: object) -> float:
     """Return a positive number within `_RANGE`."""
     number = checks.positive(what, value)
     if not _RANGE[0] < number < _RANGE[1]:
-        raise InputError(f"{what} = {number:g} is outside the range of lengths; use other units.")
+        least, most = _RANGE
+        raise InputError(
+            f"{what} = {number:g} is outside the range of lengths, {least:g} to {most:g}; use "
+            "other units."
+        )
     return number
 
 

@@ -36,7 +36,8 @@ PlanDirection = Annotated[Sequence[float] | Array, checks.plan_direction]
 
 OWN = "of this rank"
 PerRank = Annotated[Anything, OWN]
-"""An argument that may differ between the ranks, such as an array of a rank's own cells."""
+"""An argument that may differ between the ranks, such as an array of a rank's own cells; only
+whether it is None must not."""
 
 Check = Callable[[str, Any], Any]
 
@@ -83,8 +84,8 @@ def collective(call: Function) -> Function:
             args, kwargs = its.checked(args, kwargs)
             return call(*args, **kwargs)
         except BaseException as error:
-            # An inner collective call has already asked the other ranks. Without `comm`, the first
-            # argument is not such an object but a refused value.
+            # An inner collective call has already asked the other ranks. Without a communicator,
+            # one of the arguments is wrong, and refused on all ranks.
             comm = its.comm(args, kwargs)
             if not getattr(error, "on_all_ranks", comm is None):
                 if not all_failed(comm):
@@ -182,6 +183,5 @@ def _check_of(annotation: Any) -> Check | None:
 
 
 def _is_per_rank(annotation: Any) -> bool:
-    """Whether it is `PerRank`, or `PerRank` or None."""
-    ones = annotation, *get_args(annotation)
-    return any(OWN in getattr(one, "__metadata__", ()) for one in ones)
+    """Whether it is `PerRank`."""
+    return OWN in getattr(annotation, "__metadata__", ())

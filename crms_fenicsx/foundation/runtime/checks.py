@@ -211,7 +211,8 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
     if comm.size == 1 or not arguments:
         return
     own = {name: _text(value) for name, value in arguments.items()}
-    digest = int.from_bytes(blake2b(repr(sorted(own.items())).encode(), digest_size=7).digest())
+    encoded = repr(sorted(own.items())).encode()
+    digest = int.from_bytes(blake2b(encoded, digest_size=7).digest(), "big")
     extremes = np.array([digest, -digest])
     comm.Allreduce(MPI.IN_PLACE, extremes, op=MPI.MAX)
     if extremes[0] == -extremes[1]:

@@ -155,7 +155,7 @@ class TargetSurface:
     points: Array
     cells: Integers
     size: float  # length of its longest edge
-    snap: float = SNAP
+    snap = SNAP
 
     @classmethod
     def of(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:

@@ -150,14 +150,13 @@ def trace(
     cells: ArrayLike,
     route: ArrayLike,
     *,
-    snap: float = SNAP,
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
     covers: ArrayLike = (),
 ) -> Path:
     """Path of a cable over a surface along a route (k, 2) or (k, 3). Route corners inside cells are
     cut off, by at most a cell's size. Legs may cross `covers` (q, 3), more cells over holes."""
-    surface = replace(TargetSurface.of(vertices, points, cells), snap=snap)
+    surface = TargetSurface.of(vertices, points, cells)
     course = checked_route(route)
     if course.shape[1] == 2:
         places = places_in_plan(surface, course)

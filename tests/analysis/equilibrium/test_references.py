@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cabled_square import FOIL, LINEAR, advanced, clamped, square
+from cabled_square import FOIL, LINEAR, advanced, clamped, order, square
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
@@ -21,10 +21,6 @@ PRESSURE = 0.01
 def height(scene: Scene) -> float:
     local = scene.positions()[:, 2].max(initial=-np.inf)
     return scene.comm.allreduce(float(local), op=MPI.MAX)
-
-
-def order(sizes: list[float], errors: list[float]) -> float:
-    return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
 
 
 @pytest.mark.ranks

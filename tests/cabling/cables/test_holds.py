@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cabled_square import advanced, clamped
+from cabled_square import FOIL, advanced, clamped, sheet
 from form_meshes import SIDES
 from mpi4py import MPI
 from taylor import gradient_order, stiffness_error
@@ -31,17 +31,15 @@ from crms_fenicsx.energy.terms.held_line import HeldLine
 from crms_fenicsx.model.cable import Hold
 from crms_fenicsx.model.laid_cable import LaidCable
 
-FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 ACROSS = [(0.0, 37.0), (100.0, 62.0)]
 CORNERS = ["front left", "front right", "back right", "back left"]
 
 
 def square(
-    comm: MPI.Intracomm, n: int = 8, structured: bool = False, sheet: IsotropicMembrane = FOIL
+    comm: MPI.Intracomm, n: int = 8, structured: bool = False, material: IsotropicMembrane = FOIL
 ) -> Scene:
     """A sheet, by default a stress-free foil, held all around."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / n, structured=structured)
-    return clamped(mesh, sheet)
+    return sheet(comm, n, "structured" if structured else "unstructured", material)
 
 
 def inflated(scene: Scene, pressure: float = 0.01) -> Solver:
@@ -115,10 +113,10 @@ def test_newton_steps_converge_where_a_bonded_cable_turns_slack(
     comm: MPI.Intracomm, structured: bool, n: int
 ) -> None:
     """Its strain then is within 1e-3 below that of a taut one. The energy is the sheet's alone."""
-    sheet = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
+    stressed = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
     energies = []
     for bonded in (True, False):
-        scene = square(comm, n, structured, sheet)
+        scene = square(comm, n, structured, stressed)
         if bonded:
             cable = scene.lay_cable(Cable(30000.0), [(0, 50), (100, 50)], hold="bonded", L0=100.1)
         solver = advanced(Solver(scene), pressure=0.008)

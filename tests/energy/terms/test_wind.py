@@ -25,10 +25,6 @@ from crms_fenicsx.energy.minimization.taylor import TermsWithDyads
 from crms_fenicsx.model.membrane_load import wind_load
 
 
-def fixed(mesh):
-    return clamped(mesh, ISOTROPIC)
-
-
 def gusty(points, normals):
     return 0.3 - np.sin(points[0] / 30) * normals[2]
 
@@ -45,7 +41,7 @@ def forces_one_by_one(scene, pressure, coefficients):
 
 def test_forces_turn_with_the_cells(comm):
     """Coefficients are those of the shape at first, normals and areas of that which comes."""
-    scene = fixed(irregular_square(comm, 20.0))
+    scene = clamped(irregular_square(comm, 20.0))
     X = scene.V.tabulate_dof_coordinates()
     scene.u.x.array[:] = 3.0 * noise(X, 4).ravel()
     load = wind_load(scene.membrane, 0.7, gusty)
@@ -62,7 +58,7 @@ def test_forces_turn_with_the_cells(comm):
 
 def under_suction(comm, size, cable, **loads):
     """The top, and the cable's tension if there is one."""
-    scene = fixed(meshes.rectangle(comm, SIDE, SIDE, size))
+    scene = clamped(meshes.rectangle(comm, SIDE, SIDE, size))
     scene.put_wind(0.01, -1.0)
     solver = advanced(Solver(scene), pressure=0.004)
     if cable:
@@ -108,7 +104,7 @@ def test_supports_carry_the_wind_of_the_shape_that_it_leads_to(comm):
     """Reactions against the integral over the final shape, in one step and in three."""
     tops = []
     for steps in (1, 3):
-        scene = fixed(irregular_square(comm, 20.0))
+        scene = clamped(irregular_square(comm, 20.0))
         solver = advanced(Solver(scene), pressure=0.005)
         scene.put_wind(0.003, gusty, name="gust")
         cp = -scene.load("gust").suction / 0.003
@@ -144,7 +140,7 @@ def test_wind_needs_the_exact_pressure(comm):
     ],
 )
 def test_bad_wind(comm, pressure, coefficient, message):
-    scene = fixed(irregular_square(comm, 20.0))
+    scene = clamped(irregular_square(comm, 20.0))
     with pytest.raises(InputError, match=message):
         scene.put_wind(pressure, coefficient)
     assert len(scene.loads) == 0

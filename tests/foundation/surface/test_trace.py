@@ -25,6 +25,7 @@ from trace_surfaces import (
 
 from crms_fenicsx.foundation.meshes.triangles import longest_sides
 from crms_fenicsx.foundation.runtime.errors import PathError
+from crms_fenicsx.foundation.surface.closest_point import TargetSurface
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import IndirectLeg, _direct_way, near_section, trace
 
@@ -79,7 +80,8 @@ def exact_section(ids, points, cells, a, b):
 
 
 @pytest.mark.parametrize("kind", ["scattered", "grid", "slivers"])
-def test_straight_leg_agrees_with_exact_arithmetic(kind):
+def test_straight_leg_agrees_with_exact_arithmetic(kind, monkeypatch):
+    monkeypatch.setattr(TargetSurface, "snap", 1e-9)
     rng = np.random.default_rng(["scattered", "grid", "slivers"].index(kind))
     seen = set()
     for _ in range(100):
@@ -95,7 +97,7 @@ def test_straight_leg_agrees_with_exact_arithmetic(kind):
             continue
         curved = points + np.array([0, 0, 1]) * np.sin(points[:, :1] + points[:, 1:2] ** 2)
         route = np.array([[float(x) for x in a], [float(x) for x in b]])
-        path = trace(ids, curved, cells, route, snap=1e-9)
+        path = trace(ids, curved, cells, route)
         links = path.links(ids[cells])
         crossings = [p for p in path.points if not isinstance(p, CellPoint)]
         same_points(crossings, exact_section(ids, points, cells, a, b), 1e-7)
