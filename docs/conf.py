@@ -47,7 +47,6 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "formulas",
-    "plots",
     "typed",
 ]
 exclude_patterns = [
