@@ -49,6 +49,7 @@ extensions = [
     "demos",
     "formulas",
     "typed",
+    "words",
 ]
 exclude_patterns = [
     "tutorials/**/*.ipynb",
