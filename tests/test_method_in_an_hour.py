@@ -41,10 +41,12 @@ told()
 def path() -> Iterator[tuple[Path, list[str], int]]:
     """File, names to read in it (none: all of it), and lines told, of each step."""
     text = (THEORY / "method_in_an_hour.md").read_text()
-    for row in re.findall(r"^\| \d+ \|.*$", text, re.MULTILINE):
-        _, _, file, read, lines, *_ = (cell.strip() for cell in row.split("|"))
-        (link,) = re.findall(r"\]\((.+)\)", file)
-        yield (THEORY / link).resolve(), re.findall(r"`([\w.]+)`", read), int(lines)
+    steps = re.findall(r"^\d+\. \[.*?\]\((.+?)\), (\d+) lines(:.*?)?\.\s", text, re.M | re.S)
+    for link, lines, read in steps:
+        names = []
+        for owner, methods in re.findall(r"`(\w+)`(?:\s\((.*?)\))?", read, re.S):
+            names += [f"{owner}.{name}" for name in re.findall(r"\w+", methods)] or [owner]
+        yield (THEORY / link).resolve(), names, int(lines)
 
 
 def lines_of(file: Path, names: list[str]) -> int:
