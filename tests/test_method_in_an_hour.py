@@ -44,7 +44,7 @@ def path() -> Iterator[tuple[Path, list[str], int]]:
     steps = re.findall(r"^\d+\. \[.*?\]\((.+?)\), (\d+) lines(:.*?)?\.\s", text, re.M | re.S)
     for link, lines, read in steps:
         names = []
-        for owner, methods in re.findall(r"`(\w+)`(?:\s\((.*?)\))?", read, re.S):
+        for owner, methods in re.findall(r"`(\w+)`(?:\s+\((.*?)\))?", read, re.S):
             names += [f"{owner}.{name}" for name in re.findall(r"\w+", methods)] or [owner]
         yield (THEORY / link).resolve(), names, int(lines)
 
