@@ -110,11 +110,13 @@ def test_git_hosts_show_what_the_site_shows(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_code_is_narrow(page: Path) -> None:
-    fence, long = "", []
+    fence, code, before, long = "", False, "", []
     for line in page.read_text().splitlines():
         if line.lstrip().startswith("```"):
             fence = "" if fence else line.strip()
-        code = "{" not in fence if fence else re.match(r"    [^-*|\d ]", line)
+        indented = line.startswith("    ") and (code or not before)  # else it continues a list
+        code = "{" not in fence if fence else indented
+        before = line
         if code and len(line) > WIDEST:
             long.append(line)
     assert not long
