@@ -31,7 +31,7 @@ TUTORIALS = [
 ]
 
 project = "crms_fenicsx"
-author = "the authors of crms_fenicsx"
+author = "the crms_fenicsx developers"
 copyright = author
 release = crms_fenicsx.__version__
 

@@ -83,6 +83,15 @@ def test_code_of_page_runs(
             run(block, names, page)
 
 
+def test_script_of_readme_prints_what_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(*blocks("../README"), {}, "README")
+    assert f"`{capfd.readouterr().out.strip()}`" in (DOCS.parent / "README.md").read_text()
+    assert Path("results/square/tightened.png").exists()
+
+
 def test_hall_in_30_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The tutorial for first-time readers ends with a report: coarse, with half of the loads."""
     monkeypatch.chdir(tmp_path)
