@@ -52,34 +52,22 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.versions import last_doubt
-from crms_fenicsx.results.cable_and_bar_results import (
-    CableResults,
-    ClampResults,
-    cable_results,
-    clamp_results,
-)
-from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.history import History
 from crms_fenicsx.results.output.recorder import Recorder
-from crms_fenicsx.results.quantities import fields_of
-from crms_fenicsx.results.reactions import (
-    Reactions,
-    Residual,
-    Tangent,
-    reactions,
-    residual,
-    tangent,
-)
-from crms_fenicsx.results.summary import Summary, summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from crms_fenicsx.results.cable_and_bar_results import CableResults, ClampResults
     from crms_fenicsx.results.checkpoint import Run
     from crms_fenicsx.results.checkpoint.journal import Journal
+    from crms_fenicsx.results.error_estimate import ErrorEstimate
+    from crms_fenicsx.results.membrane_results import MembraneResults
     from crms_fenicsx.results.rain import PondingCheck
+    from crms_fenicsx.results.reactions import Reactions, Residual, Tangent
     from crms_fenicsx.results.sensitivities import Sensitivities
+    from crms_fenicsx.results.summary import Summary
+
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -529,6 +517,8 @@ class Solver:
         MembraneResults
             Values in this rank's cells, in the current state.
         """
+        from crms_fenicsx.results.membrane_results import membrane_results
+
         return membrane_results(self.system)
 
     @collective
@@ -559,6 +549,8 @@ class Solver:
         >>> corner = solver.reactions("corner 1")
         >>> corner.total, corner.membrane, corner.parts["guy 1"]
         """
+        from crms_fenicsx.results.reactions import reactions
+
         return reactions(self.system, where)
 
     @collective
@@ -598,6 +590,8 @@ class Solver:
         >>> for name, cable in solver.cable_forces().items():
         ...     print(f"{name}: {cable.least:.3g} to {cable.largest:.3g}")
         """
+        from crms_fenicsx.results.cable_and_bar_results import cable_results
+
         return cable_results(self.scene)
 
     @collective
@@ -613,6 +607,8 @@ class Solver:
         --------
         >>> max(clamp.size for clamp in solver.clamp_forces().values())
         """
+        from crms_fenicsx.results.cable_and_bar_results import clamp_results
+
         return clamp_results(self.scene)
 
     @collective
@@ -624,6 +620,8 @@ class Solver:
         Summary
             The same on all ranks.
         """
+        from crms_fenicsx.results.summary import summary
+
         return summary(self.system)
 
     @collective
@@ -649,6 +647,8 @@ class Solver:
         --------
         >>> solver.estimate_error().relative
         """
+        from crms_fenicsx.results.error_estimate import ErrorEstimator
+
         self.scene.require_equilibrium("estimate_error")
         return ErrorEstimator(self.scene).of(self.system)
 
@@ -670,6 +670,8 @@ class Solver:
         >>> residual.vector.norm()  # without what is held
         >>> residual.destroy()
         """
+        from crms_fenicsx.results.reactions import residual
+
         return residual(self.system)
 
     @collective
@@ -697,6 +699,8 @@ class Solver:
         >>> scene.u.x.array[:owned] -= step.array[:owned]
         >>> scene.u.x.scatter_forward()
         """
+        from crms_fenicsx.results.reactions import tangent
+
         return tangent(self.system)
 
     @collective
@@ -859,9 +863,10 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
+        from crms_fenicsx.results.quantities import fields_of
         from crms_fenicsx.results.view_data import to_pyvista
 
-        return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
+        return to_pyvista(self.scene, fields_of(self.results()), radius)
 
     @collective
     def save(self, folder: File) -> None:

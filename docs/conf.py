@@ -46,9 +46,10 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "demos",
     "formulas",
-    "plots",
     "typed",
+    "words",
 ]
 exclude_patterns = [
     "tutorials/**/*.ipynb",

@@ -58,8 +58,8 @@ BUDGETS = {
     "energy": 7542,
     "cabling": 7329,
     "analysis": 6431,
-    "results": 10474,
-    "solver": 930,
+    "results": 10478,
+    "solver": 935,
     "design": 8248,
 }
 """Lines of each wing. They may only fall, or rise with a line in docs/features.md."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import sys
@@ -10,10 +11,13 @@ from typing import Any
 
 import pytest
 
+from crms_fenicsx.energy.minimization.outcome import ENDLESS, REASONS, SINGULAR, STALLED
+
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
     "mesh", "form_finding", "tents", "fabric", "edges", "loads", "codes", "rain", "bars", "nets",
-    "patterns", "results", "files", "error", "pictures", "own_term", "coupling",
+    "patterns", "results", "files", "error", "pictures", "own_term", "coupling", "supports",
+    "not_converged",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")
 """Modules without which a block of code is left out."""
@@ -116,3 +120,44 @@ def test_interrupted_script_continues(
         run(script, {}, "restart")
         said.append(capfd.readouterr().out)
     assert said[0] == said[1] and "windy" in said[0]
+
+
+def strings_of_the_package() -> list[str]:
+    """All texts in the code, with … where values are put in."""
+    found = []
+    for path in (DOCS.parent / "crms_fenicsx").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                parts = (
+                    str(one.value) if isinstance(one, ast.Constant) else "…" for one in node.values
+                )
+                found.append("".join(parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(re.sub(r"\{[^}]*\}", "…", node.value))
+    return found
+
+
+def reasons_of_the_loops() -> list[str]:
+    """The longest fixed part of each reason for which a loop of a load step gives up."""
+    found = []
+    for path in (DOCS.parent / "crms_fenicsx" / "analysis").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "reason":
+                parts = (one for one in ast.walk(node.value) if isinstance(one, ast.Constant))
+                longest = max((str(part.value) for part in parts), key=len)
+                found.append(longest.partition(";")[0].strip(" :%"))
+    return found
+
+
+def test_messages_on_the_page_are_those_of_the_package() -> None:
+    """What is in bold in tables, and every reason for which the code refuses a load step."""
+    page = (DOCS / "how_to" / "not_converged.md").read_text()
+    rows = "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    told = re.findall(r"\*\*(.+?)\*\*", rows)
+    texts = strings_of_the_package()
+    patterns = (".*?".join(map(re.escape, one.split("…"))) for one in told)
+    assert len(told) > 60
+    assert not [one for one in patterns if not any(re.search(one, text) for text in texts)]
+    reasons = [*REASONS.values(), ENDLESS, STALLED, SINGULAR, *reasons_of_the_loops()]
+    untold = [one for one in reasons if one not in rows]
+    assert untold == [REASONS[-8]]  # the user's own Ctrl-C

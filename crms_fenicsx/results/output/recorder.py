@@ -22,10 +22,10 @@ from crms_fenicsx.cabling.cables.deformed_surface import gained_volume
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import explained, make_writable
-from crms_fenicsx.results.error_estimate import ErrorEstimator
 from crms_fenicsx.results.output.history import History, Value
 
 if TYPE_CHECKING:
+    from crms_fenicsx.results.error_estimate import ErrorEstimator
     from crms_fenicsx.results.output.paraview import Series
 
 
@@ -95,7 +95,11 @@ class Recorder:
 
     def __init__(self, scene: Scene, folder: str | Path | None, estimate: bool = False) -> None:
         self.scene = scene
-        self._estimator = ErrorEstimator(scene) if estimate else None
+        self._estimator: ErrorEstimator | None = None
+        if estimate:
+            from crms_fenicsx.results.error_estimate import ErrorEstimator
+
+            self._estimator = ErrorEstimator(scene)
         self.series: Series | None = None
         self._lock: _FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
