@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
-ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"
+ANOTHER = "make another Solver(scene, ...), which continues from the scene as it is"
 """Remedy in errors about assigning a solver's options."""
 
 
@@ -779,7 +779,7 @@ class Solver:
         """Write a report for the checking engineer: one HTML page, and CSV tables. Collective.
 
         The page has a verdict with its reasons, the model, loads and combinations, pictures,
-        membrane forces, utilisation and envelopes, cables, bars, ponds, foundation forces and the
+        section forces, utilisation and envelopes, cables, bars, ponds, foundation forces and the
         checks of all equilibria. It needs no other files or network, is smaller than 5 MB, and
         prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with full
         precision. Results belong to the combinations' states, with their model and base state;
@@ -800,7 +800,7 @@ class Solver:
             strengths of cables by name, divided by the partial factors (force), for their
             utilisation; the fabric's strengths are those of `Scene.set_strengths`. ``pictures``:
             membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
-            and bars; by default tension, displacement, membrane forces and utilisation. Too large a
+            and bars; by default tension, displacement, section forces and utilisation. Too large a
             page omits the last ones. ``view``: viewpoint, as for `draw`. ``sections``: additional
             ones, as of `design.patterns.report_sections`. ``order``: fabrication lengths of
             cables, from `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each

@@ -87,7 +87,7 @@ def inflated(pattern):
 built = inflated(pattern)
 got = patterns.compare(built, pattern, WANTED)
 draw(built, f"{RESULTS}/built.png", colour="warp", view=(-125.0, 30.0), unit="m", force="kN",
-     title="Sewn of its pieces: membrane force along the warp")  # fmt: skip
+     title="Sewn from its pieces: section force along the warp")  # fmt: skip
 
 
 # %%

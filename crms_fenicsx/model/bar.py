@@ -15,7 +15,7 @@ from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed length, below which its direction is undefined."""
-FOUND = "it follows from the loads, call solver.advance(...)"
+FOUND = "it follows from the loads; call solver.advance(...)"
 IMPERFECTIONS = {"a0": 0.13, "a": 0.21, "b": 0.34, "c": 0.49, "d": 0.76}
 """Imperfection factors of the buckling curves, EN 1993-1-1, table 6.1."""
 ANOTHER_BAR = "add another bar with scene.add_bar(...)"

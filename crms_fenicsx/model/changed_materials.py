@@ -31,7 +31,7 @@ def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> Membra
         return material
     changed: MembraneMaterial = replace(material, **own)  # type: ignore[type-var]
     if set(own) != set(numbers(material)) or changed.law != material.law:
-        raise ValueError(f"a material of {own} where {material} is")
+        raise ValueError(f"expected a material like {material}, found {own}")
     return changed
 
 
@@ -68,6 +68,6 @@ def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> No
         reason = f"has the warp {new.warp!r} in place of {old.warp!r}"
     if reason:
         raise InputError(
-            f"set_material: the material {new!r} of {owner} {reason}; give one with other numbers "
+            f"set_material: the material {new!r} of {owner} {reason}; pass one with other numbers "
             "only, or make another Scene(...)."
         )

@@ -70,23 +70,23 @@ class Friction:
         if self.static is not None and self.static < self.mu:
             raise InputError(
                 f"Friction: static = {self.static} is smaller than mu = {self.mu}, the coefficient "
-                "of a cable that slides; give at least that."
+                "of a cable that slides; use at least that."
             )
         if self.law == "step" and (self.static not in (None, self.mu) or self.along):
             raise InputError(
-                'Friction: law = "step" knows neither a static coefficient nor friction along the '
+                'Friction: law = "step" has neither a static coefficient nor friction along the '
                 f"cable, but static = {self.static}, along = {self.along}; leave them out, or use "
                 '"coulomb".'
             )
         if self.cone and (self.law == "step" or min(self.mu, self.along) == 0):
             raise InputError(
                 f"Friction: cone = True couples the friction forces sideways and along the cable, "
-                f'but mu = {self.mu}, along = {self.along}, law = "{self.law}"; give both '
+                f'but mu = {self.mu}, along = {self.along}, law = "{self.law}"; pass both '
                 'coefficients with the law "coulomb", or leave cone out.'
             )
         if self.cone and self.static not in (None, self.mu):
             raise InputError(
-                f"Friction: cone = True knows no static coefficient, but static = {self.static}; "
+                f"Friction: cone = True has no static coefficient, but static = {self.static}; "
                 "leave one of them out."
             )
         if self.tolerance > MOST_TOLERANCE:

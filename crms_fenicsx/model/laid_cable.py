@@ -17,7 +17,7 @@ from crms_fenicsx.model.cable import HOLDS, Cable, Hold
 from crms_fenicsx.model.cable_state import CableNode, CableState, End
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL, UNSTRAINED
 
-FOUND = "it follows from the loads, call solver.advance(...)"
+FOUND = "it follows from the loads; call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
 """Remedy for assignments to attributes of laid cables."""
 

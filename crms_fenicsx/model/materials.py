@@ -94,7 +94,7 @@ class MembraneMaterial(ABC):
         if self.law != LINEAR and np.any(values < 0):
             raise InputError(
                 f"{owner}: prestress = {self.prestress} is compressive, which a wrinkling membrane "
-                "cannot carry; give tension, or wrinkling=False."
+                "cannot carry; use tension, or wrinkling=False."
             )
 
 

@@ -51,7 +51,7 @@ def warn_of_penalty(comm: MPI.Intracomm, penalty: float) -> None:
         else "folded cells lock and cables come out too tight"
     )
     warnings.warn(
-        f"Scene: penalty = {penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; give one "
+        f"Scene: penalty = {penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; use one "
         "in this range.",
         PenaltyWarning,
         stacklevel=4,
@@ -258,12 +258,12 @@ class Membrane:
                 raise InputError(
                     'Scene: strain="step" has a linear law of its own, but '
                     f"{self.owner_of_material(number)} has a UflMembrane; use "
-                    'strain="total", or give it an IsotropicMembrane or OrthotropicMembrane.'
+                    'strain="total", or use an IsotropicMembrane or OrthotropicMembrane.'
                 )
             if own.law != LINEAR:
                 raise InputError(
                     f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
-                    "give it wrinkling=False."
+                    "set its wrinkling=False."
                 )
 
     def refuse_folds(self, cells: Indices, cable: str) -> None:
@@ -279,7 +279,7 @@ class Membrane:
                 raise PathError(
                     f"{cable}: {self.owner_of_material(int(bad[0]))} has a UflMembrane, which "
                     "cells that a cable folds cannot have; lead the cable over other parts, or "
-                    "give the parts under it an IsotropicMembrane or OrthotropicMembrane."
+                    "use an IsotropicMembrane or OrthotropicMembrane under it."
                 )
 
     def hold(self, where: str | Marker, directions: str, new_edges: bool) -> None:
@@ -314,7 +314,7 @@ def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
         given, normals = np.asarray(frames, dtype=float), cell_normals(mesh.mesh)
         if given.shape != (len(normals), 2, 3) or not np.isfinite(given).all():
             raise InputError(
-                f"Scene: frames of shape {given.shape} for {len(normals)} cells; give finite ones "
+                f"Scene: frames of shape {given.shape} for {len(normals)} cells; pass finite ones "
                 "(n, 2, 3), as patterns.sew does."
             )
         sense = np.einsum("ni,ni->n", np.cross(given[:, 0], given[:, 1]), normals)
@@ -322,7 +322,7 @@ def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
         tilt = np.abs(np.einsum("nai,ni->na", given, normals))
         if (sense <= 0.0).any() or (tilt > SAME_PLACE * size).any():
             raise InputError(
-                "Scene: frames turn a cell over, or do not lie in it; give those of patterns.sew."
+                "Scene: frames turn a cell over, or do not lie in it; pass those of patterns.sew."
             )
     return given
 
@@ -350,7 +350,7 @@ def _assign_materials(
             tags[mesh.parts[part]] = k
         if np.any(tags < 0):
             raise InputError(
-                f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
+                f"Scene: {np.count_nonzero(tags < 0)} cells have no material; pass one for "
                 "every part of the mesh."
             )
     cells = np.arange(len(tags), dtype=np.int32)

@@ -145,17 +145,17 @@ class FanControl:
         for name in ("factors", "pressures"):
             given = getattr(self, name)
             if isinstance(given, str) or np.ndim(given) != 1 or not len(given):
-                raise InputError(f"FanControl: {name} = {given!r}; give a list of numbers.")
+                raise InputError(f"FanControl: {name} = {given!r}; pass a list of numbers.")
             values = tuple(checks.finite(f"FanControl: one of {name}", value) for value in given)
             object.__setattr__(self, name, values)
         if len(self.factors) != len(self.pressures):
             raise InputError(
                 f"FanControl: {len(self.factors)} factors and {len(self.pressures)} pressures; "
-                "give a pressure for each factor."
+                "pass a pressure for each factor."
             )
         if not all(a < b for a, b in zip(self.factors, self.factors[1:], strict=False)):
             raise InputError(
-                f"FanControl: factors = {list(self.factors)} do not rise; sort them, each once."
+                f"FanControl: factors = {list(self.factors)} must increase; sort them."
             )
 
     def pressure(self, factor: float) -> float:

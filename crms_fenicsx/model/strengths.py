@@ -31,13 +31,13 @@ def checked_strengths(
         owner = repr(part) if isinstance(strengths, Mapping) else "the membrane"
         if np.shape(pair) != (2,):
             raise InputError(
-                f"{call}: strengths of {owner} = {pair!r}; give two, of warp and weft."
+                f"{call}: strengths of {owner} = {pair!r}; pass two, of warp and weft."
             )
         warp, weft = (checks.positive(f"{call}: strength of {owner}", x) for x in pair)
         found[part] = (warp, weft)
     if not found:
         raise InputError(
-            f"{call}: strengths = {strengths!r} names no part; give those of one or more."
+            f"{call}: strengths = {strengths!r} names no part; pass those of one or more."
         )
     return found
 
@@ -68,6 +68,6 @@ def patch_radii(
             found[name] = checks.finite(f"{call}: patches, radius", radius)
             if found[name] < 0.0:
                 raise InputError(
-                    f"{call}: patches, radius = {radius:g} is negative; give 0 or more."
+                    f"{call}: patches, radius = {radius:g} is negative; pass 0 or more."
                 )
     return found

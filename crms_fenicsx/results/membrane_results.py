@@ -183,8 +183,8 @@ class MembraneResults:
         """
         if name in QUANTITIES and name not in self.names and name != "utilisation":
             raise InputError(
-                f"there is no {name!r}: the membrane is isotropic and has no warp; take principal "
-                'forces, "true force 1" and "true force 2", or give an OrthotropicMembrane a warp.'
+                f"there is no {name!r}: the membrane is isotropic and has no warp; use principal "
+                'forces, "true force 1" and "true force 2", or an OrthotropicMembrane with a warp.'
             )
         return checks.named("result", {one: QUANTITIES[one] for one in self.names}, name).of(self)
 

@@ -141,14 +141,14 @@ class Rain:
         elif settled:
             all_of_it = ", one of which takes all the rain" if self.takes_all else ""
             verdict = (
-                f"{case}: {water} stands{where}{all_of_it}. It is in equilibrium: a load to be "
-                "designed for, or the roof is to be made to drain"
+                f"{case}: {water} stands{where}{all_of_it}. The roof is in equilibrium; design it "
+                "for this load, or make it drain"
             )
         else:
-            why = why or f"it does not settle in {len(self.volumes)} fillings of the hollows"
+            why = why or f"it does not converge in {len(self.volumes)} fillings of the hollows"
             verdict = (
-                f"{case}: {water} gathers{where} at last: {why}. Give the roof more prestress or "
-                "slope, or the water a way out"
+                f"{case}: {water} finally gathers{where}: {why}. Use more prestress or slope, or "
+                "add a drain"
             )
         return PondingCheck(settled, verdict, hollows, tuple(self.volumes), snapshot)
 

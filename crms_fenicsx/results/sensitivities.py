@@ -244,8 +244,8 @@ class _TangentSolver:
         self._ksp.solve(self._b, self._y)
         if self._ksp.getConvergedReason() < 0:
             raise InputError(
-                "sensitivities: the tangent is singular here, as where something is about to "
-                "snap through; go to another state."
+                "sensitivities: the tangent is singular here, as at the onset of "
+                "snap-through; use another state."
             )
         return np.array(self._y.array_r)
 

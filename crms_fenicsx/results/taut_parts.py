@@ -211,7 +211,7 @@ class Tightening:
         except LinAlgError:
             raise InputError(
                 "sensitivities: without the parts of cables and the guys that are about to become "
-                "taut or slack the equilibrium is unstable; go to another state."
+                "taut or slack the equilibrium is unstable; use another state."
             ) from None
 
     def of(self, way: Array, shortened: Array, sign: float) -> tuple[Array, Booleans]:

@@ -60,12 +60,12 @@ class Surface:
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
             raise InputError(
                 f"triangles refer to vertices {triangles.min()} to {triangles.max()}, but there "
-                f"are {len(points)} points; number them from 0 within this surface"
+                f"are {len(points)} points; number them from 0 within this surface."
             )
         homes = None if self.homes is None else checked_integers("homes", self.homes, 2)
         if homes is not None and len(homes) != len(points):
             raise InputError(
-                f"homes: expected {len(points)}, one of each point, found {len(homes)}"
+                f"homes: expected {len(points)}, one of each point, found {len(homes)}."
             )
         return Surface(
             points,
@@ -105,16 +105,16 @@ class Line:
         label = f"line {self.name!r}" if self.name else "line"
         points = checked_points(f"{label}: points", self.points)
         if len(points) < 2:
-            raise InputError(f"{label} has {len(points)} points; pass two or more")
+            raise InputError(f"{label} has {len(points)} points; pass two or more.")
         data: dict[str, NDArray[Any]] = {}
         for name, given in self.data.items():
             values = np.asarray(given)
             if values.dtype.kind not in "biuf":
-                raise InputError(f"{label}: {name!r} is of type {values.dtype}; pass numbers")
+                raise InputError(f"{label}: {name!r} is of type {values.dtype}; pass numbers.")
             if values.shape not in {(), (len(points),), (len(points) - 1,)}:
                 raise InputError(
                     f"{label}: {name!r} has shape {values.shape}; pass one value, one for each "
-                    f"of the {len(points)} points or one for each of the {len(points) - 1} segments"
+                    f"of the {len(points)} points or {len(points) - 1} segments."
                 )
             data[name] = values.astype(np.float64)
         return Line(points, data, self.name)
@@ -128,7 +128,7 @@ def checked_integers(what: str, given: ArrayLike, columns: int) -> Integers:
     if array.ndim != 2 or array.shape[1] != columns or array.dtype.kind not in "iu":
         raise InputError(
             f"{what}: expected integers of shape (n, {columns}), found {array.dtype} of shape "
-            f"{array.shape}"
+            f"{array.shape}."
         )
     return np.ascontiguousarray(array, dtype=np.int64)
 
@@ -139,10 +139,10 @@ def checked_points(what: str, given: ArrayLike) -> Array:
     if points.size == 0:
         return np.empty((0, 3))
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{what}: expected shape (n, 3), found shape {points.shape}")
+        raise InputError(f"{what}: expected shape (n, 3), found shape {points.shape}.")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
-        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; pass finite coordinates")
+        raise InputError(f"{what}: number {bad[0]} is {points[bad[0]]}; pass finite coordinates.")
     return points
 
 
@@ -152,10 +152,10 @@ def _checked_data(what: str, given: Mapping[str, ArrayLike], count: int) -> dict
     for name, values in given.items():
         array = np.ascontiguousarray(values)
         if array.dtype.kind not in "biuf":
-            raise InputError(f"{what} {name!r} is of type {array.dtype}; pass real numbers")
+            raise InputError(f"{what} {name!r} is of type {array.dtype}; pass real numbers.")
         if array.ndim not in (1, 2) or len(array) != count:
             raise InputError(
-                f"{what} {name!r} has shape {array.shape}; pass ({count},) or ({count}, c)"
+                f"{what} {name!r} has shape {array.shape}; pass ({count},) or ({count}, c)."
             )
         data[name] = array.astype(np.uint8) if array.dtype.kind == "b" else array
     return data
@@ -284,7 +284,7 @@ def _whole(pieces: Sequence[Surface]) -> Surface:
             raise InputError(
                 f"homes: rank {rank} has points number {numbers[own[rank]].tolist()[:9]} of its "
                 f"own and, of others, {home[lost].tolist()[:3]}, where the ranks have "
-                f"{counts.tolist()}; number each rank's from 0"
+                f"{counts.tolist()}; number each rank's from 0."
             )
         triangles.append((starts[ranks] + numbers)[np.asarray(one.triangles)])
     places = [np.asarray(one.points)[rows] for one, rows in zip(pieces, own, strict=True)]
@@ -310,7 +310,7 @@ def _gathered(
         if kind != kinds[first]:
             raise InputError(
                 f"data differ: rank {first} has {kinds[first]}, rank {rank} has {kind}; pass the "
-                "same on all ranks"
+                "same on all ranks."
             )
     return {
         name: np.concatenate([
@@ -334,7 +334,7 @@ def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | Non
             except ImportError as error:
                 raise ImportError(
                     f"to_pyvista needs pyvista ({error}); install it: pip install pyvista, or apt "
-                    "install python3-pyvista"
+                    "install python3-pyvista."
                 ) from None
             found = pyvista.MultiBlock()
             surface = surface.checked()

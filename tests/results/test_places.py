@@ -347,7 +347,7 @@ def test_bad_strengths_leave_those_given_before(comm: MPI.Intracomm) -> None:
     for bad, words in (
         ({"top": (1.0, 1.0)}, "no part 'top'; it has the parts back, front"),
         ({"front": (1.0, -1.0)}, "strength of 'front' = -1.0 is not positive"),
-        ((1.0, 2.0, 3.0), "give two, of warp and weft"),
+        ((1.0, 2.0, 3.0), "pass two, of warp and weft"),
         ({}, "names no part"),
     ):
         with pytest.raises(InputError, match=words):

@@ -123,11 +123,11 @@ def test_summary_and_report_have_them(comm: MPI.Intracomm, folder: Path) -> None
     solver.report(folder / "sail.html", pictures=[])
     comm.barrier()
     rows = {(row["Support"], row["On"]): row for row in read_csv(folder / "sail_supports.csv")}
-    total = [float(rows["corner 1", "all that meets there"][f"R{x}"]) for x in "xyz"]
+    total = [float(rows["corner 1", "everything attached"][f"R{x}"]) for x in "xyz"]
     assert_allclose(total, supports["corner 1"].total, rtol=1e-9)
     south = [float(rows["corner 1", "south start"][f"R{x}"]) for x in "xyz"]
     assert_allclose(south, supports["corner 1"].parts["south start"], rtol=1e-9)
-    sums = rows["supports, anchors and held joints", "all that meets there"]
+    sums = rows["supports, anchors and held joints", "everything attached"]
     assert float(sums["Rz"]) == pytest.approx(SNOW * SIDE**2 + LAMP, abs=1e-8)
 
 

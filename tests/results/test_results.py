@@ -174,7 +174,7 @@ def test_utilisation() -> None:
     for bad, words in (
         ({"top": (1.0, 1.0)}, "no part 'top'.*left, right"),
         ((0.0, 1.0), "strength of the membrane"),
-        ({"left": 3.0}, "strengths of 'left' = 3.0; give two"),
+        ({"left": 3.0}, "strengths of 'left' = 3.0; pass two"),
     ):
         with pytest.raises(InputError, match=words):
             results.utilisation(bad)  # type: ignore[arg-type]

@@ -97,7 +97,7 @@ def test_a_disk_that_is_full_at_some_write(
             try:
                 script(place, False)
             except InputError as error:
-                assert "cannot be written (No space left on device): free some space" in str(error)
+                assert "cannot be written (No space left on device); free some space" in str(error)
                 refusals += 1
         COMM.barrier()
         assert_whole(place)
@@ -115,7 +115,7 @@ def test_a_folder_that_goes_away(folder: Path) -> None:
         shutil.move(folder / "out", folder / "moved")
         (folder / "out").write_text("something else")
     COMM.barrier()
-    with pytest.raises(InputError, match=r"out.* cannot be written .*: (free some|give another)"):
+    with pytest.raises(InputError, match=r"out.* cannot be written .*; (free some|use another)"):
         solver.advance(pressure=0.011)
     assert scene.pressure == 0.011 and np.isfinite(scene.energy)
     assert_whole(folder / "moved")

@@ -148,7 +148,7 @@ class _FrameStability:
         slack = [one.name for one in self.scene.bars if one.slack and end in (one.start, one.end)]
         remedy = f"tighten {', '.join(map(repr, slack))}" if slack else "add guys"
         return StateWarning(
-            "instability", f"{text}; {remedy}, or a support, that hold it there, before loading it."
+            "instability", f"{text}; {remedy}, or add a support there, before loading it."
         )
 
 

@@ -75,7 +75,7 @@ class PathLoop:
                         if not flips and not self._straighten_kinks():
                             break
             if tries == BUDGET.changes:
-                reason = f"after {tries} changes the paths of the cables still want to change"
+                reason = f"the paths of the cables still change after {tries} updates"
                 return replace(total, converged=False, reason=reason)
             tries += 1
             proposed, refused = tried.proposed, {k: set(v) for k, v in tried.refused.items()}

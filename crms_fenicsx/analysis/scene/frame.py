@@ -222,7 +222,7 @@ class Frame:
             homes = [home for home in membrane.comm.allgather(mine) if home is not None]
             if len(homes) != 1:
                 raise InputError(
-                    f"{vertex}: the mesh has no such vertex; take one of this scene from "
+                    f"{vertex}: the mesh has no such vertex; use one of this scene from "
                     "scene.vertex_at(...)."
                 )
             self._homes[vertex.number] = homes[0]
@@ -320,7 +320,7 @@ class Frame:
         for joint in self.joints:
             if joint not in reached:
                 alone = not any(joint in (bar.start, bar.end) for bar in self.bars)
-                why = "no bar ends there" if alone else "no bars lead from there to what is held"
+                why = "no bar ends there" if alone else "no bars connect it to a support"
                 raise InputError(
                     f"advance: nothing holds {joint!r}: {why}; add bars to an anchor, to the "
                     'membrane or to a held joint, or make it with held="xyz".'

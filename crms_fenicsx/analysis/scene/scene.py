@@ -148,11 +148,11 @@ class Scene:
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
-    strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
+    strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "pass it to Scene(..., strain=...)")
     pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
-    penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
+    penalty: ReadOnly[float] = ReadOnly("_penalty", "pass it to Scene(..., penalty=...)")
     literal_penalty: ReadOnly[float | None] = ReadOnly(
-        "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
+        "_literal_penalty", "pass it to Scene(..., literal_penalty=...)"
     )
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
@@ -621,7 +621,7 @@ class Scene:
         """
         if self.strain_law == "step":
             raise InputError(
-                'set_material: strain="step" goes on from stresses of the material before; use '
+                'set_material: strain="step" continues from the stresses of the last material; use '
                 'strain="total", or make another Scene(...).'
             )
         self.membrane.materials.update(checked_materials(self.membrane, material))

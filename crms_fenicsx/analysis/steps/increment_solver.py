@@ -255,8 +255,8 @@ class IncrementSolver:
             if turning.any():
                 names = ", ".join(self.scene.cables[c].name for c in np.flatnonzero(turning))
                 reason = (
-                    f"{names}: as the pressure at free edges turns, states with other "
-                    "contacts or paths return in turn; lay them farther from vertices and mesh "
+                    f"{names}: as the pressure at free edges turns, states with different "
+                    "contacts or paths alternate; lay them farther from vertices and mesh "
                     "lines beside those edges, and from each other's crossings there"
                 )
                 return replace(outcome, converged=False, reason=reason, takes_turns=True)
@@ -324,7 +324,7 @@ class Options:
 
     def __post_init__(self) -> None:
         if not 0 < self.rtol < 1:
-            raise InputError(f"Solver: rtol = {self.rtol} must lie between 0 and 1, as 1e-9 does.")
+            raise InputError(f"Solver: rtol = {self.rtol} must be between 0 and 1, as in 1e-9.")
         if self.resume is not None and not isinstance(self.resume, bool):
             raise InputError(f"Solver: resume = {self.resume!r}; expected True, False or None.")
         if self.resume is not None and self.results is None:

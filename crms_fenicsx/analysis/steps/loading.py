@@ -155,7 +155,7 @@ def checked_target(
     braced = scene.frame.vertices and any(joint.held.any() for joint in scene.joints)
     if not braced and not scene.comm.allreduce(int(scene.held.any())):
         raise InputError(
-            "advance: nothing of the membrane is held; hold its boundary with "
+            "advance: no part of the membrane is held; hold its boundary with "
             'scene.fix("boundary").'
         )
     inner = _checked_pressure(scene, pressure, temperature, atmosphere)

@@ -299,7 +299,7 @@ def _anchor(scene: Scene, end: CableEnd) -> int:
     if end.cable.state.laid.joints[k] is not None:
         raise InputError(
             f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
-            f"{end.cable.state.laid.joints[k]!r}, which moves by its balance; move what holds that."
+            f"{end.cable.state.laid.joints[k]!r}, which is free; move its supports."
         )
     return k  # the last node's number changes with the path
 

@@ -105,8 +105,8 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
-        text = "friction forces did not settle and are right to"
-        remedy = "of their sum only; another mesh may settle them."
+        text = "friction forces did not converge and are accurate only to"
+        remedy = "of their sum; another mesh may help."
         _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         held, before_it = (
@@ -129,8 +129,8 @@ def warn_of_blocked(number: int, scene: Scene) -> None:
         if blocked and scene.comm.rank == 0:
             text = (
                 f"{cable.name!r} has run into {len(blocked)} mesh vertices, the first at "
-                f"{cable.state.positions[blocked[0]]}; it cannot slide on into other cells, so "
-                "that the result is that of a cable blocked there."
+                f"{cable.state.positions[blocked[0]]}; it cannot slide on into other cells; the "
+                "result is that of a cable blocked there."
             )
             _warn(number, text, PathWarning)
 
@@ -152,9 +152,9 @@ def no_equilibrium(
 ) -> ConvergenceError:  # fmt: skip
     """Error of a step whose last attempt has failed."""
     water = "" if not ponds else (
-        f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
-        "more prestress or slope carries more, a given volume stays as it is. Water that ends at "
-        "an edge that is free has none: hold that, or name all parts that are under water."
+        f" Under {_names(ponds)} there may be no equilibrium, as water gathers without end; "
+        "use more prestress or slope, or a given volume. Water that reaches a free edge has no "
+        "equilibrium; hold that edge, or name all parts under water."
     )  # fmt: skip
     rising = [
         f"{pond.name!r} between {now.factor:.5g} and {pond.factor:.5g}"
@@ -162,12 +162,12 @@ def no_equilibrium(
         if pond.factor > now.factor
     ]
     if rising:
-        water = f" The limit of the factor is for {', '.join(rising)}.{water}"
+        water = f" Limits of load factors: {', '.join(rising)}.{water}"
     return ConvergenceError(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
-        f"{max_halvings} times; {done:.2%} of the loads are on and the scene is at that "
-        "state. Look at it, and check that the cables can carry tension where they lie. Most often "
-        "another mesh helps, unstructured or of a slightly different cell size, and sometimes more "
-        f"prestress; more steps seldom do.{water}"
+        f"{max_halvings} times; {done:.2%} of the loads are applied, and the scene is in "
+        "that state. Inspect it, and check that the cables can carry tension where they lie. "
+        "Another mesh helps most often, unstructured or of a slightly different cell size, and "
+        f"sometimes more prestress; more steps seldom help.{water}"
     )

@@ -57,7 +57,7 @@ def doubt(
         shape = scene.net.strip_shape()
         for cable, own in cables.items():
             told += _of_cable(cable, own, shape, others.get(cable))
-    more = [f"and {len(told) - SHOWN} more of cables"] if len(told) > SHOWN else []
+    more = [f"and {len(told) - SHOWN} more for cables"] if len(told) > SHOWN else []
     told = told[:SHOWN] + more
     told += [words for check in failed for words in _of_scene(check)]
     return StateWarning("doubtful", scene.comm.bcast("; ".join(told)))
@@ -94,8 +94,8 @@ def _of_cable(
     if "unbalanced forces of cables" in by_name:
         share = by_name["unbalanced forces of cables"]
         yield (
-            f"the tension of {cable.name!r}, {T:.3g}, is {_known(share)}, to which its forces "
-            "balance: they are small beside the scene's largest, by which the solver stops"
+            f"the tension of {cable.name!r}, {T:.3g}, is {_known(share)}: its forces balance no "
+            "better, as they are small beside the scene's largest, which set the tolerance"
         )
 
 
@@ -103,23 +103,22 @@ def _of_scene(check: Check) -> Iterator[str]:
     """What is uncertain about the membrane or a bar."""
     if check.name == "unbalanced forces of the membrane":
         yield (
-            f"forces of the membrane are {_known(check.value)}, to which they balance: they are "
-            "small beside the scene's largest, by which the solver stops"
+            f"forces of the membrane are {_known(check.value)}: they balance no better, as "
+            "they are small beside the scene's largest, which set the tolerance"
         )
     if check.name == "scatter of the energy":
         yield (
-            f"there are {check.where}, with energies {check.value:.2g} apart; the least found is "
-            "kept"
+            f"there are {check.where}, with energies {check.value:.2g} apart; the lowest is kept"
         )
     if check.name == "unbalanced forces of bars":
         yield (
-            f"forces of bars at {check.where!r} are {_known(check.value)}, to which they balance"
+            f"forces of bars at {check.where!r} are {_known(check.value)}: they balance no better"
         )
 
 
 def _known(share: float) -> str:
     """How well forces are known that balance to a share of their own size."""
-    return f"known to some {share:.1%}" if share < 1.0 else "not known better than to their size"
+    return f"accurate to {share:.1%} only" if share < 1.0 else "uncertain by 100% or more"
 
 
 def tension_range(

@@ -69,7 +69,7 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
     """
     pitches = np.asarray(pitch, dtype=np.float64)
     if not np.all((pitches >= 0.0) & (pitches <= 90.0)):
-        raise InputError(f"snow_on_pitch: pitch = {pitch!r} is not within 0 and 90 degrees.")
+        raise InputError(f"snow_on_pitch: pitch = {pitch!r} is not between 0 and 90 degrees.")
     mu = MU_1 * np.clip((STEEP - pitches) / (STEEP - FLAT), 0.0, 1.0)
     return np.full_like(mu, MU_1) if retained else mu
 

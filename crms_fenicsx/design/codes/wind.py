@@ -131,7 +131,7 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
     rise = checks.within("en1991_vault_zones: f/d", rise, *VAULT_RISES)
     if checks.finite("en1991_vault_zones: h/d", height) != 0.0:
         raise InputError(
-            f"en1991_vault_zones: h/d = {height:g} is outside what is known here, h/d = 0; read A, "
+            f"en1991_vault_zones: h/d = {height:g} is not built in, only h/d = 0; read A, "
             "B and C off figure 7.11, where some rises have two values of A, and pass zones=."
         )
     a, b, c = (float(np.interp(rise, VAULT_RISES, ends)) for ends in VAULT_ENDS.values())
@@ -399,7 +399,7 @@ def dome(
         raise InputError(f"dome: the roof has no rise, f = {roof.rise:g}; it is not a dome.")
     if zones is None and abs(roof.rise / roof.depth - 0.5) > 0.01:
         raise InputError(
-            f"dome: f/d = {roof.rise / roof.depth:.3g} is outside what is known here, f/d = 0.5; "
+            f"dome: f/d = {roof.rise / roof.depth:.3g} is not built in, only f/d = 0.5; "
             "read A, B and C off figure 7.12 and pass zones=."
         )
     found = HEMISPHERE if zones is None else _checked_zones("dome", zones)
@@ -459,8 +459,8 @@ def canopy(
                            "degrees")  # fmt: skip
     if kind == "duopitch" and abs(angle) < 5.0:
         raise InputError(
-            f"canopy: pitch = {angle:g} degrees of a duopitch roof is outside table 7.7, which has "
-            "5 degrees and more or -5 and less; use a monopitch roof."
+            f"canopy: pitch = {angle:g} degrees of a duopitch roof is outside table 7.7, which "
+            "covers 5 degrees and more or -5 and less; use a monopitch roof."
         )
     if kind == "monopitch" and take in ("first", "second"):
         raise InputError(f"canopy: take = {take!r} is for duopitch roofs; use 'overall'.")

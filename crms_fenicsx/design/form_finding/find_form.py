@@ -158,7 +158,7 @@ def _is_inflated(**inflations: float | None) -> bool:
     named = [name for name, value in inflations.items() if value is not None]
     if len(named) > 1:
         raise InputError(
-            f"find_form: {' and '.join(named)} are given, expected one of {', '.join(inflations)}."
+            f"find_form: expected one of {', '.join(inflations)}, found {' and '.join(named)}."
         )
     return bool(named)
 
@@ -192,7 +192,7 @@ def _check_deviation(
     if disturbance > REPORTED_DISTURBANCE:
         logger.warning(
             "find_form: residual section forces change the area, cables, pressure or supports' "
-            "forces of the form by up to %.1f %%: take a finer mesh, or a start mesh nearer to it",
+            "forces of the form by up to %.1f %%; use a finer mesh, or a start mesh nearer to it",
             100 * disturbance,
         )
     if deviation > REPORTED_DEVIATION:
@@ -252,7 +252,7 @@ def _lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
                     k = int(np.argmax(bad.any(axis=1)))
                     raise InputError(
                         f"find_form: {group!r} is lifted by {as_text(ways[k])} at "
-                        f"{as_text(places[k])}, which {what}; hold what is lifted, to one place."
+                        f"{as_text(places[k])}, which {what}; hold lifted groups at one place."
                     )
             lift[dofs] = ways
     return np.nan_to_num(lift, nan=0.0)

@@ -133,7 +133,7 @@ def _bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
     if np.linalg.norm(left) > BALANCED * max(np.linalg.norm(reaction), np.abs(found).max()):
         raise InputError(
             f"FoundForm.scene: the bars at {group!r} leave {as_text(left)} of its reaction "
-            f"{as_text(reaction)}; add a bar, or put a foot in the direction of what is left."
+            f"{as_text(reaction)}; add a bar, or put a foot in the direction of the rest."
         )
     return found
 

@@ -73,7 +73,7 @@ class WholeSurface:
             if foot.distance > foot.size:
                 raise PathError(
                     f"{as_text(point)} is {foot.distance:.6g} from the membrane, nearest to "
-                    f"{as_text(foot.position)}"
+                    f"{as_text(foot.position)}."
                 )
             return foot.position
         target = TargetSurface.of(self.strip.vertices, self.points, self.cells)
@@ -99,13 +99,13 @@ class WholeSurface:
             if abs(normal[2]) < 1e-6:
                 raise PathError(
                     f"the membrane is vertical at {as_text(point)}, so that a direction in plan "
-                    "has no meaning there; use one in space"
+                    "has no meaning there; use one in space."
                 )
             way[2] = -(way @ normal) / normal[2]
         way = way - (way @ normal) * normal
         if norm(way) < 1e-6 * np.linalg.norm(direction):
             raise PathError(
-                f"direction {as_text(direction)} is normal to the membrane at {as_text(point)}"
+                f"direction {as_text(direction)} is normal to the membrane at {as_text(point)}."
             )
         return np.asarray(way / norm(way))
 

@@ -76,7 +76,7 @@ def _check_part(what: str, value: object) -> None:
     part = checks.finite(what, value)
     if not -MOST < part < MOST:
         raise InputError(
-            f"{what} = {part:g}: no fabric is cut {part:.0%} shorter than its form; use less "
+            f"{what} = {part:g}: fabric is never cut {part:.0%} shorter than its form; use less "
             f"than {MOST:.0%}, .01 for 1 %."
         )
 
@@ -148,7 +148,7 @@ def shrink_for(material: MembraneMaterial, forces: float | tuple[float, float]) 
         if np.abs(stretch - before).max() < 1e-15:
             return Shrink(*(float(1.0 - 1.0 / one) for one in stretch))
     raise InputError(
-        f"shrink_for: {material} has no stretches with the section forces {n[0]:g} and {n[1]:g}; "
+        f"shrink_for: {material} has no strains with the section forces {n[0]:g} and {n[1]:g}; "
         "use smaller ones."
     )
 

@@ -217,7 +217,7 @@ class FlatProblem:
                 part /= 2
                 if part < LEAST_STEP:
                     raise ConvergenceError(
-                        f"flatten: {self.name} does not lie flat: no step makes its energy less; "
+                        f"flatten: {self.name} does not lie flat: no step lowers its energy; "
                         "cut it into narrower strips."
                     )
             flat, energy = self.moved(flat, part * step), new

@@ -25,9 +25,9 @@ from crms_fenicsx.results.output.report.page import (
 )
 
 TEXT = (
-    "Each piece is cut as the flat shape from which it takes the form with the wanted strain and "
-    "the least strain energy beside it; the distortion is the largest strain beside the wanted "
-    "one. Sizes are those of the seam lines, without allowances; widths on the roll are with them."
+    "Each piece is cut to the flat shape that takes the form with the wanted strain and the least "
+    "additional strain energy; the distortion is the largest additional strain. Sizes are those of "
+    "the seam lines, without allowances; widths on the roll include them."
 )
 
 
@@ -80,8 +80,8 @@ def report_sections(
         text += "roof is from its wanted form."
         table = _comparison_table(pattern, comparison, units)
         drawn = partial(sewn_figure, pattern, comparison, units)
-        picture = _figure(pattern.comm, drawn, "What the pieces have got, on their flat shapes")
-        found.append(PageSection("Sewn of its pieces", [Paragraph(text), table, picture], 3))
+        picture = _figure(pattern.comm, drawn, "The pieces as sewn, on their flat shapes")
+        found.append(PageSection("Sewn from its pieces", [Paragraph(text), table, picture], 3))
     return found
 
 

@@ -180,7 +180,7 @@ def compare(
     """
     if solver.scene.mesh is not pattern.pieces.mesh:
         raise InputError(
-            "compare: the solver's scene is not sewn of these pieces; use that of "
+            "compare: the solver's scene is not sewn from these pieces; use that of "
             "patterns.sew(pattern), or of an adjusted one."
         )
     values = _cells(solver)

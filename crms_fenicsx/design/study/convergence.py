@@ -112,7 +112,7 @@ def extrapolated(values: Sequence[float], size: float = 0.0, scattered: bool = F
         remark = "no order: mostly wrinkled, with several equilibria"
         return found(finest, widest, math.nan, False, remark)
     if before * d <= 0.0:
-        remark = "no order: the levels go to and fro"
+        remark = "no order: the levels oscillate"
         return found(finest, widest, math.nan, False, remark)
     order, remark = math.log2(before / d), ""
     if order <= 0.0:
@@ -124,7 +124,7 @@ def extrapolated(values: Sequence[float], size: float = 0.0, scattered: bool = F
     elif abs(before) > FAR * scale:
         remark = "the coarsest is too coarse"
     elif any(a * b < 0.0 for a, b in pairwise(differences)):
-        remark = "no order: coarser levels go to and fro"
+        remark = "no order: coarser levels oscillate"
     if remark:
         return found(limit, widest, order, False, remark)
     error = abs(d) / (2 ** min(order, ORDER) - 1)

@@ -258,7 +258,7 @@ def _rates(
     if not order > 2 - SLACK:
         raise InputError(
             f"taylor_test: the gradient of {name!r} is not that of its energy: the remainder "
-            f"shrinks with the power {order:.2f} of the step, and should with 2."
+            f"shrinks with the power {order:.2f} of the step instead of 2."
         )
     product, twin = f.times(x, d), f.times(x, other)
     size = math.sqrt(f.dot(product, product) * f.dot(other, other))
@@ -274,7 +274,7 @@ def _rates(
     if not cubic > 3 - SLACK:
         raise InputError(
             f"taylor_test: the stiffness of {name!r} is not its energy's second derivative: the "
-            f"remainder shrinks with the power {cubic:.2f} of the step, and should with 3. If it "
-            'is not meant to be, give stiffness="semidefinite".'
+            f"remainder shrinks with the power {cubic:.2f} of the step instead of 3. If it "
+            'is not meant to be, pass stiffness="semidefinite".'
         )
     return TaylorRates(order, cubic)

@@ -41,7 +41,7 @@ def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int3
         if len(bad):
             raise InputError(
                 f"warp: the direction {given[bad[0]]} is normal to the membrane at "
-                f"{centre[bad[0]]}; give a direction that has a part in the surface everywhere."
+                f"{centre[bad[0]]}; pass a direction that is nowhere normal to it."
             )
     field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
     return field

@@ -268,10 +268,10 @@ def checked_energy(
     if name in NAMES:
         raise InputError(
             f"add_term: {name!r} is the name of a term of the package, whose energy the scene's "
-            f"energies list under it; give {owner} another name."
+            f"energies list under it; rename {owner}."
         )
     if name in taken:
-        raise InputError(f"add_term: there is a term {name!r} already; give {owner} another name.")
+        raise InputError(f"add_term: there is a term {name!r} already; rename {owner}.")
     checks.whole(f"add_term: n_sums of {name!r}", term.n_sums, 1)
     _check_integral(name, term.integral, u.function_space, cell_tags)
     return term, _evaluated(term, u)
@@ -288,7 +288,7 @@ def _check_integral(name: str, integral: object, V: fem.FunctionSpace, cell_tags
     if integral.cell_tags is not None and integral.cell_tags is not cell_tags:
         raise InputError(
             f"add_term: the integral of {name!r} has cell tags of its own; all integrals share one "
-            "pass over the mesh, with the cells of the scene's materials: give a factor by cell, "
+            "pass over the mesh, with the cells of the scene's materials; use a factor by cell, "
             "such as a DG 0 function, instead of measures of parts."
         )
 

@@ -135,13 +135,13 @@ def _checked_cells(mesh: MembraneMesh, cells: ArrayLike) -> Indices:
         return np.zeros(0, dtype=np.int32)
     if found.ndim != 1 or found.dtype.kind not in "iu":
         raise InputError(
-            f"refine: cells is an array of shape {found.shape} and type {found.dtype}; give the "
+            f"refine: cells is an array of shape {found.shape} and type {found.dtype}; pass the "
             "local numbers of cells, whole numbers of shape (n,)."
         )
     if found.min() < 0 or found.max() >= own:
         raise InputError(
             f"refine: cells names {found.min() if found.min() < 0 else found.max()}, but this rank "
-            f"owns the cells 0 to {own - 1} of the mesh; give its local numbers on each rank."
+            f"owns the cells 0 to {own - 1} of the mesh; pass its local numbers on each rank."
         )
     return found.astype(np.int32)
 

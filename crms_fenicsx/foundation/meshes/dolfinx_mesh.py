@@ -122,7 +122,7 @@ def mesh_tags(
             both = [name for name in chosen if indices[order][twice[0]] in groups[name]]
             raise MeshError(
                 f"the groups {' and '.join(map(repr, both))} have members in common, which can "
-                "have one tag only: give `names` without one of these groups"
+                "have one tag only; pass `names` without one of these groups."
             )
     return dolfinx.mesh.meshtags(membrane.mesh, dim, indices[order], values[order])
 
@@ -133,18 +133,18 @@ def _check(
     cell, degree = mesh.topology.cell_name(), mesh.ufl_domain().ufl_coordinate_element().degree
     if cell != "triangle" or degree != 1:
         raise MeshError(
-            f"the mesh has cells of type {cell} and degree {degree}: give straight-sided triangles"
+            f"the mesh has cells of type {cell} and degree {degree}; pass straight-sided triangles."
         )
     for dim, given in tags.items():
         if given is not None and given.dim != dim:
             raise MeshError(
-                f"{KINDS[dim]} are of dimension {given.dim}: give tags of dimension {dim}"
+                f"{KINDS[dim]} are of dimension {given.dim}; pass tags of dimension {dim}."
             )
     for name, (dim, tag) in names.items():
         if tags.get(dim) is None:
             raise MeshError(
                 f"names gives {name!r} to tag {tag} of dimension {dim}, but there are no "
-                f"{KINDS.get(dim, 'such tags')}: give them, or leave the name out"
+                f"{KINDS.get(dim, 'such tags')}; pass them, or leave the name out."
             )
 
 
@@ -201,7 +201,7 @@ def _joined(pieces: list[dict[Any, Any]], names: Names) -> SurfaceArrays:
         if name not in groups[dim]:
             raise MeshError(
                 f"names gives {name!r} to tag {tag} of dimension {dim}, which no entity of the "
-                "mesh has: leave it out"
+                "mesh has; leave it out."
             )
     cells = np.concatenate([piece["cells"] for piece in pieces])
     return SurfaceArrays(points, cells, groups[1], groups[2], groups[0])

@@ -17,7 +17,7 @@ from crms_fenicsx.foundation.runtime.errors import MeshError
 _TRIANGLE = "Triangle 3"  # gmsh's name
 _FRONTAL_DELAUNAY = 6
 
-AGAIN = "which is not there: mesh the model again"
+AGAIN = "which is not there; mesh the model again"
 
 Groups = dict[str, list[Integers]]
 _OPTIONS = {
@@ -91,15 +91,15 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(
-                f"the gmsh model has surface elements of the type '{kind}': mesh it with "
-                "3-node triangles (Mesh.ElementOrder = 1, no recombination)"
+                f"the gmsh model has surface elements of the type '{kind}'; mesh it with "
+                "3-node triangles (Mesh.ElementOrder = 1, no recombination)."
             )
     tags = model["triangles"]
     if len(tags) == 0:
         raise MeshError(
-            "the gmsh model has no triangles: define a surface, mesh it with "
+            "the gmsh model has no triangles; define a surface, mesh it with "
             "gmsh.model.mesh.generate(2) and, where there are physical groups, put the surface "
-            "into one before saving"
+            "into one before saving."
         )
     used, cells = np.unique(model["corners"].astype(np.int64), return_inverse=True)
     order = np.argsort(model["nodes"])
@@ -130,7 +130,7 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
     """Indices of a group's nodes among the sorted used nodes."""
-    remedy = "which belongs to no triangle: remove it from the group or embed it in a surface"
+    remedy = "which belongs to no triangle; remove it from the group or embed it in a surface"
     return _found(used, nodes, f"the group '{group}' has node", remedy)
 
 
@@ -139,5 +139,5 @@ def _found(known: Integers, wanted: Integers, what: str, remedy: str = AGAIN) ->
     found = np.searchsorted(known, wanted).clip(max=max(len(known) - 1, 0))
     missing = wanted[known[found] != wanted] if len(known) else wanted
     if len(missing):
-        raise MeshError(f"{what} {missing[0]}, {remedy}")
+        raise MeshError(f"{what} {missing[0]}, {remedy}.")
     return found.astype(np.int64)

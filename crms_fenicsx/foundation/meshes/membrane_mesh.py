@@ -246,14 +246,14 @@ def _checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
     count = len(midpoints)
     if given.shape != (count,) or given.dtype.kind not in "iu":
         raise MeshError(
-            f"`ranks` is an array of {given.dtype} of shape {given.shape}: give an integer for "
-            f"each of the {count} cells"
+            f"`ranks` is an array of {given.dtype} of shape {given.shape}; pass an integer for "
+            f"each of the {count} cells."
         )
     bad = np.flatnonzero((given < 0) | (given >= size))
     if len(bad):
         raise MeshError(
             f"`ranks` puts cell {bad[0]} on rank {given[bad[0]]}, but there are only ranks 0 to "
-            f"{size - 1}: name one of these"
+            f"{size - 1}; name one of these."
         )
     return given.astype(np.int32)
 
@@ -393,7 +393,7 @@ def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object
             if inner is None:
                 raise InputError(
                     f"{call}: part {one!r} shares cells with part {other!r}, which has a {what} as "
-                    f"well, and neither is inside the other; give each cell one {what}."
+                    f"well, and neither is inside the other; pass one {what} for each cell."
                 )
             around[inner] += 1
     return sorted(around, key=lambda part: around[part])

@@ -53,7 +53,7 @@ def _read_isolated(
     size = file.stat().st_size
     if size > LARGEST:
         raise MeshError(
-            f"'{file}' has {size} bytes, more than {LARGEST}: give a coarser mesh, and refine it"
+            f"'{file}' has {size} bytes, more than {LARGEST}; pass a coarser mesh and refine it."
         )
     seconds = SECONDS + int(size / SPEED)
     own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
@@ -85,7 +85,7 @@ def _read_isolated(
     else:
         why = f"it ended with the status {done.returncode}"
     raise MeshError(
-        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or take another one"
+        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or take another one."
     )
 
 
@@ -125,7 +125,7 @@ def from_gmsh(
         gmsh = imported("gmsh")
         if not gmsh.isInitialized():
             raise MeshError(
-                "gmsh is not initialised on rank 0: build and mesh a model there before"
+                "gmsh is not initialised on rank 0; build and mesh a model there first."
             )
         return read_model(gmsh)
 
@@ -170,24 +170,24 @@ def from_file(
     def build() -> SurfaceArrays:
         file = checks.file("from_file: path", path)
         if not file.is_file():
-            raise MeshError(f"there is no mesh file '{file}' (in {Path.cwd()}): check the path")
+            raise MeshError(f"there is no mesh file '{file}' (in {Path.cwd()}); check the path.")
         suffix = file.suffix.lower()
         if suffix == ".geo":
             return _read_script(file)
         if suffix == ".msh":
-            with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+            with readable(f"'{file}'", "check path and permissions"), file.open("rb") as stream:
                 is_mesh = stream.read(64).startswith(b"$MeshFormat")
             if not is_mesh:  # gmsh would run it as a script
                 raise MeshError(
-                    f"'{file}' is not a gmsh mesh, as it does not begin with $MeshFormat: save it "
-                    "with gmsh"
+                    f"'{file}' is not a gmsh mesh, as it does not begin with $MeshFormat; save it "
+                    "with gmsh."
                 )
             model = _read_isolated(file, "gmsh")
             return _named(file, lambda: surface_of_model(model))
         if suffix not in SUFFIXES:
             raise MeshError(
-                f"'{file}' has the suffix '{suffix}': convert it to one of .geo, .msh, "
-                f"{', '.join(SUFFIXES)}"
+                f"'{file}' has the suffix '{suffix}'; convert it to one of .geo, .msh, "
+                f"{', '.join(SUFFIXES)}."
             )
         content = _read_isolated(file, "meshio")
         return _named(file, lambda: _surface_of(content))
@@ -242,13 +242,13 @@ def from_step(
         checks.one_of("from_step: unit", unit, ("m", "cm", "mm"))
         file = checks.file("from_step: path", path)
         if not file.is_file():
-            raise MeshError(f"there is no STEP file '{file}' (in {Path.cwd()}): check the path")
+            raise MeshError(f"there is no STEP file '{file}' (in {Path.cwd()}); check the path.")
         if file.suffix.lower() not in (".step", ".stp"):
-            raise MeshError(f"'{file}' has the suffix '{file.suffix}': give a .step or .stp file")
-        with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+            raise MeshError(f"'{file}' has the suffix '{file.suffix}'; pass a .step or .stp file.")
+        with readable(f"'{file}'", "check path and permissions"), file.open("rb") as stream:
             is_step = b"ISO-10303-21" in stream.read(256)
         if not is_step:
-            raise MeshError(f"'{file}' is not a STEP file, as it does not begin with ISO-10303-21")
+            raise MeshError(f"'{file}' is not a STEP file, as it does not begin with ISO-10303-21.")
         model = _read_isolated(file, "STEP", repr(float(size)), unit)
         return _named(file, lambda: surface_of_model(model))
 
@@ -286,20 +286,20 @@ def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
     types: list[str] = content["types"]
     for kind in types:
         if kind not in ("vertex", "line", "triangle", "tetra"):
-            raise MeshError(f"there are cells of the type '{kind}': convert them to triangles")
+            raise MeshError(f"there are cells of the type '{kind}'; convert them to triangles.")
     given = content["points"]
     if given.ndim != 2:
-        raise MeshError(f"the points have shape {given.shape}: give (n, 3) or (n, 2) coordinates")
+        raise MeshError(f"the points have shape {given.shape}; pass (n, 3) or (n, 2) coordinates.")
     blocks = {k: _rows(content[f"cells {k}"], SIZES[kind], kind)
               for k, kind in enumerate(types) if kind in SIZES}  # fmt: skip
     triangles = [rows for k, rows in blocks.items() if types[k] == "triangle"]
     if sum(map(len, triangles)) == 0:
-        raise MeshError("there are no triangles")
+        raise MeshError("there are no triangles.")
     used, cells = np.unique(np.concatenate(triangles), return_inverse=True)
     if used[0] < 0 or used[-1] >= len(given):
         raise MeshError(
             f"there is a triangle with vertex {used[0] if used[0] < 0 else used[-1]}, but only "
-            f"{len(given)} points"
+            f"{len(given)} points."
         )
     groups: dict[str, dict[str, list[Integers]]] = {kind: {} for kind in SIZES}
     numbers = np.split(np.arange(cells.size // 3), np.cumsum([len(rows) for rows in triangles]))
@@ -325,7 +325,7 @@ def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
 
 def _rows(cells: NDArray[Any], corners: int, kind: str) -> Integers:
     if cells.ndim != 2 or cells.shape[1] != corners:
-        raise MeshError(f"cells of the type '{kind}' have the shape {cells.shape}")
+        raise MeshError(f"cells of the type '{kind}' have the shape {cells.shape}.")
     return _whole(cells, f"cells of the type '{kind}'")
 
 
@@ -334,7 +334,7 @@ def _whole(numbers: NDArray[Any], what: str) -> Integers:
         whole = numbers.astype(np.int64)
         if np.array_equal(whole, numbers):
             return whole
-    raise MeshError(f"{what}: some numbers are not indices")
+    raise MeshError(f"{what}: some numbers are not indices.")
 
 
 def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:
@@ -344,8 +344,8 @@ def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:
         if len(members) and not 0 <= members.min() <= members.max() < len(entities):
             raise MeshError(
                 f"group '{name}' has the members {members.min()} to {members.max()} of "
-                f"{len(entities)}"
+                f"{len(entities)}."
             )
     elif len(members) != len(entities):
-        raise MeshError(f"group '{name}' marks {len(members)} of {len(entities)} cells")
+        raise MeshError(f"group '{name}' marks {len(members)} of {len(entities)} cells.")
     return entities[members]

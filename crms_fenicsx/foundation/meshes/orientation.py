@@ -72,7 +72,7 @@ def oriented(
     if len(one_sided):
         raise MeshError(
             f"the piece of the surface with cell {one_sided[0]} has only one side, like a "
-            "Moebius strip: cut it open or remove the twist"
+            "Moebius strip; cut it open or remove the twist."
         )
     turn = labels[0] > labels[1]
     piece = np.unique(np.minimum(labels[0], labels[1]), return_inverse=True)[1]
@@ -95,13 +95,13 @@ def _targets(centres: Array, outside: Outside, parts: Mapping[str, Integers]) ->
         if part not in parts:
             raise MeshError(
                 f"`outside` names the part {part!r}, but there are the parts "
-                f"{', '.join(sorted(parts)) or '(none)'}: name one of these"
+                f"{', '.join(sorted(parts)) or '(none)'}; name one of these."
             )
         own = parts[part]
         if named[own].any():
             raise MeshError(
                 f"`outside` is given twice for {np.count_nonzero(named[own])} cells of the part "
-                f"{part!r}, which other parts share: name parts without common cells"
+                f"{part!r}, which other parts share; name parts without common cells."
             )
         named[own] = True
         targets[own] = _along(centres[own], side)
@@ -113,7 +113,7 @@ def _along(centres: Array, side: Side) -> Array:
         return centres - _three_numbers(side.point, "the inner point of `outside`")
     direction = _three_numbers(side, "the direction `outside`")
     if not direction.any():
-        raise MeshError("the direction `outside` is (0, 0, 0): give a non-zero vector")
+        raise MeshError("the direction `outside` is (0, 0, 0); pass a non-zero vector.")
     return np.tile(direction, (len(centres), 1))
 
 
@@ -134,9 +134,9 @@ def _pieces_inside_out(
         cell = int(np.flatnonzero(piece == unclear[0])[0])
         raise MeshError(
             f"outside={outside} does not tell the two sides of the piece with cell {cell} at "
-            f"{as_text(corners[cell].mean(axis=0))} apart, as on a closed or vertical surface: "
-            "give another direction, a point well inside (AwayFrom(point)), or a part of the mesh "
-            "its own side ({'wall': (1, 0, 0)})"
+            f"{as_text(corners[cell].mean(axis=0))} apart, as on a closed or vertical surface; "
+            "pass another direction, a point well inside (AwayFrom(point)), or a part of the mesh "
+            "its own side ({'wall': (1, 0, 0)})."
         )
     return flux < 0
 
@@ -147,5 +147,5 @@ def _three_numbers(values: Sequence[float], what: str) -> Array:
     except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise MeshError(f"{what} is {values!r}: give three finite numbers (x, y, z)")
+        raise MeshError(f"{what} is {values!r}; pass three finite numbers (x, y, z).")
     return vector

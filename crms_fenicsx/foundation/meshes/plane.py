@@ -32,16 +32,16 @@ def _simple_outline(corners: Sequence[Sequence[float]]) -> Array:
     except (TypeError, ValueError):
         outline = np.empty(0)
     if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-        raise MeshError(f"the polygon's corners are {corners!r}: give three or more points (x, y)")
+        raise MeshError(f"the polygon's corners are {corners!r}; pass three or more points (x, y).")
     if not np.isfinite(outline).all():
-        raise MeshError(f"the polygon's corners {corners!r} are not all finite")
+        raise MeshError(f"the polygon's corners {corners!r} are not all finite.")
     following = np.roll(outline, -1, axis=0)
     along = following - outline
     bad = np.flatnonzero((along == 0).all(axis=1))
     if len(bad):
         raise MeshError(
             f"side {bad[0] + 1} of the polygon has no length, from and to "
-            f"{tuple(outline[bad[0]].tolist())}: give every corner once"
+            f"{tuple(outline[bad[0]].tolist())}; pass each corner once."
         )
     i, j = np.triu_indices(len(outline), k=1)
     adjacent = (j == i + 1) | ((i == 0) & (j == len(outline) - 1))
@@ -51,8 +51,8 @@ def _simple_outline(corners: Sequence[Sequence[float]]) -> Array:
     bad = np.flatnonzero(np.where(adjacent, folds_back, meet))
     if len(bad):
         raise MeshError(
-            f"sides {i[bad[0]] + 1} and {j[bad[0]] + 1} of the polygon intersect or touch: give "
-            "the corners in their order around it"
+            f"sides {i[bad[0]] + 1} and {j[bad[0]] + 1} of the polygon intersect or touch; pass "
+            "the corners in their order around it."
         )
     return outline
 
@@ -115,8 +115,8 @@ def rectangle(
     if structured:
         if refinements:
             raise InputError(
-                f"a structured rectangle cannot take {len(refinements)} refinement(s): "
-                "use structured=False"
+                f"a structured rectangle cannot take {len(refinements)} refinement(s); "
+                "use structured=False."
             )
         return _structured(x, y, width, depth, size)
     corners = rectangle_corners(x, y, width, depth)
@@ -227,16 +227,16 @@ def polygon(
     """
     outline = _simple_outline(corners)
     if not isinstance(names, Sequence | None):
-        raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
+        raise InputError(f"the names of the polygon's sides are {names!r}; pass a list.")
     sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
     if len(sides) != len(outline):
         raise InputError(
-            f"there are {len(sides)} names for the {len(outline)} sides of the polygon: give "
-            "one for each"
+            f"there are {len(sides)} names for the {len(outline)} sides of the polygon; pass "
+            "one for each."
         )
     for name in sides:
         if not isinstance(name, str) or not name.strip():
-            raise InputError(f"a side of the polygon has the name {name!r}: give a string")
+            raise InputError(f"a side of the polygon has the name {name!r}; pass a string.")
     x, y = outline.T
     area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)

@@ -40,14 +40,14 @@ def check_size(what: str, size: float, shortest: float, area: float) -> None:
     """Refuse a mesh size that is too large for a shape, or would need too many cells."""
     if size > shortest:
         raise MeshError(
-            f"{what} has size = {size}, more than its smallest extent {shortest:.6g}: "
-            "choose a smaller size"
+            f"{what} has size = {size}, more than its smallest extent {shortest:.6g}; "
+            "choose a smaller size."
         )
     cells = area / (math.sqrt(3.0) / 4.0 * size**2)
     if cells > _MOST_CELLS:
         raise MeshError(
             f"{what} with size = {size} would need about {cells:.1e} cells, more than "
-            f"{_MOST_CELLS:.0e}: choose a larger size"
+            f"{_MOST_CELLS:.0e}; choose a larger size."
         )
 
 
@@ -84,10 +84,10 @@ class Refinement:
             line = np.empty(0)
         if line.ndim != 2 or line.shape[0] < 1 or line.shape[1] not in (2, 3):
             raise InputError(
-                f"the refinement's line is {self.line!r}: give points (x, y), or all (x, y, z)"
+                f"the refinement's line is {self.line!r}; pass points (x, y), or all (x, y, z)."
             )
         if not np.isfinite(line).all():
-            raise InputError(f"the refinement's line {self.line!r} has a coordinate not finite")
+            raise InputError(f"the refinement's line {self.line!r} must be finite.")
 
 
 class TargetSize:
@@ -97,12 +97,12 @@ class TargetSize:
         if not isinstance(refinements, Sequence) or not all(
             isinstance(one, Refinement) for one in refinements
         ):
-            raise InputError(f"the refinements are {refinements!r}: give a list of Refinement")
+            raise InputError(f"the refinements are {refinements!r}; pass a list of Refinement.")
         for one in refinements:
             if one.size > general:
                 raise InputError(
-                    f"a refinement has size {one.size}, more than the mesh's {general}: refine to "
-                    "a smaller size"
+                    f"a refinement has size {one.size}, more than the mesh's {general}; refine to "
+                    "a smaller size."
                 )
         rows = []
         for one in refinements:

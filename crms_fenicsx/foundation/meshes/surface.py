@@ -108,14 +108,14 @@ def _coordinates(given: ArrayLike) -> Array:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise MeshError(f"the points are not an array of numbers ({error})") from None
+        raise MeshError(f"the points are not an array of numbers ({error}).") from None
     if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise MeshError(f"the points have shape {points.shape}: give (n, 3) or (n, 2) coordinates")
+        raise MeshError(f"the points have shape {points.shape}; pass (n, 3) or (n, 2) coordinates.")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
         raise MeshError(
-            f"vertex {bad[0]} has the coordinates {tuple(points[bad[0]].tolist())}: "
-            "all coordinates must be finite"
+            f"vertex {bad[0]} has the coordinates {tuple(points[bad[0]].tolist())}; "
+            "pass finite coordinates."
         )
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
@@ -126,26 +126,26 @@ def _integers(given: ArrayLike, what: str) -> Integers:
     try:
         array: NDArray[Any] = np.asarray(given)
     except ValueError as error:  # rows of different lengths
-        raise MeshError(f"{what} are not an array ({error})") from None
+        raise MeshError(f"{what} are not an array ({error}).") from None
     if array.size and array.dtype.kind not in "iu":
-        raise MeshError(f"{what} have the type {array.dtype}: give integer indices, from 0")
+        raise MeshError(f"{what} have the type {array.dtype}; pass integer indices, from 0.")
     return array.astype(np.int64)
 
 
 def _cells(given: ArrayLike, points: Array) -> Integers:
     cells = _integers(given, "the cells")
     if cells.size == 0:
-        raise MeshError("the mesh has no cells: give at least one triangle")
+        raise MeshError("the mesh has no cells; pass at least one triangle.")
     if cells.ndim != 2 or cells.shape[1] != 3:
         raise MeshError(
-            f"the cells have shape {cells.shape}: give triangles, shape (m, 3), and cut other "
-            "polygons into triangles"
+            f"the cells have shape {cells.shape}; pass triangles, shape (m, 3), and cut other "
+            "polygons into triangles."
         )
     bad = np.flatnonzero(((cells < 0) | (cells >= len(points))).any(axis=1))
     if len(bad):
         raise MeshError(
             f"cell {bad[0]} has the vertices {cells[bad[0]].tolist()}, but there are only "
-            f"vertices 0 to {len(points) - 1}"
+            f"vertices 0 to {len(points) - 1}."
         )
     return cells
 
@@ -159,8 +159,8 @@ def check_areas(points: Array, cells: Integers) -> None:
     bad = np.flatnonzero(area <= _DEGENERATE * longest)
     if len(bad):
         raise MeshError(
-            f"cell {bad[0]} has no area; its vertices are {_places(points, cells[bad[0]])}: "
-            "remove it or move a vertex"
+            f"cell {bad[0]} has no area; its vertices are {_places(points, cells[bad[0]])}; "
+            "remove it or move a vertex."
         )
 
 
@@ -173,14 +173,14 @@ def check_shapes(points: Array, cells: Integers) -> None:
     if len(same):
         one, two = sorted(order[same[0] : same[0] + 2].tolist())
         raise MeshError(
-            f"cells {one} and {two} have the same vertices, {_places(points, triples[one])}: "
-            "remove one of them"
+            f"cells {one} and {two} have the same vertices, {_places(points, triples[one])}; "
+            "remove one of them."
         )
     loose = np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points)) == 0)
     if len(loose):
         raise MeshError(
-            f"{_place(points, loose[0])} belongs to no cell ({len(loose)} such vertices): "
-            "remove it and renumber the others"
+            f"{_place(points, loose[0])} belongs to no cell ({len(loose)} such vertices); "
+            "remove it and renumber the others."
         )
 
 
@@ -202,8 +202,8 @@ def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
     if len(bad):
         raise MeshError(
             f"at {_place(points, int(bad[0]))} {fans[bad[0]]} separate parts of the membrane "
-            "touch in nothing but this vertex: give each of them a vertex of its own, or join "
-            "them along an edge"
+            "touch in nothing but this vertex; use a separate vertex for each, or join "
+            "them along an edge."
         )
 
 
@@ -212,10 +212,10 @@ def _members(
 ) -> Iterator[tuple[str, Integers]]:
     """Names of the groups, with their integer members."""
     if not isinstance(groups, Mapping):
-        raise MeshError(f"the {kind}s are {groups!r}: give a mapping of names to members")
+        raise MeshError(f"the {kind}s are {groups!r}; pass a mapping of names to members.")
     for name, given in groups.items():
         if not isinstance(name, str) or not name.strip():
-            raise MeshError(f"the {kind} {name!r} has no name: give a non-empty string")
+            raise MeshError(f"the {kind} {name!r} has no name; pass a non-empty string.")
         yield name, _integers(given, f"the {items} of {kind} '{name}'")
 
 
@@ -225,10 +225,10 @@ def _edge_groups(
     checked = {BOUNDARY: table.keys[table.counts == 1]}
     for name, pairs in _members(groups, "edge group", "edges"):
         if pairs.size == 0:
-            raise MeshError(f"edge group '{name}' is empty: leave it out or give it an edge")
+            raise MeshError(f"edge group '{name}' is empty; leave it out or add an edge.")
         if pairs.ndim != 2 or pairs.shape[1] != 2:
             raise MeshError(
-                f"edge group '{name}' has shape {pairs.shape}: give pairs of vertices, (k, 2)"
+                f"edge group '{name}' has shape {pairs.shape}; pass pairs of vertices, (k, 2)."
             )
         _check_range(pairs, f"edge group '{name}'", "vertices", len(points))
         keys = np.unique(edge_keys(pairs))
@@ -237,12 +237,12 @@ def _edge_groups(
             pair = np.array([missing[0] >> 32, missing[0] & 0xFFFFFFFF])
             raise MeshError(
                 f"edge group '{name}' has a pair that is not an edge of the mesh: "
-                f"{_places(points, pair)}: name only sides of triangles"
+                f"{_places(points, pair)}; name only sides of triangles."
             )
         if name == BOUNDARY and not np.array_equal(keys, np.sort(checked[BOUNDARY])):
             raise MeshError(
                 f"edge group '{BOUNDARY}' has {len(keys)} edges, but that name is reserved for "
-                f"all {len(checked[BOUNDARY])} edges with one cell: choose another name"
+                f"all {len(checked[BOUNDARY])} edges with one cell; choose another name."
             )
         checked[name] = keys
     return checked
@@ -254,9 +254,9 @@ def _index_groups(
     checked = {}
     for name, indices in _members(groups, kind, items):
         if indices.size == 0:
-            raise MeshError(f"{kind} '{name}' is empty: leave it out or give it {items}")
+            raise MeshError(f"{kind} '{name}' is empty; leave it out or add {items}.")
         if indices.ndim != 1:
-            raise MeshError(f"{kind} '{name}' has shape {indices.shape}: give a list of {items}")
+            raise MeshError(f"{kind} '{name}' has shape {indices.shape}; pass a list of {items}.")
         _check_range(indices, f"{kind} '{name}'", items, count)
         checked[name] = np.unique(indices)
     return checked
@@ -265,4 +265,4 @@ def _index_groups(
 def _check_range(indices: Integers, what: str, items: str, count: int) -> None:
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):
-        raise MeshError(f"{what} names {bad[0]}, but there are only {items} 0 to {count - 1}")
+        raise MeshError(f"{what} names {bad[0]}, but there are only {items} 0 to {count - 1}.")

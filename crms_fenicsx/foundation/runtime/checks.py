@@ -42,11 +42,11 @@ def finite(what: str, value: object) -> float:
             raise TypeError
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InputError(f"{what} = {value!r} is not a number; give a finite one.") from None
+        raise InputError(f"{what} = {value!r} is not a number; pass a finite one.") from None
     except OverflowError:  # an integer of more than about 300 digits
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{what} = {value!r} is not finite; give a finite number.")
+        raise InputError(f"{what} = {value!r} is not finite; pass a finite number.")
     return number
 
 
@@ -54,7 +54,7 @@ def positive(what: str, value: object) -> float:
     """Return a positive, finite float; `what` and errors as for `finite`."""
     number = finite(what, value)
     if number <= 0:
-        raise InputError(f"{what} = {value!r} is not positive; give a positive number.")
+        raise InputError(f"{what} = {value!r} is not positive; pass a positive number.")
     return number
 
 
@@ -62,7 +62,7 @@ def non_negative(what: str, value: object) -> float:
     """Return a finite float that is not negative; `what` and errors as for `finite`."""
     number = finite(what, value)
     if number < 0:
-        raise InputError(f"{what} = {value!r} is negative; give 0 or more.")
+        raise InputError(f"{what} = {value!r} is negative; pass 0 or more.")
     return number
 
 
@@ -170,7 +170,7 @@ def of_type(what: str, value: Any, kind: type) -> Any:
     if not isinstance(value, kind):
         is_class, article = isinstance(value, type), "an" if kind.__name__[0] in "AEIOU" else "a"
         found = f"the class {value.__name__}" if is_class else f"of type {type(value).__name__}"
-        raise InputError(f"{what} is {found}; give {article} {kind.__name__}.")
+        raise InputError(f"{what} is {found}; pass {article} {kind.__name__}.")
     return value
 
 
@@ -230,7 +230,7 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
     other, text = (("..." if begin else "") + one[begin:][:LONGEST] for one in (other, text))
     raise InputError(
         f"{call}: {name} = {other} on rank 0, but {text} on rank {rank}; "
-        "give the same on all ranks, as comm.bcast makes it."
+        "pass the same on all ranks, for example by comm.bcast."
     )
 
 

@@ -38,12 +38,12 @@ def explained(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         remedy = (
-            "something has taken its folder away; put it back or give another folder"
+            "its folder was removed; restore it or use another folder"
             if error.errno == errno.ENOENT
-            else "free some space or give another folder"
+            else "free some space or use another folder"
         )
         why = error.strerror or error
-        raise InputError(f"{path} cannot be written ({why}): {remedy}") from None
+        raise InputError(f"{path} cannot be written ({why}); {remedy}.") from None
 
 
 @contextmanager
@@ -52,7 +52,7 @@ def readable(what: object, remedy: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}") from None
+        raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}.") from None
 
 
 LARGEST_TEXT = 2**30
@@ -107,8 +107,8 @@ def make_writable(folder: Path) -> None:
         trial.unlink(missing_ok=True)  # another process may test at the same time
     except OSError as error:
         raise InputError(
-            f"the folder {folder} cannot be written ({error.strerror or error}): "
-            "give another one, or the right to write there"
+            f"the folder {folder} cannot be written ({error.strerror or error}); "
+            "use another one, or make it writable."
         ) from None
 
 
@@ -122,7 +122,7 @@ def dxf_library(call: str, instead: str = "") -> Any:
         return import_module("ezdxf")
     except ImportError:
         raise ImportError(
-            f"{call} needs ezdxf: install it (pip install ezdxf; Debian: python3-ezdxf)"
+            f"{call} needs ezdxf; install it (pip install ezdxf; Debian: python3-ezdxf)"
             f"{instead and ', or '}{instead}."
         ) from None
 

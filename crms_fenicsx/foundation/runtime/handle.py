@@ -52,7 +52,7 @@ class Stateful(Generic[StateT]):
 class Handle(Stateful[StateT]):
     """A named part of a scene held by users, such as a cable; files identify it by its name."""
 
-    name: ReadOnly[str] = ReadOnly("_name", "give the name when it is made")
+    name: ReadOnly[str] = ReadOnly("_name", "name it when it is made")
 
     def __init__(self, name: str, state: StateT) -> None:
         self._name, self.state = name, state

@@ -49,7 +49,7 @@ class Progress:
 
     def __init__(self, comm: MPI.Intracomm, total: float, title: str) -> None:
         if not (math.isfinite(total) and total >= 0):
-            raise InputError(f"progress of {title!r}: total {total}; give a number, 0 or more")
+            raise InputError(f"progress of {title!r}: total {total}; pass a number, 0 or more.")
         self.total = total
         self.title = title
         self.done: float = 0

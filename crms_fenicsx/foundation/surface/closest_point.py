@@ -218,7 +218,7 @@ def places_in_plan(surface: TargetSurface, course: Array) -> list[Place]:
     if lacking:
         raise PathError(
             f"route point {lacking[0]} at {as_text(course[lacking[0]])} lies on a wall, where a "
-            "plan does not tell the height; give the route in space"
+            "plan does not define the height; pass the route in space."
         )
     return [place for place in found if place is not None]
 
@@ -263,7 +263,7 @@ def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
         raise PathError(
             f"route point {index} at {as_text(xy)} leaves the membrane: it is "
             f"{gap[nearest]:.6g} outside of it in plan, nearest to {as_text(place)}; move it "
-            "there, or give the route in space to make its first or last point an anchor"
+            "there, or pass the route in space to make its first or last point an anchor."
         )
     return place[:2]
 
@@ -342,14 +342,14 @@ def places_in_space(
             raise PathError(
                 f"route point {i} at {as_text(course[i])} leaves the membrane: it is "
                 f"{foot.distance:.6g} from its nearest place {as_text(foot.position)}; move it "
-                "there, only a first or last point may be off"
+                "there, only the first or last point may be off it."
             )
         elif height < 0.0 and not rim:
             raise PathError(
                 f"route point {i} at {as_text(course[i])} lies {foot.distance:.6g} inside the "
                 f"membrane, behind {as_text(foot.position)}, and a cable lies on the outside, "
                 "where the normals point; move this anchor outside or beyond the boundary, or "
-                "turn the membrane with the `outside` of its mesh"
+                "turn the membrane with the `outside` of its mesh."
             )
         else:
             places.append(Place(None, course[i], foot.normal, foot, beyond=rim))

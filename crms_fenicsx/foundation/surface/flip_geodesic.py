@@ -282,10 +282,10 @@ def _in_cell(end: SurfacePoint, support: Support) -> SurfacePoint:
 def _check(points: Sequence[SurfacePoint], surface: IntrinsicSurface) -> None:
     """Raise PathError unless the points are a path that can be shortened."""
     if len(points) < 2:
-        raise PathError(f"a path of {len(points)} points; a cable needs two or more")
+        raise PathError(f"a path of {len(points)} points; a cable needs two or more.")
     for i, point in enumerate(points):
         if isinstance(point, CellPoint) and 0 < i < len(points) - 1:
-            raise PathError(f"point {i} of a path is {point}; only its ends may lie inside a cell")
+            raise PathError(f"point {i} of a path is {point}; only its ends may lie inside a cell.")
     for i, (a, b) in enumerate(pairwise(points)):
         link = cell_between(a.support, b.support)
         opposite_vertices = (
@@ -293,7 +293,7 @@ def _check(points: Sequence[SurfacePoint], surface: IntrinsicSurface) -> None:
         )
         if not opposite_vertices or (len(link) == 3 and link[2] not in opposite_vertices):
             raise PathError(
-                f"a path cannot go from {a} to {b}: no cell of the surface has both (link {i})"
+                f"a path cannot go from {a} to {b}: no cell of the surface has both (link {i})."
             )
     given = corridor(points)
     problem = why_invalid(given, surface.opposite_vertices)
@@ -302,5 +302,5 @@ def _check(points: Sequence[SurfacePoint], surface: IntrinsicSurface) -> None:
     if problem is not None:
         raise PathError(
             f"a path from {points[0]} to {points[-1]} cannot be shortened: {problem}; "
-            "lay it another way"
+            "lay it another way."
         )

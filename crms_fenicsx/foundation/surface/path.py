@@ -37,11 +37,11 @@ class Path:
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", tuple(self.points))
         if len(self.points) < 2:
-            raise PathError(f"a path of {len(self.points)} points; a cable needs two or more")
+            raise PathError(f"a path of {len(self.points)} points; a cable needs two or more.")
         for i, point in enumerate(self.points[1:-1], start=1):
             if isinstance(point, CellPoint):
                 raise PathError(
-                    f"point {i} of a path is {point}; only its ends may lie inside a cell"
+                    f"point {i} of a path is {point}; only its ends may lie inside a cell."
                 )
         for name in ("start_anchor", "end_anchor"):
             anchor = getattr(self, name)
@@ -49,7 +49,7 @@ class Path:
                 continue
             position = tuple(float(x) for x in anchor)
             if len(position) != 3 or not np.all(np.isfinite(position)):
-                raise PathError(f"{name} {position} of a path: give three finite coordinates")
+                raise PathError(f"{name} {position} of a path; pass three finite coordinates.")
             object.__setattr__(self, name, position)
 
     def positions(self, vertices: Integers, points: Array) -> Array:
@@ -61,7 +61,7 @@ class Path:
         rows = order[np.minimum(found, len(vertices) - 1)] if len(vertices) else found
         missing = wanted[vertices[rows] != wanted] if len(vertices) else wanted
         if len(missing):
-            raise PathError(f"vertex {missing[0]} of a path is not in this mesh")
+            raise PathError(f"vertex {missing[0]} of a path is not in this mesh.")
         row_of = {int(v): int(row) for v, row in zip(wanted, rows, strict=True)}
         result = np.empty((len(self.points), 3))
         for i, point in enumerate(self.points):
@@ -76,10 +76,10 @@ class Path:
         for i, (a, b) in enumerate(pairwise(self.points)):
             link = surroundings.link(a, b)
             if link is None:
-                raise PathError(f"a path cannot go from {a} to {b}: {_why_not(a, b)} (link {i})")
+                raise PathError(f"a path cannot go from {a} to {b}: {_why_not(a, b)} (link {i}).")
             if links and link == links[-1]:
                 raise PathError(
-                    f"a path turns back at {a} (point {i}), into the cell or edge it came from"
+                    f"a path turns back at {a} (point {i}), into the cell or edge it came from."
                 )
             links.append(link)
         return tuple(links)

@@ -51,7 +51,7 @@ class Plane:
         if plane is None:
             raise PathError(
                 f"the leg from {as_text(a)} to {as_text(b)} has no section plane, as the surface's "
-                "normals there are opposite or point along it; put a route point between them"
+                "normals there are opposite or point along it; put a route point between them."
             )
         return plane
 
@@ -329,7 +329,7 @@ def section_of(cut: Cut, name: str) -> Section:
             raise PathError(
                 f"{name} runs in the plane of cell {(u, v, w)} near "
                 f"{as_text(section.positions[nodes[0]])}, a wall or a cell without area; "
-                "turn the leg a little or put a route point beside it"
+                "turn the leg a little or put a route point beside it."
             )
         if len(nodes) == 2:
             a, b = nodes

@@ -30,7 +30,7 @@ class VertexPoint:
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertex", int(self.vertex))
         if self.vertex < 0:
-            raise PathError(f"vertex id {self.vertex} of a path is negative; ids start at 0")
+            raise PathError(f"vertex id {self.vertex} of a path is negative; ids start at 0.")
 
     @property
     def support(self) -> tuple[int, ...]:
@@ -58,11 +58,11 @@ class EdgePoint:
         object.__setattr__(self, "edge", (int(a), int(b)))
         object.__setattr__(self, "fraction", float(self.fraction))
         if not 0 <= a < b:
-            raise PathError(f"edge ({a}, {b}) of a path: give its vertex ids as (smaller, larger)")
+            raise PathError(f"edge ({a}, {b}) of a path; pass its vertex ids as (smaller, larger).")
         if not 0.0 < self.fraction < 1.0:
             raise PathError(
                 f"fraction {self.fraction} on edge ({a}, {b}) of a path is outside (0, 1); "
-                "use VertexPoint for its ends"
+                "use VertexPoint for its ends."
             )
 
     @property
@@ -88,12 +88,12 @@ class CellPoint:
         cell = [int(v) for v in self.cell]
         weights = [float(w) for w in self.weights]
         if len(cell) != 3 or len(set(cell)) != 3 or min(cell) < 0:
-            raise PathError(f"cell {tuple(cell)} of a path: give three different vertex ids")
+            raise PathError(f"cell {tuple(cell)} of a path; pass three different vertex ids.")
         # not (...): NaN fails every comparison
         if len(weights) != 3 or not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= 1e-9):
             raise PathError(
-                f"weights {tuple(weights)} in cell {tuple(cell)} of a path: "
-                "give three that are not negative and sum to 1"
+                f"weights {tuple(weights)} in cell {tuple(cell)} of a path; "
+                "pass three that are not negative and sum to 1."
             )
         order = sorted(range(3), key=cell.__getitem__)
         object.__setattr__(self, "cell", tuple(cell[i] for i in order))

@@ -60,7 +60,7 @@ def route_points(route: object) -> Array:
         ) from None
     if course.ndim != 2 or course.shape[1] not in (2, 3) or len(course) < 2:
         raise PathError(
-            f"path: an array of shape {course.shape}; give two or more points in plan, (k, 2), or "
+            f"path: an array of shape {course.shape}; pass two or more points in plan, (k, 2), or "
             "in space, (k, 3)."
         )
     bad = np.flatnonzero(~np.isfinite(course).all(axis=1))
@@ -76,7 +76,7 @@ def checked_route(route: object) -> Array:
     same = np.flatnonzero((course[1:] == course[:-1]).all(axis=1))
     if len(same):
         i = int(same[0])
-        raise PathError(f"route points {i} and {i + 1} are both {as_text(course[i])}; drop one")
+        raise PathError(f"route points {i} and {i + 1} are both {as_text(course[i])}; remove one.")
     return course
 
 
@@ -181,7 +181,7 @@ def trace(
         raise PathError(
             f"a route with {len(course)} points meets the membrane in one place only, or turns "
             f"back on itself until nothing is left (near {as_text(places[0].position)}); "
-            "move its points apart"
+            "move its points apart."
         )
     path = Path(kept, start_anchor=places[0].anchor, end_anchor=places[-1].anchor)
     path.links(surface.ids[surface.cells])
@@ -213,8 +213,8 @@ def _refuse_shortcuts(
         if not near.any():
             raise PathError(
                 f"route point {i} at {as_text(course[i])} would be cut off, as the route comes "
-                "back through the cells that it went out by; lead it around a bend wider than a "
-                "cell, refine the mesh, or lay two cables"
+                "back through the cells it came from; lead it around a bend wider than a "
+                "cell, refine the mesh, or lay two cables."
             )
         k = int(np.argmax(near))
         passed = k + float(first[k])
@@ -225,7 +225,7 @@ def _leg_points(surface: TargetSurface, first: Place, last: Place, name: str) ->
     if np.array_equal(first.position, last.position):
         raise PathError(
             f"{name} has no length: both its ends lie at {as_text(first.position)} of the membrane;"
-            " move them apart"
+            " move them apart."
         )
     for anchor, other in ((first, last), (last, first)):
         if other.point is not None and anchor.foot is not None:
@@ -254,7 +254,7 @@ def _leg_points(surface: TargetSurface, first: Place, last: Place, name: str) ->
         if not seen:
             raise PathError(
                 f"{name} from {as_text(first.position)} to {as_text(last.position)} never meets "
-                "the membrane's boundary; move its anchor"
+                "the membrane's boundary; move its anchor."
             )
         start = seen[0][1] if start is None else start
         end = seen[-1][1] if end is None else end
@@ -265,7 +265,7 @@ def _leg_points(surface: TargetSurface, first: Place, last: Place, name: str) ->
         raise PathError(
             f"{name} leaves the membrane at {as_text(section.positions[node])} "
             f"({section.points[node]}) before its end; lead the route around, through points on "
-            "the membrane"
+            "the membrane."
         )
     _refuse_detour(section, gaps, start, end, reached[end], name)
     return [section.points[node] for node in way_back(before, end)]
@@ -359,5 +359,5 @@ def _refuse_detour(
                 f"({section.points[a]}) before its end, comes back at "
                 f"{as_text(section.positions[b])} and could only go around the back, "
                 f"{length:.6g} long instead of {reached[end]:.6g}; lead the route around the "
-                "opening, or the back, through points on the membrane"
+                "opening, or the back, through points on the membrane."
             )

@@ -65,7 +65,7 @@ def ring_of(vertex: int, cells: Iterable[Sequence[int]]) -> Ring:
     if len(line) != len(link) + 1:
         raise MeshError(
             f"the cells around vertex {vertex} do not form one fan; "
-            "give a surface on which every vertex has its cells side by side."
+            "pass a surface whose vertices each have their cells side by side."
         )
     return Ring(tuple(line if ends else line[:-1]), closed=not ends)
 
@@ -118,7 +118,7 @@ class EdgeLengths(dict[Edge, float]):
         if not 0.0 < value < math.inf:
             raise PathError(
                 f"edge {edge} near a path has length {value}; "
-                "give a surface whose edges have positive, finite lengths"
+                "pass a surface whose edges have positive, finite lengths."
             )
         return value
 

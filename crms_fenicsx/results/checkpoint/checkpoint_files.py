@@ -58,7 +58,7 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
                 os.replace(aside, folder)
             holds = not folder.is_dir() or any(folder.iterdir())
             if folder.exists() and not (folder / mark).exists() and holds:
-                raise InputError(f"{folder} is not a checkpoint; use another folder")
+                raise InputError(f"{folder} is not a checkpoint; use another folder.")
             for rest in (partial, aside):
                 if rest.exists():
                     shutil.rmtree(rest)
@@ -149,6 +149,6 @@ def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str)
     if whole is None or digest(MPI.COMM_SELF, np.arange(len(whole)), whole) != due:
         raise InputError(
             f"{path} is damaged: its numbers of shape {shape} are not those that were written; "
-            "take another checkpoint"
+            "take another checkpoint."
         )
     return whole

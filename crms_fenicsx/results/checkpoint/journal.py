@@ -243,15 +243,15 @@ class Journal:
             return _CallProgress(), None
         before = saved.call
         if before is None:
-            raise InputError(f"{place / STATE} is not a checkpoint of a call; delete it")
+            raise InputError(f"{place / STATE} is not a checkpoint of a call; delete it.")
         for name, now in call.items():
             found = difference(before.get(name), now)
             if found is not None:
                 raise InputError(
                     f"resume: at call {self._number} of advance the script is not the one that "
-                    f"was interrupted: {name}, {found}. Run it as it was, or begin anew with "
-                    f"resume=False, or delete {place} and those after it, to compute "
-                    "from this call on anew."
+                    f"was interrupted: {name}, {found}. Run it as it was, or start again with "
+                    f"resume=False, or delete {place} and those after it, to recompute "
+                    "from this call on."
                 )
         with reading(place / STATE):
             progress = decode(_CallProgress, before["progress"])

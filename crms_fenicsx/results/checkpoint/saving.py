@@ -162,7 +162,7 @@ class _SceneStorage:
         values = read_rows(file, self.comm, ids, dtype, (total, columns), due)
         with raised_together(self.comm):
             if not np.isfinite(values).all():
-                raise InputError(f"{file} has numbers that are not finite; take another checkpoint")
+                raise InputError(f"{file} has values that are not finite; use another checkpoint.")
         if rows is Rows.SHARES:
             values[self._own :] = 0.0
         return values.reshape(-1, *shape)
@@ -177,7 +177,7 @@ class _SceneStorage:
                 k = apart[0]
                 raise InputError(
                     f"load: the checkpoint is of another mesh: its vertex {self._ids[k]} is at "
-                    f"{X[k]}, and here at {here[k]}; build the mesh as it was when it was saved"
+                    f"{X[k]}, and here at {here[k]}; build the mesh as it was when it was saved."
                 )
 
 
@@ -224,7 +224,7 @@ def refuse_history(scene: Scene) -> None:
         if term.has_history:
             raise InputError(
                 f"the term {term.name!r} has a history, which checkpoints do not keep; do without "
-                "checkpoints (resume=None), or without the term"
+                "checkpoints (resume=None), or without the term."
             )
 
 
@@ -235,7 +235,7 @@ def check_same(saved: dict[str, Any], scene: Scene) -> None:
         if not _same(was, value):
             raise InputError(
                 f"load: the checkpoint is of another scene: {name} {was!r}, and here {value!r}; "
-                "build the mesh and the scene as they were when it was saved"
+                "build the mesh and the scene as they were when it was saved."
             )
 
 
@@ -310,7 +310,7 @@ def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
     if unknown:
         raise InputError(
             f"load: the checkpoint has ponds on the parts {sorted(unknown)}, which the mesh does "
-            "not have; build the mesh as it was when it was saved"
+            "not have; build the mesh as it was when it was saved."
         )
     scene.state = state
     scene.versions.change_model()
@@ -348,5 +348,5 @@ def reading(file: Path) -> Iterator[None]:
         why = repr(error)  # a decoding error quotes the whole text
         why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
         raise InputError(
-            f"{file} is damaged or of another version ({why}); take another checkpoint"
+            f"{file} is damaged or of another version ({why}); take another checkpoint."
         ) from error

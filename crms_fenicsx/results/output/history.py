@@ -61,7 +61,7 @@ class History:
             if self.path is not None and comm.rank == 0:
                 make_writable(self.path.parent)
                 if self.path.is_dir():
-                    raise InputError(f"{self.path} is a folder; pass the name of a file")
+                    raise InputError(f"{self.path} is a folder; pass the name of a file.")
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class History:
     def __getitem__(self, column: str) -> NDArray[Any]:
         """Values of a column: integers, floats or texts; NaN or "" where missing."""
         if column not in self._columns:
-            raise InputError(f"no column {column!r}; there are {self._columns}")
+            raise InputError(f"no column {column!r}; there are {self._columns}.")
         given = [row[column] for row in self._rows if column in row]
         if any(isinstance(value, str) for value in given):
             return np.array([row.get(column, "") for row in self._rows], dtype=str)
@@ -119,10 +119,10 @@ class History:
                 if isinstance(before, str) != isinstance(value, str):
                     raise InputError(
                         f"column {column!r} got {value!r} after {before!r}; keep text and numbers "
-                        "in columns of their own"
+                        "in columns of their own."
                     )
             if not plain:
-                raise InputError("an empty row for the history; include at least the step")
+                raise InputError("an empty row for the history; include at least the step.")
             columns = self._columns + [name for name in plain if name not in self._columns]
             rows = [*self._rows, plain]
             if self.path is not None and self.comm.rank == 0:
@@ -172,10 +172,10 @@ class History:
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(
                 f"the history {path} is not a table ({error}); pass the CSV file that a run "
-                "has written"
+                "has written."
             ) from None
         if not cells:
-            raise InputError(f"the history {path} is empty; a run writes at least its header")
+            raise InputError(f"the history {path} is empty; a run writes at least its header.")
         columns, *rows = cells
         for number, row in enumerate(rows, start=1):
             if len(row) != len(columns):
@@ -196,7 +196,7 @@ class History:
 
 def _name(column: object) -> str:
     if not isinstance(column, str) or not column or column != column.strip():
-        raise InputError(f"{column!r} is not a column name; pass text without blanks around it")
+        raise InputError(f"{column!r} is not a column name; pass text without blanks around it.")
     return column
 
 
@@ -214,7 +214,7 @@ def _plain(column: str, value: object) -> Value:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value)
-    raise InputError(f"column {column!r} got {value!r}; pass an int, a float or text")
+    raise InputError(f"column {column!r} got {value!r}; pass an int, a float or text.")
 
 
 def csv_line(values: Iterable[object]) -> str:

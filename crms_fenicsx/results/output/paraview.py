@@ -232,9 +232,9 @@ class Series:
             surface = surface.checked()
             lines = [line.checked() for line in lines] if self.comm.rank == 0 else []
             if not np.isfinite(time) or (self.times and time <= self.times[-1]):
-                raise InputError(f"time {time} after times {self.times[-3:]}; times must grow")
+                raise InputError(f"time {time} after times {self.times[-3:]}; times must grow.")
         if self.comm.allreduce(len(np.asarray(surface.triangles))) == 0:
-            raise InputError(f"no triangle on any rank at time {time}; pass the surface")
+            raise InputError(f"no triangle on any rank at time {time}; pass the surface.")
         whole = whole_surface(self.comm, surface)
         with raised_together(self.comm):
             if whole is not None:
@@ -293,7 +293,7 @@ class Series:
                 for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
         except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
-            raise InputError(f"{path} cannot be read ({error}); use another folder") from None
+            raise InputError(f"{path} cannot be read ({error}); use another folder.") from None
         return [_entry(time, name) for time, name in found if time in times]
 
     def _begin(self) -> None:
@@ -393,7 +393,7 @@ def _h5py() -> Any:
         import h5py
     except ImportError:
         raise ImportError(
-            "write_vtkhdf needs h5py: install it (pip install h5py; Debian: python3-h5py)."
+            "write_vtkhdf needs h5py; install it (pip install h5py; Debian: python3-h5py)."
         ) from None
     return h5py
 

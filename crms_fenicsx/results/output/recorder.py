@@ -51,8 +51,8 @@ class _FolderLock:
             self._taken = holder is None
             if holder is not None and collected and not waits:
                 raise InputError(
-                    f"the folder {self.folder} has results of another solver, which goes on "
-                    f"writing there ({holder}); give this one a folder of its own, or let the "
+                    f"the folder {self.folder} has results of another solver, which is still "
+                    f"writing there ({holder}); use another folder for this one, or let the "
                     "other one end first: its process, or in the same script `del solver`."
                 )
             if not self._taken:

@@ -212,7 +212,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
     with pytest.raises(InputError, match="exact follower pressure"):
         paper.seal(volume=1.0)
     for message, factors, pressures in (
-        ("do not rise", [1.0, 0.0], [0.1, 0.2]),
+        ("must increase", [1.0, 0.0], [0.1, 0.2]),
         ("2 factors and 1 pressures", [0.0, 1.0], [0.1]),
         ("factors = 3", 3, [0.1]),
         ("one of pressures = nan is not finite", [0.0], [float("nan")]),

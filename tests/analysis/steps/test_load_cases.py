@@ -157,7 +157,7 @@ def test_bad_branches(comm: MPI.Intracomm) -> None:
         pass
     with pytest.raises(InputError, match="another scene"):
         solver.restore(other.snapshot())
-    with pytest.raises(InputError, match=r"is of type .*; give a SceneState"):
+    with pytest.raises(InputError, match=r"is of type .*; pass a SceneState"):
         solver.restore(None)  # type: ignore[arg-type]
 
 

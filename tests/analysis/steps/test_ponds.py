@@ -136,7 +136,7 @@ def test_water_that_ends_at_a_free_edge(comm: MPI.Intracomm) -> None:
     scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
     solver = advanced(Solver(scene, max_halvings=1), load=1.0)
     scene.put_pond(1e-3, level=-5.0, on=["left"])
-    with pytest.raises(ConvergenceError, match="ends at an edge that is free has none"):
+    with pytest.raises(ConvergenceError, match="reaches a free edge has no equilibrium"):
         solver.advance(load={"pond": 1.0})
 
 

@@ -768,7 +768,7 @@ def test_a_step_in_which_two_states_take_turns_is_refused_by_the_cables_names(
         return Outcome(True, "", 0.0, 1.0, 1, 1, 0)
 
     monkeypatch.setattr(EquilibriumSearch, "find", turning)
-    with pytest.raises(ConvergenceError, match=r"lower: .* return in turn; lay them farther") as e:
+    with pytest.raises(ConvergenceError, match=r"lower: .* alternate; lay them farther") as e:
         Solver(scene).advance(pressure=1.0)
     assert "upper" not in str(e.value)
     assert "halved 3 times" in str(e.value)

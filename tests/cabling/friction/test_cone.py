@@ -197,5 +197,5 @@ def test_refusals() -> None:
     for wrong in ({"along": 0.0}, {"mu": 0.0}, {"law": "step", "along": 0.0}):
         with pytest.raises(InputError, match="cone = True couples"):
             Friction(**{"mu": 0.3, "along": 0.3, "cone": True, **wrong})
-    with pytest.raises(InputError, match="knows no static coefficient"):
+    with pytest.raises(InputError, match="has no static coefficient"):
         Friction(0.3, along=0.3, static=0.4, cone=True)

@@ -433,7 +433,7 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
         with pytest.raises(ConvergenceError, match=r"friction forces still change by 50\.0% after"):
             solver.advance(L0={cable: 0.985 * cable.length})
         return
-    told = pytest.warns(FrictionWarning, match=r"are right to 1\.0% of their sum only")
+    told = pytest.warns(FrictionWarning, match=r"accurate only to 1\.0% of their sum")
     with told if comm.rank == 0 else nullcontext():
         step = solver.advance(L0={cable: 0.985 * cable.length})
     assert step.outcome.unsettled == change

@@ -100,7 +100,7 @@ def test_bad_input() -> None:
     vault = {"crown": (0, 0), "across": (1, 0), "span": 20.0, "rise": 3.0}
     drift = {"wall": (0, 0), "away": (1, 0), "height": 3.0, "upper": 9.0, "lower": 9.0, "s_k": 0.6}
     for call, arguments, message in (
-        (snow_on_pitch, {"pitch": 91.0}, "pitch = 91.0 is not within 0 and 90"),
+        (snow_on_pitch, {"pitch": 91.0}, "pitch = 91.0 is not between 0 and 90"),
         (
             PitchedSnow,
             {"pitch": -3.0},

@@ -268,7 +268,7 @@ def test_misuse_is_named(comm: MPI.Intracomm) -> None:
     pieces = pieces_of(half_cylinder(comm, 2, 3, 4))
     pattern = patterns.flatten(pieces, FABRIC)
     plain = clamped(half_cylinder(comm, 2, 3, 4), FABRIC)
-    with pytest.raises(InputError, match="not sewn of these"):
+    with pytest.raises(InputError, match="not sewn from these"):
         patterns.compare(Solver(plain), pattern)
     with pytest.raises(InputError, match="expected a Solver"):
         patterns.adjust(pattern, lambda pattern: None)  # type: ignore[arg-type, return-value]

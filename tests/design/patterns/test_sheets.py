@@ -182,7 +182,13 @@ def test_report_has_the_pattern(
     solver.report(folder / "roof.html", pictures=[], sections=sections, unit="m", force="kN")
     comm.barrier()
     page = (folder / "roof.html").read_text()
-    for text in ("Cutting pattern", "Sewn of its pieces", "piece 3", "seam 2", "The pieces on the"):
+    for text in (
+        "Cutting pattern",
+        "Sewn from its pieces",
+        "piece 3",
+        "seam 2",
+        "The pieces on the",
+    ):
         assert text in page
     rows = (folder / "roof_pieces.csv").read_text().splitlines()
     assert len(rows) == 4 and rows[0].startswith("Piece,Area [m")

@@ -51,7 +51,7 @@ def test_scatter_has_a_bar_as_wide_as_itself():
     assert (found.limit, found.regular) == (1.1, False)
     assert found.bar == pytest.approx(0.2)
     assert math.isnan(found.order)
-    assert "to and fro" in found.remark
+    assert "oscillate" in found.remark
 
 
 def test_growing_differences_are_told():
@@ -110,7 +110,7 @@ def test_levels_that_went_to_and_fro_are_remembered(last: tuple[float, float]) -
     found = extrapolated([*np.cumsum([5.0, 0.8, -0.6, *last])])
     assert not found.regular
     assert found.bar == pytest.approx(0.6 / 4**2)
-    assert "to and fro" in found.remark or found.remark == "no order: differences grow"
+    assert "oscillate" in found.remark or found.remark == "no order: differences grow"
 
 
 @pytest.mark.parametrize(("smooth", "n", "due"), [(0.0, 3, 0.94), (0.0, 5, 0.98), (1.0, 4, 0.97)])
@@ -125,7 +125,7 @@ def test_bars_hold_limits_of_values_that_scatter(smooth: float, n: int, due: flo
 
 
 @pytest.mark.parametrize(
-    "values", [(1.0, 1.01, 1.1), (1.0, 1.02, 1.01)], ids=["grow", "to and fro"]
+    "values", [(1.0, 1.01, 1.1), (1.0, 1.02, 1.01)], ids=["grow", "oscillating"]
 )
 def test_values_of_several_equilibria_have_a_wide_bar(values: tuple[float, ...]) -> None:
     """Three times their range, about the finest; where they have an order nothing changes."""

@@ -109,7 +109,7 @@ def test_what_is_refused(comm: MPI.Intracomm) -> None:
     squares = dolfinx.mesh.create_rectangle(
         comm, [(0.0, 0.0), (1.0, 1.0)], (4, 4), dolfinx.mesh.CellType.quadrilateral
     )
-    with pytest.raises(MeshError, match="type quadrilateral and degree 1: give straight"):
+    with pytest.raises(MeshError, match="type quadrilateral and degree 1; pass straight"):
         meshes.from_dolfinx(squares)
     membrane = meshes.from_dolfinx(mesh, cell_tags, facet_tags, vertex_tags)
     with pytest.raises(InputError, match="there is no group 'ring'"):

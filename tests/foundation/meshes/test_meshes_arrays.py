@@ -277,7 +277,7 @@ DOUBLE_CONE_CELLS = [(0, 1, 2), (0, 2, 3), (0, 3, 1), (0, 4, 5), (0, 5, 6), (0, 
 @pytest.mark.parametrize(
     ("points", "cells", "message"),
     [
-        (SQUARE, [(0, 1, 2, 3)], r"shape \(1, 4\): give triangles"),
+        (SQUARE, [(0, 1, 2, 3)], r"shape \(1, 4\); pass triangles"),
         (SQUARE, [], "no cells"),
         (SQUARE, np.empty((0, 3), dtype=int), "no cells"),
         (SQUARE, [(0, 1, 2), (0, 1)], "not an array"),

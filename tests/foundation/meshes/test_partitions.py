@@ -186,7 +186,7 @@ def test_cells_are_where_they_should_be(comm):
 @pytest.mark.parametrize(
     ("ranks", "message"),
     [
-        ([0], r"shape \(1,\): give an integer for each of the 2 cells"),
+        ([0], r"shape \(1,\); pass an integer for each of the 2 cells"),
         ([0.0, 0.0], "array of float64"),
         (lambda x: x, r"shape \(2, 3\)"),
         ([0, -1], "cell 1 on rank -1"),

@@ -50,12 +50,12 @@ class Group:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"length": -1.0}, "measure: length = -1.0 is not positive; give a positive number."),
+        ({"length": -1.0}, "measure: length = -1.0 is not positive; pass a positive number."),
         ({"count": 0}, "measure: count = 0 must be a whole number, 1 or more."),
         ({"way": (0, 0, 0)}, "measure: way = (0, 0, 0) is zero, expected a direction."),
         ({"kind": "wide"}, "measure: kind = 'wide' is not known; use 'long' or 'short'."),
-        ({"cable": 3.0}, "measure: cable is of type float; give a Cable."),
-        ({"limit": 0.0}, "measure: limit = 0.0 is not positive; give a positive number."),
+        ({"cable": 3.0}, "measure: cable is of type float; pass a Cable."),
+        ({"limit": 0.0}, "measure: limit = 0.0 is not positive; pass a positive number."),
     ],
 )
 def test_messages(given: dict[str, Any], message: str) -> None:

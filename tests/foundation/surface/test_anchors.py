@@ -160,7 +160,7 @@ def test_a_route_may_name_the_foot_of_its_anchor():
         trace(ids, points, cells, [(2, 2, 3), (2, 2, 0)])
     with pytest.raises(PathError, match="no section plane"):
         trace(ids, points, cells, [(2, 2, 3), (2, 2, 5)])
-    with pytest.raises(PathError, match="only a first or last"):
+    with pytest.raises(PathError, match="only the first or last"):
         trace(ids, points, cells, [(0, 2, 0), (2, 2, 3), (4, 2, 0)])
 
 

@@ -393,7 +393,7 @@ def test_points_off_the_membrane():
         trace(ids, points, cells, [(-1, 2), (3, 2)])
     with pytest.raises(PathError, match=r"route point 1 .* leaves the membrane"):
         trace(ids, points, cells, [(0, 2), (3, 5), (4, 2)])
-    with pytest.raises(PathError, match="only a first or last"):
+    with pytest.raises(PathError, match="only the first or last"):
         trace(ids, points, cells, [(0, 2, 0), (2, 5, 0), (4, 2, 0)])
     path = trace(ids, points, cells, [(-1, 2, 0.5), (3.0, 2.0, 0.0)])
     assert path.start_anchor == (-1.0, 2.0, 0.5)

@@ -96,7 +96,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
                       "cable_envelope", "supports", "support_lines", "balance", "anchors",
                       "foundation_points", "foundations", "foundation_envelope", "verification")
     }  # fmt: skip
-    warp = "Membrane force along warp [kN/m]"
+    warp = "Section force along warp [kN/m]"
     rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
     for name, (largest, _, summary) in expected.items():
         row = next(r for r in rows if (r["Combination"], r["Part"]) == (name, "whole membrane"))
@@ -123,7 +123,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     row = next(row for row in envelope if (row["Part"], row["Result"]) == labels)
     assert float(row["Largest"]) == pytest.approx(100 * judged, rel=1e-9)
     assert per_cent(judged) in page.words
-    assert any(f"is used to {per_cent(judged)} of its strength" in word for word in page.words)
+    assert any(f"is loaded to {per_cent(judged)} of its strength" in word for word in page.words)
     for case in read_csv(out / "tent_verification.csv"):
         assert case["Verdict"] == "passed", case
     assert any("passed all checks" in word for word in page.words)
@@ -204,7 +204,7 @@ def test_bad_reports_write_nothing(
         ({"combinations": {}}, r"combinations = {} is not a valid mapping; write solver.combine"),
         ({"combinations": {"snow": 1.5}}, "combination 'snow' is of type float"),
         ({"combinations": found}, "'snow' is of another scene"),
-        ({"title": None}, "title is of type NoneType; give a str"),
+        ({"title": None}, "title is of type NoneType; pass a str"),
         ({"about": {"Project": 3}}, "3 in about is of type int"),
         ({"cable_strengths": {"valley": 3.0}}, "no cable 'valley'; there are 'ridge'"),
         ({"cable_strengths": {"ridge": 0.0}}, "strength of the cable 'ridge' = 0.0"),

@@ -58,16 +58,16 @@ def test_reasons_in_plain_words(case: Case) -> None:
     assert verdict.text.startswith("Verified: the state passed all checks")
     for changed, words in (
         (replace(good, volume=-0.9), "turned inside out"),
-        (replace(good, volume=0.3), "collapsed: of its inner volume 30.0 %"),
-        (replace(good, volume=None, turned=0.2), "20.0 % of the membrane have turned over"),
-        (case, "the bar prop is used to"),
+        (replace(good, volume=0.3), "collapsed: 30.0 % of its inner volume"),
+        (replace(good, volume=None, turned=0.2), "20.0 % of the membrane has turned over"),
+        (case, "the bar prop is loaded to"),
     ):
         assert words in reasons(changed)
     bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
     unknown = replace(good, summary=replace(good.summary, bars=bars))
     assert "Buckling is not checked" in " ".join(judged([unknown]).reasons)
     assert "limit 0.1 %" in reasons(good, strain=1e-3)
-    assert "the cable ridge is used to" in reasons(good, cables={"ridge": 0.1})
+    assert "the cable ridge is loaded to" in reasons(good, cables={"ridge": 0.1})
 
 
 def test_rain_that_would_stand(case: Case) -> None:
@@ -82,7 +82,7 @@ def test_rain_that_would_stand(case: Case) -> None:
         f"Rain would stand in 1 of 2 combinations, up to {number(deepest.depth)} deep at"
     )
     assert "(snow)" in reason
-    assert "checked for ponding" in reason
+    assert "check the roof for ponding" in reason
     red = judged([wet], strain=1e-3)
     assert red.look == "failed" and "Rain would stand in 1 of 1" in red.reasons[-1]
     unknown = judged([replace(wet, verification=None)])
@@ -100,9 +100,9 @@ def test_utilisation_and_what_finer_cells_change(case: Case) -> None:
         verdict = judged([replace(case, summary=summary)])
         text = " ".join(verdict.reasons)
         assert verdict.look == look
-        assert f"the membrane is used to {100 * value:.1f} % of its strength" in text
+        assert f"the membrane is loaded to {100 * value:.1f} % of its strength" in text
         assert f"{100 * change:.1f} %" in text
-        assert ("are needed there to tell" in text) == (look == "doubtful")
+        assert ("refine the mesh there" in text) == (look == "doubtful")
 
 
 def test_reinforced_corners_are_told(case: Case) -> None:

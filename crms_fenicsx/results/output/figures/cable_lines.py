@@ -99,12 +99,12 @@ def line_style(
 ) -> _LineStyle:
     """Style of lines; arguments as for `draw_shape`."""
     if name is not None and not lines:
-        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
+        raise InputError(f"line_values {name!r}, but there are no lines; leave it out.")
     for line in lines:
         for data in (name, loose):
             if data is not None and data not in line.data:
                 known = ", ".join(line.data) or "no data"
-                raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}")
+                raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}.")
     off = [_off_segments(line, loose) for line in lines]
     if name is None:
         return _LineStyle([], None, "", off)

@@ -98,9 +98,9 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     how = PathOptions(**options)
     lines, closeups = how.lines, how.closeups or {}
     if not paths and not lines:
-        raise InputError("nothing to draw: no paths and no lines; pass one of them")
+        raise InputError("nothing to draw: no paths and no lines; pass one of them.")
     if (how.points is None) != (how.triangles is None):
-        raise InputError("points and triangles belong together; pass both or neither")
+        raise InputError("points and triangles belong together; pass both or neither.")
     ways = [np.asarray(path.checked().points) for path in paths]
     cables = [np.asarray(line.checked().points) for line in lines]
     corners = np.empty((0, 3, 3))
@@ -111,7 +111,7 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
         if len(numbers) == 0 or not all(0 <= number < len(paths) for number in numbers):
             raise InputError(
                 f"close-up {name!r} of the paths {list(numbers)}; pass numbers from 0 to "
-                f"{len(paths) - 1}"
+                f"{len(paths) - 1}."
             )
     check_view(how.view)
     file = checked_picture(filename)

@@ -167,13 +167,13 @@ def draw_shape(
     values = _per_corner(how.values, surface)
     for name in (how.colours, how.line_colours):
         if name not in colormaps:
-            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
+            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps.")
     line_label = how.line_label or how.line_values or ""
     style = line_style(
         lines, how.line_values, line_label, how.line_limits, how.line_colours, how.loose
     )
     if len(np.asarray(surface.points)) == 0 and not lines:
-        raise InputError("nothing to draw: no points and no lines; pass one of them")
+        raise InputError("nothing to draw: no points and no lines; pass one of them.")
     check_view(how.view)
     corners = None if isinstance(how.box, bool) else _checked_box(how.box)
     inner = _checked_hidden(how.hidden, surface)
@@ -253,10 +253,10 @@ def _corners(surface: Surface) -> Array:
 
 def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     if len(box) != 2:
-        raise InputError(f"box {box!r}; pass True, False or its corners (low, high)")
+        raise InputError(f"box {box!r}; pass True, False or its corners (low, high).")
     low, high = checked_points("box corners", np.array(box, dtype=np.float64))
     if not np.all(low < high):
-        raise InputError(f"box from {low} to {high}: the first corner must be the lower one")
+        raise InputError(f"box from {low} to {high}: the first corner must be the lower one.")
     return low, high
 
 
@@ -265,7 +265,7 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
     if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
         raise InputError(
             f"hidden refers to vertices {pairs.min()} to {pairs.max()}, but there are "
-            f"{len(np.asarray(surface.points))} points"
+            f"{len(np.asarray(surface.points))} points."
         )
     return pairs
 
@@ -288,7 +288,7 @@ def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
         return array[triangles]
     raise InputError(
         f"values have shape {array.shape}; pass one for each of the "
-        f"{len(np.asarray(surface.points))} vertices, {len(triangles)} triangles or their corners"
+        f"{len(np.asarray(surface.points))} vertices, {len(triangles)} triangles or their corners."
     )
 
 

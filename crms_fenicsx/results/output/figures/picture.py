@@ -44,7 +44,7 @@ def checked_picture(filename: str | Path | None) -> Path | None:
     kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in kinds:
         raise InputError(
-            f"the picture {path} has the suffix {path.suffix!r}; use one of {', '.join(kinds)}"
+            f"the picture {path} has the suffix {path.suffix!r}; use one of {', '.join(kinds)}."
         )
     make_writable(path.parent)
     return path
@@ -105,10 +105,10 @@ def join_pictures(
     from matplotlib.image import imread, imsave
 
     if not pictures:
-        raise InputError("no pictures to join; pass at least one")
+        raise InputError("no pictures to join; pass at least one.")
     wrong = [str(name) for name in (filename, *pictures) if Path(name).suffix.lower() != ".png"]
     if wrong:
-        raise InputError(f"{', '.join(wrong)}: only .png files can be joined")
+        raise InputError(f"{', '.join(wrong)}: only .png files can be joined.")
     try:
         images = [imread(picture)[..., :3] for picture in pictures]
     except (OSError, SyntaxError) as error:  # SyntaxError: a damaged file

@@ -139,14 +139,14 @@ def draw_history(
     """
     how = HistoryOptions(**options)
     if len(history) == 0:
-        raise InputError("the history is empty; draw it after the first step")
+        raise InputError("the history is empty; draw it after the first step.")
     if panels is None:
         panels = default_panels(history) or _grouped(history, x)
     if not panels or not all(panels):
-        raise InputError(f"panels {panels!r}: nothing to plot over {x!r}; name columns in each")
+        raise InputError(f"panels {panels!r}: nothing to plot over {x!r}; name columns in each.")
     for column in [x, *(column for panel in panels for column in panel)]:
         if history[column].dtype.kind not in "if":
-            raise InputError(f"column {column!r} holds text; plot columns of numbers")
+            raise InputError(f"column {column!r} holds text; plot columns of numbers.")
     with raised_together(history.comm):
         if history.comm.rank:
             return None

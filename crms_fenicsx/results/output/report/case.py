@@ -100,7 +100,7 @@ def verdict_on(
         rain.append(
             f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
             f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
-            "the roof is to be checked for ponding."
+            "check the roof for ponding."
         )
     told, (refined, coarse) = [*_reinforced(cases), *rain], _refined(cases)
     missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
@@ -145,9 +145,9 @@ def _doubts(case: Case) -> Iterator[str]:
     if volume is not None and volume < 0.0:
         yield "the roof has turned inside out: it lies on the other side of its supports."
     elif volume is not None and volume < 0.5:
-        yield f"the roof has collapsed: of its inner volume {per_cent(volume)} are left."
+        yield f"the roof has collapsed: {per_cent(volume)} of its inner volume is left."
     elif case.turned > 0.01:
-        yield f"{per_cent(case.turned)} of the membrane have turned over."
+        yield f"{per_cent(case.turned)} of the membrane has turned over."
 
 
 def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterator[str]:
@@ -158,11 +158,11 @@ def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterato
     for name, cable in case.summary.cables.items():
         if cable.largest > strengths.get(name, math.inf):
             share = cable.largest / strengths[name]
-            yield f"the cable {name} is used to {per_cent(share)} of its strength."
+            yield f"the cable {name} is loaded to {per_cent(share)} of its strength."
     for name, bar in case.summary.bars.items():
         if bar.utilisation is not None and bar.utilisation > 1.0:
             how = "tension" if bar.force > 0.0 else "compression"
-            yield f"the bar {name} is used to {per_cent(bar.utilisation)} in {how}."
+            yield f"the bar {name} is loaded to {per_cent(bar.utilisation)} in {how}."
 
 
 def _used_fabric(case: Case, size: float) -> Iterator[str]:
@@ -173,7 +173,7 @@ def _used_fabric(case: Case, size: float) -> Iterator[str]:
         if one is not None and one.value > 1.0 and (name or len(parts) == 1):
             of = f"its part {name}" if name else "the membrane"
             yield (
-                f"{of} is used to {per_cent(one.value)} of its strength at x; y; z = "
+                f"{of} is loaded to {per_cent(one.value)} of its strength at x; y; z = "
                 f"{place(one.at, size)}; finer cells may change this by "
                 f"{per_cent(part.change or 0.0)}."
             )
@@ -191,11 +191,11 @@ def _refined(cases: Sequence[Case]) -> tuple[list[str], bool]:
         return [], False
     most, value, name, change = max(found)
     text = (
-        f"{name}: the membrane is used to {per_cent(value)} of its strength; finer cells may "
+        f"{name}: the membrane is loaded to {per_cent(value)} of its strength; finer cells may "
         f"change this by {per_cent(change)}"
     )
     near = value <= 1.0 < most
-    return [f"{text}, and are needed there to tell." if near else f"{text}."], near
+    return [f"{text}; refine the mesh there to judge it." if near else f"{text}."], near
 
 
 def _reinforced(cases: Sequence[Case]) -> list[str]:

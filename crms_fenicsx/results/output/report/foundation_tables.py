@@ -63,7 +63,7 @@ class FoundationTables:
             (label, *clean(one.at, max(map(abs, one.at)), 1e-4), ", ".join(one.members))
             for label, found in self.points.items() for one in list(found.values())[:1]
         ]  # fmt: skip
-        columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|What meets there")
+        columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|Attached")
         return Table("Foundation points", columns, rows, "foundation_points")
 
     def forces(self) -> Table:

@@ -147,7 +147,7 @@ def model_figures(solver: Solved, caption: str, unit: str, look: Any) -> list[Fi
     scene, found = solver.system.scene, list[Figure]()
     png = draw_png(solver, dpi=SHARPEST, ghost=True, tensions=False, loose=None, **look)
     if png:
-        found.append(Figure(png, f"{caption}; faintly the stress-free shape", "model"))
+        found.append(Figure(png, f"{caption}; the stress-free shape is faint", "model"))
     # more would print black
     if scene.mesh.mesh.topology.index_map(2).size_global <= 40_000:
         plan = _model_plan(solver)

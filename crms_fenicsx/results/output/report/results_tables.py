@@ -25,7 +25,7 @@ from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
-TOTAL = "all that meets there"
+TOTAL = "everything attached"
 Row = tuple[Cell, ...]
 NOISE = 1e-6
 """Force components below this fraction of the largest are rounding errors."""
@@ -111,7 +111,7 @@ class ResultTables:
         return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
 
     def of_case(self, case: Case) -> Table:
-        """Membrane forces of a case, by parts."""
+        """Section forces of a case, by parts."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
@@ -147,7 +147,7 @@ class ResultTables:
         return Table("Reinforced corners of the membrane", columns, rows, "reinforcement")
 
     def membrane(self) -> Table:
-        """Membrane forces of all cases, for the CSV file."""
+        """Section forces of all cases, for the CSV file."""
         rows: list[Row] = [
             (case.name, part_name(part), label, low.value, *low.at, high.value, *high.at)
             for case in self.cases
@@ -357,7 +357,7 @@ class ResultTables:
                 far.append(name)
             else:
                 rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
-        columns = ("Check", "Part of its limit", "Limit", "Combination", "Cable")
+        columns = ("Check", "Share of its limit", "Limit", "Combination", "Cable")
         found: list[PagePart] = []
         if rows:
             found.append(Table("Checks, where they are nearest to their limits", columns, rows))

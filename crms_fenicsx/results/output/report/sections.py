@@ -40,53 +40,52 @@ from crms_fenicsx.results.output.report.results_tables import ResultTables
 FORCES_ON = (
     "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
     "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
-    "points that meet at one place are summed up; forces of a foundation with several such places "
-    "act at their mean, together with the moments Mx, My and Mz about it. Lines of held edges bear "
-    "the membrane's forces "
-    "without these; a vertex of two groups counts with the larger one. The plans have arrows for "
-    "horizontal forces, beside the rim its forces per length, and vertical forces as numbers; all "
-    "of them have one scale. Orange is uplift, blue is downward."
+    "points that meet at one place are added up; forces of a foundation with several such places "
+    "act at their centre, together with the moments Mx, My and Mz about it. Lines of held edges "
+    "carry the membrane's other forces; a vertex of two groups counts with the larger one. The "
+    "plans show horizontal forces as arrows, forces per length beside the rim, and vertical forces "
+    "as numbers, all to one scale. Orange is uplift, blue is downward."
 )
 HOLLOWS = (
-    "From these places rain has no way out over an edge of the roof. Depth, volume and area are "
-    "those of the water that fits in, up to where it runs over, in the shape of the combination; "
-    "under the water's weight the roof sinks further."
+    "Rain cannot drain from these places over an edge of the roof. Depth, volume and area are "
+    "those of the hollow filled to overflowing, in the shape of the combination; under the "
+    "weight of the water the roof sinks further."
 )
 PATCHES = (
     "At these corners forces enter the membrane at a point, and its forces grow without limit as "
-    "triangles become smaller. Within the radius the strength of the plain fabric does not judge: "
-    "the fabric is to be reinforced by further layers, belts or a plate, for the forces of the "
-    "supports, cables and bars there. The utilisation of plain fabric there depends on the mesh."
+    "triangles become smaller. Within the radius the plain fabric is not judged by its strength: "
+    "reinforce it with further layers, belts or a plate for the forces of the supports, cables and "
+    "bars there. The utilisation of plain fabric there depends on the mesh."
 )
 NOTES = (
-    "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
-    "and smaller ones are principal values; warp and weft are along the current warp and square to "
-    "it, shear belongs to these two. Each triangle has one value, so that largest values at "
-    "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
-    "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
-    "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
-    "given for them, in isotropic material that of the larger principal force to the strength. It "
-    "is that of the vertices, means of the triangles around of the same material and strengths, "
-    "outside of the reinforced corners, where forces grow without limit as triangles become "
-    "smaller. Triangles around the largest value differ from the means at their corners by the "
-    "part by which smaller ones may change it. "
+    "Section forces are true (Cauchy) forces per current length, positive in tension. The larger "
+    "and smaller ones are principal values; warp and weft are along the current warp and normal to "
+    "it, and shear refers to these two. Each triangle has one value, so that the largest values at "
+    "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means over "
+    "neighbouring triangles; a single-cell peak exceeds the largest of these by a quarter.",
+    "Utilisation is the larger ratio of the section forces along warp and weft to the strengths "
+    "given for them; in isotropic material, of the larger principal force to the strength. It is "
+    "judged at vertices, from means over the triangles around them of the same material and "
+    "strengths, outside of the reinforced corners, where forces grow without limit as triangles "
+    "become smaller. The change by finer cells is how much the triangles around the largest value "
+    "differ from the means at their corners. "
     "Strengths must contain all partial factors; they are divided by the largest factor of the "
-    "loads that act where such factors are given. Shear is not part of it. That of bars in "
-    "compression is by their strength times the reduction factor of their buckling curve (EN "
-    "1993-1-1, 6.3.1, between hinges) or the one given; without these there is none.",
+    "loads that act where such factors are given. Shear is not included. For bars in compression "
+    "the strength is reduced by the factor of their buckling curve (EN 1993-1-1, 6.3.1, between "
+    "hinges) or the one given; without either they have no utilisation.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
-    "those of each vertex over the length of held edges that belongs to it; they contain what "
-    "cables hand on there that pass over.",
+    "those of each vertex over the length of held edges that belongs to it; they include the "
+    "forces of cables that pass over the rim.",
     "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
     "wind and inner pressure stay normal to the surface.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
-    "energy, balance of supports and loads, tensions and places of cables. A check that is "
-    "doubtful tells that the mesh is coarse there, or that forces of one part are too small beside "
-    "the others to be known well, not that the state is no equilibrium.",
+    "energy, balance of supports and loads, tensions and places of cables. A doubtful check "
+    "means that the mesh is coarse there, or that forces of one part are too small beside the "
+    "others to be accurate, not that the state is not in equilibrium.",
 )
 """Notes on reading the results."""
 
@@ -245,7 +244,7 @@ class Report:
             shares = {name: one.value for name, one in used.items() if one is not None}
             card("Largest utilisation of the membrane", None, shares)
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
-        card("Largest principal membrane force", units["stress"].strip(" []"), forces)
+        card("Largest principal section force", units["stress"].strip(" []"), forces)
         tensions = {
             f"{cable}, {name}": one.largest
             for name, summary in summaries.items()
@@ -275,7 +274,7 @@ class Report:
             tables["bars"] = in_families(tables["bars"])
         made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
+        text = "Inner pressure and load factors."
         return [
             PageSection("Model", [*model.pictures, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
@@ -287,7 +286,7 @@ class Report:
     def _results(self) -> list[PageSection]:
         found, same, several = [], "", len(self.cases) > 1
         if several:
-            text = "Least and largest values over all combinations, and which of them governs."
+            text = "Least and largest values over all combinations, with the governing combination."
             body: list[PagePart] = [Paragraph(text), self.results.envelope()]
             body.append(self.results.overview())
             found.append(PageSection("Envelope of the membrane", body))
@@ -296,7 +295,7 @@ class Report:
         if patches.rows:
             found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
         hollows = self.results.hollows()
-        dry = Paragraph("In no state is there a hollow from which rain has no way out.")
+        dry = Paragraph("No ponding in any combination.")
         found += [PageSection("Rain", [Paragraph(HOLLOWS), hollows] if hollows.rows else [dry])]
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
@@ -310,7 +309,7 @@ class Report:
         for case, file in zip(self.cases, self._files, strict=True):
             body = [Figures(case.pictures), self.results.of_case(case)]
             if case.view:
-                body.insert(0, Link("To be turned in a browser", file))
+                body.insert(0, Link("Interactive 3D view", file))
             found.append(PageSection(titles[case.name], body, 3))
         return found
 
