@@ -34,7 +34,7 @@ WAYS = ("one step", "five steps", "by way of four times the pressure")
 
 @dataclass(frozen=True)
 class State:
-    """A state: height of M (m), way of the middle of a side (m), stress in M (MPa), energy (kJ)."""
+    """A state: height of M (m), displacement of the middle of a side (m), stress in M (MPa), energy (kJ)."""
 
     rise: float
     edge: float
@@ -79,7 +79,7 @@ def main() -> None:
     spread = f"energies of three load histories within {np.ptp(energies) / abs(energies.min()):.0e}"
     rows = [Row(f"rise of M (m), {who}", value, *scatter("rise"), f"second hand; {spread}")
             for who, value in PUBLISHED_RISE.items()]  # fmt: skip
-    rows.append(Row("way of the middle of a side (m)", EDGE, *scatter("edge"),
+    rows.append(Row("displacement of the middle of a side (m)", EDGE, *scatter("edge"),
                     "second hand, older; wrinkled there, and states differ most"))  # fmt: skip
     rows.append(Row("larger stress in M (MPa)", STRESS, *scatter("stress"),
                     "second hand, older, two digits"))  # fmt: skip

@@ -77,7 +77,7 @@ def study(case: str, n: int, levels: int = 3) -> dict[str, Quantity]:
         "energy": QUANTITIES["W"],
         "y of the cable at x = 50": lambda solver: float(middle(solver.scene.cables[0])[1]),
         "z of the cable at x = 50": lambda solver: float(middle(solver.scene.cables[0])[2]),
-        "sideways way of the middle": QUANTITIES["y"],
+        "sideways displacement of the middle": QUANTITIES["y"],
     }
     run, mesh = CASES[case].run, CASES[case].mesh(n)
     found = convergence(lambda mesh: run(mesh, Laws())[0], mesh, levels, quantities=names)
