@@ -27,7 +27,7 @@ from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 
 LIMITS = {
-    "ends of cable off their place": 1e-9,
+    "ends of cables off their place": 1e-9,
     "nodes off their edges": 1e-6,
     "breaks in the path": 0.0,
     "crossing cables apart": 1e-9,
@@ -250,7 +250,7 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
         [off[straight], share[folds & (nodes.on_edge == 1)], outside[folds], [0.0]]
     )
     return {
-        "ends of cable off their place": max(max(away, default=0.0) - _rounding(x), 0.0) / length,
+        "ends of cables off their place": max(max(away, default=0.0) - _rounding(x), 0.0) / length,
         "nodes off their edges": float(errors.max()),
     }
 

@@ -261,7 +261,7 @@ class Verifier:
             Check("unbalanced forces of the membrane", unbalanced_own / own,
                   UNBALANCED + rounding / own, binding=False),
             Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_loads, limit),
-            Check("way of the supports", worst[0] / worst[2], ROUNDED),
+            Check("supports off their place", worst[0] / worst[2], ROUNDED),
         ]  # fmt: skip
         laws = [cable.cable.sideways for cable in scene.cables if cable.taut]
         if not any(friction is not None and friction.law == "step" for friction in laws):

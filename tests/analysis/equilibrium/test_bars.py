@@ -266,7 +266,7 @@ def test_the_verification_finds_joints_out_of_balance(comm):
     assert check().passed
     top.update(position=top.position + np.array([0.0, 1e-6, 0.0]))
     found = check()
-    assert not found.passed and "way of the supports" in str(found)
+    assert not found.passed and "supports off their place" in str(found)
 
 
 def test_a_floor_is_none_for_joints(comm):

@@ -261,7 +261,7 @@ def test_what_is_wrong_with_the_whole_scene_is_found(
     def shift() -> None:
         u[scene.held.all(axis=1)] += 1e-10 * scene.membrane.size
 
-    assert "way of the supports" in names(checked(solver, shift))
+    assert "supports off their place" in names(checked(solver, shift))
 
     def lose() -> None:
         solver.system.potential.x[: unknowns.n_owned] = np.nan

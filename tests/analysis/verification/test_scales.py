@@ -37,7 +37,7 @@ SPOILT = {
     "tension": "tension against length",
     "length": "tension against length",
     "contact": "tension against length",
-    "end": "ends of cable off their place",
+    "end": "ends of cables off their place",
     "place": "nodes off their edges",
     "slid": "unbalanced forces of cables",
     "lifted out": "unbalanced forces of cables",

@@ -154,7 +154,7 @@ def test_wrong_forces_of_the_pressure_are_no_balance(
         ("length", "tension against length"),
         ("node", "nodes off their edges"),
         ("fraction", "nodes off their edges"),
-        ("end", "ends of cable off their place"),
+        ("end", "ends of cables off their place"),
         ("compressed", "compression"),
         ("slack", "slack cable too short"),
     ],
@@ -251,7 +251,7 @@ def test_moved_supports_and_a_floor_run_through_are_found(comm: MPI.Intracomm) -
     def push() -> None:
         scene.u.x.array.reshape(-1, 3)[scene.held.all(axis=1)] += 1e-5
 
-    assert "way of the supports" in names(checked(solver, push))
+    assert "supports off their place" in names(checked(solver, push))
 
     def sink() -> None:
         scene.u.x.array.reshape(-1, 3)[~scene.held.all(axis=1), 2] -= 1.0

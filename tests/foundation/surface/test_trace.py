@@ -541,7 +541,7 @@ def test_strip_of_a_mesh_divided_among_ranks(comm, space):
     [
         ([(0, 0), (np.nan, 1)], "finite"),
         ([(0, 0)], "two or more"),
-        ([(0, 0), (0, 0)], "drop one"),
+        ([(0, 0), (0, 0)], "remove one"),
         ([(1, 1), (1 + 1e-9, 1)], "move them apart"),
         ([(0, 0), (1, 1, 0)], "of one dimension"),
         ([(0, 0, 0, 0), (1, 1, 0, 0)], "shape"),
