@@ -523,7 +523,7 @@ class Solver:
 
     @collective
     def reactions(self, where: str | Marker) -> Reactions:
-        """Reactions of the supports at a place on everything that meets there, in the current
+        """Reactions of the supports at a place on everything attached there, in the current
         state.
 
         Collective. They hold the membrane, and each end of a cable or bar whose anchor or held

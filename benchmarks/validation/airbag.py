@@ -34,7 +34,7 @@ WAYS = ("one step", "five steps", "by way of four times the pressure")
 
 @dataclass(frozen=True)
 class State:
-    """A state: height of M (m), displacement of the middle of a side (m), stress in M (MPa), energy (kJ)."""
+    """Height of M (m), displacement of the middle of a side (m), stress in M (MPa), energy (kJ)."""
 
     rise: float
     edge: float

@@ -128,7 +128,7 @@ class FanControl:
     Raises
     ------
     InputError
-        If the load is no text, numbers are not finite, the factors do not increase, or there are
+        If the load is not a string, numbers are not finite, factors do not increase, or there are
         not as many pressures.
 
     Examples

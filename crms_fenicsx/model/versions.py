@@ -124,12 +124,12 @@ class Versions:
         self.current = replace(self.current, equilibrium=found)
 
     def unsettle(self) -> None:
-        """Record that the current state, such as one read from a file, is no equilibrium."""
+        """Record that the current state, such as one read from a file, is not in equilibrium."""
         self.current = replace(self.current, equilibrium=Equilibrium(-1, -1, b"", None))
 
     @property
     def trouble(self) -> str:
-        """Why the current state is no equilibrium."""
+        """Why the current state is not in equilibrium."""
         if self.current.equilibrium is None:
             return "no load step has found an equilibrium yet"
         return f"the scene has been changed since its last load step, and is {UNBALANCED}"

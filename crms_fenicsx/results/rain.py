@@ -34,8 +34,8 @@ class PondingCheck:
     Attributes
     ----------
     settled
-        Whether the water that stands is in equilibrium; True of a dry roof. A load case to be
-        designed for, not a verdict on the roof.
+        Whether the water that stands is in equilibrium; True of a dry roof. A load case to
+        design for, not a verdict on the roof.
     verdict
         What stands where and in which load case, in words.
     hollows

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 def _starting_prestress(
     system: System, target: Target, share: float, stressed: bool = True
 ) -> tuple[float, ...]:
-    """Extra prestress in H0 for each attempt, the last 0 (force per length), from the present state
-    or, if not `stressed`, from the unstressed membrane. Collective."""
+    """Extra prestress in H0 for each attempt (force per length); zero for the last one. From the
+    present state or, if not `stressed`, from the unstressed membrane. Collective."""
     # A flat sheet has no stiffness against pressure: its stress will be 0.3 (p^2 L^2 E t)^(1/3).
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
@@ -139,7 +139,7 @@ class IncrementSolver:
 
     @property
     def search(self) -> EquilibriumSearch:
-        """A search for the equilibrium, which goes on from the paths tried before."""
+        """A search for the equilibrium, which continues from the paths tried before."""
         system = self.system
         if not self._options.slide:
             return EquilibriumSearch(system, None)

@@ -49,7 +49,7 @@ def equidistant(
     lines run straight on to the rim. Where a geodesic meets the rim before the membrane ends, the
     next line of its family continues straight in its place.
 
-    The lines are no geodesics, so cables that slide freely do not stay on them: clamp their
+    The lines are not geodesics, so cables that slide freely do not stay on them: clamp their
     crossings, or let friction hold them.
 
     Parameters

@@ -155,7 +155,7 @@ class Minimizer:
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
     def _monitor(self, tao: PETSc.TAO) -> None:
-        """TAO's callback after each iteration: ask whether to go on; end the stage if that pays."""
+        """TAO's callback after each iteration: ask whether to stop; end the stage if that pays."""
         residual = tao.getSolutionStatus()[2]
         try:
             self._ask(residual, self._x)
@@ -165,7 +165,7 @@ class Minimizer:
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
-        """Ask the caller whether to go on, at the state X or the current one."""
+        """Ask the caller whether to continue, at the state X or the current one."""
         left = tuple(look for look in self._looks if residual > look * self._scale)
         if self._interrupt is not None and len(left) < len(self._looks) and not self._interrupted:
             self._looks = left
@@ -350,7 +350,7 @@ class Minimizer:
         return self.residual(), tolerance, rounding
 
     def _end(self, residual: float, tolerance: float, stages: float) -> str:
-        """Reason why a solve ends at the evaluated state; "" if it goes on."""
+        """Reason why a solve ends at the evaluated state; "" if it continues."""
         if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
             return REASONS[-4]
         if self._interrupted:

@@ -91,7 +91,7 @@ class MembraneMesh:
 
     @cached_property
     def overlaps(self) -> Mapping[tuple[str, str], str | None]:
-        """Inner one of each two parts with common cells, or None. Collective at first."""
+        """Inner one of each two parts with common cells, or None. Collective on first access."""
         names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
         inside = np.zeros((len(names), n), dtype=np.int64)
         for row, name in zip(inside, names, strict=True):
@@ -381,7 +381,7 @@ def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Order parts so that nested ones follow the enclosing ones. Collective at first."""
+    """Order parts so that nested ones follow the enclosing ones. Collective on first access."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

@@ -19,7 +19,7 @@ _VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell
 class AwayFrom:
     """The outside is the side of the membrane that faces away from a point.
 
-    For closed or steep surfaces, where no single direction tells inside from outside.
+    For closed or steep surfaces, where no single direction separates inside from outside.
 
     Parameters
     ----------

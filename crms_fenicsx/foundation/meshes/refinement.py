@@ -70,7 +70,7 @@ class Refinement:
     Raises
     ------
     InputError
-        If the line is no list of points, or a size is not positive and finite.
+        If the line is not a list of points, or a size is not positive and finite.
     """
 
     line: Sequence[Sequence[float]]

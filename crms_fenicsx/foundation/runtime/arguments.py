@@ -69,7 +69,7 @@ def collective(call: Function) -> Function:
     has it as `comm`. Arguments must be the same on all ranks, but for `PerRank` ones and those that
     have a `comm`, and are `checked`.
 
-    An error on one rank cannot leave the others waiting for ever: this package raises its errors
+    An error on one rank cannot leave the others waiting forever: this package raises its errors
     on all ranks, but a bug, a lack of memory or an interrupt may hit one rank alone while the
     others are in a reduction. A rank with an error waits `PATIENCE` seconds for the others to fail
     too; otherwise it prints its traceback and aborts all ranks."""

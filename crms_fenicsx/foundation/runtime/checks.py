@@ -175,7 +175,7 @@ def of_type(what: str, value: Any, kind: type) -> Any:
 
 
 def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
-    """Refuse a value that is no `Mapping` or `Sequence`, or has fewer than `least` members."""
+    """Refuse a value that is not a `Mapping` or `Sequence`, or has fewer than `least` members."""
     if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
         name = "list" if kind is Sequence else "mapping"
         raise InputError(f"{what} = {value!r} is not a valid {name}; write {example}.")

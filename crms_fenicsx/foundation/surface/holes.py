@@ -120,7 +120,7 @@ def _triangulated(x: Array, others: Array) -> Integers | None:
     alive = np.ones(n, dtype=bool)
 
     def quality(i: int) -> float:
-        """Twice the area of an ear by the square of its longest side; negative if it is none."""
+        """Twice the area of an ear by the square of its longest side; negative if it is not one."""
         ear = [int(before[i]), i, int(after[i])]
         a = x[ear]
         ways = np.roll(a, -1, axis=0) - a

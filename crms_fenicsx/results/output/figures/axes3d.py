@@ -65,7 +65,7 @@ def style_axes(axes: Axes, size: float) -> None:
 
 
 def check_view(view: tuple[float, float]) -> None:
-    """Raise `InputError` for a view that is no pair of finite angles."""
+    """Raise `InputError` for a view that is not a pair of finite angles."""
     if np.shape(view) != (2,) or not np.all(np.isfinite(view)):
         raise InputError(f"view {view!r}; pass (azimuth, elevation) in degrees.")
 

@@ -93,7 +93,7 @@ def draw(
 
     Cables are striped where off the membrane; compression of bars is negative and blue. Held edges
     are thick lines, other supports triangles on the ground. Colours begin at 0, except heights;
-    pictures to be compared need the same ``limits`` and ``line_limits``.
+    for comparable pictures pass the same ``limits`` and ``line_limits``.
 
     Parameters
     ----------
