@@ -87,6 +87,12 @@ VALUES = {"Discretisation", "Budget", "Strategy"}
 
 SCOPES = (ast.Module, ast.ClassDef)
 
+ERRORS = set("InputError MeshError PathError ConvergenceError".split())
+STILTED = (
+    r"[:;] give |\bis none\b|\b(is|are) due\b|\bcomes twice\b|(?<!there) (is|are) no (?!longer)"
+)
+"""What no message says: "pass", "is not a", "expected", "is listed twice" are plain."""
+
 
 def modules() -> dict[str, ast.Module]:
     """The syntax trees of all modules, by their names without the package's."""
@@ -229,6 +235,21 @@ def test_docstrings_name_the_parameters_that_there_are() -> None:
             }  # fmt: skip
             unknown = documented_parameters(ast.get_docstring(node) or "") - known
             wrong += [f"{module}.{node.name}: {name}" for name in sorted(unknown)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_messages_are_plain_sentences() -> None:
+    """Those of the package's errors, whose last words may be those of another error."""
+    wrong = []
+    for module, tree in MODULES.items():
+        for node in ast.walk(tree):
+            made = node.exc if isinstance(node, ast.Raise) else None
+            if isinstance(made, ast.Call) and ast.unparse(made.func) in ERRORS and made.args:
+                parts = getattr(made.args[0], "values", [made.args[0]])
+                texts = (str(x.value) if isinstance(x, ast.Constant) else "…" for x in parts)
+                words = "".join(texts)
+                if not words.endswith((".", "?", "…")) or re.search(STILTED, words):
+                    wrong.append(f"{module}, line {node.lineno}: {words}")
     assert not wrong, "\n".join(wrong)
 
 

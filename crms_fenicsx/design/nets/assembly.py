@@ -57,8 +57,8 @@ def assembled(
                 text = f"{call}: line {name}: {error}"
                 if _crosses_hole(surface.membrane, route):
                     text += (
-                        ". It crosses a hole, which a line of a net cannot: lay cables one by one "
-                        'with Scene.lay_cable, which span it if they are "outside" or in a sleeve'
+                        " It crosses a hole, which a line of a net cannot; lay cables one by one "
+                        'with Scene.lay_cable, which span it if "outside" or in a sleeve.'
                     )
                 raise PathError(text) from None
             points, lengths = _measured(surface, path)

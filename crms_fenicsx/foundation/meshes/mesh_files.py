@@ -85,7 +85,7 @@ def _read_isolated(
     else:
         why = f"it ended with the status {done.returncode}"
     raise MeshError(
-        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or take another one."
+        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or use another one."
     )
 
 

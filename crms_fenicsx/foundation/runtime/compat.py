@@ -79,7 +79,7 @@ def require_real() -> None:
     if kind != np.float64:
         raise InputError(
             f"DOLFINx and PETSc work with numbers of type {kind} here (petsc4py.PETSc.ScalarType), "
-            "and crms_fenicsx needs float64; take a build with real numbers: petsc=*=real* of "
+            "and crms_fenicsx needs float64; use a build with real numbers: petsc=*=real* of "
             "conda-forge, `source dolfinx-real-mode` in the Docker image dolfinx/dolfinx, "
             "python3-dolfinx-real of Debian and Ubuntu."
         )

@@ -149,6 +149,6 @@ def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str)
     if whole is None or digest(MPI.COMM_SELF, np.arange(len(whole)), whole) != due:
         raise InputError(
             f"{path} is damaged: its numbers of shape {shape} are not those that were written; "
-            "take another checkpoint."
+            "use another checkpoint."
         )
     return whole

@@ -348,5 +348,5 @@ def reading(file: Path) -> Iterator[None]:
         why = repr(error)  # a decoding error quotes the whole text
         why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
         raise InputError(
-            f"{file} is damaged or of another version ({why}); take another checkpoint."
+            f"{file} is damaged or of another version ({why}); use another checkpoint."
         ) from error

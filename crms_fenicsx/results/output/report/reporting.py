@@ -145,7 +145,7 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
                 "scene.set_strengths(...) first."
                 if colour == "utilisation"
                 else f"report: pictures has {colour!r}, but the membrane is isotropic and has no "
-                'warp; take "stress" and "stress 2".'
+                'warp; use "stress" and "stress 2".'
             )
     return tuple(pictures)
 
