@@ -110,14 +110,16 @@ def test_git_hosts_show_what_the_site_shows(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_code_is_narrow(page: Path) -> None:
+    """But for the test command that CI looks for on one line."""
     fence, code, before, long = "", False, "", []
+    ci = ROOT.joinpath(".ci", "run").read_text()
     for line in page.read_text().splitlines():
         if line.lstrip().startswith("```"):
             fence = "" if fence else line.strip()
         indented = line.startswith("    ") and (code or not before)  # else it continues a list
         code = "{" not in fence if fence else indented
         before = line
-        if code and len(line) > WIDEST:
+        if code and len(line) > WIDEST and line.strip() not in ci:
             long.append(line)
     assert not long
 
