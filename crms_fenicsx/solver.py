@@ -128,6 +128,7 @@ class Solver:
     """
 
     scene: ReadOnly[Scene] = ReadOnly("_scene", ANOTHER)
+    """The scene that it solves."""
     prefix: ReadOnly[str] = ReadOnly("_options.prefix", ANOTHER)
     rtol: ReadOnly[float] = ReadOnly("_options.rtol", ANOTHER)
     max_halvings: ReadOnly[int] = ReadOnly("_options.max_halvings", ANOTHER)
@@ -157,9 +158,9 @@ class Solver:
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
         self.case = ""
-        """Internal: name of the branch of the load steps; "" outside branches."""
+        """Name of the branch of the load steps; "" outside branches."""
         self.base: SceneState | None = None
-        """Internal: state at which the first loads were applied; None before."""
+        """State at which the first loads were applied; None before."""
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:

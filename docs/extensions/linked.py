@@ -59,8 +59,10 @@ def fill_summaries(app: Sphinx, doctree: nodes.document) -> None:
     for desc in doctree.findall(addnodes.desc):
         if desc["domain"] == "py" and desc["objtype"] in ("class", "exception"):
             anchors |= dict(anchored_attributes(desc))
+        elif desc["objtype"] in ("attribute", "property"):
+            add_type(desc, app.property_types)  # type: ignore[attr-defined]
     for table in list(doctree.findall(SummaryTable)):
-        table.replace_self(table_of(list(rows_of(doctree, table["members"]))))
+        table.replace_self(table_of(list(tables_of(doctree, table["members"]))))
 
 
 def anchored_attributes(desc: addnodes.desc) -> Iterator[tuple[str, str]]:
@@ -89,28 +91,64 @@ def owner_of(node: nodes.Node) -> addnodes.desc | None:
     return None
 
 
-def rows_of(doctree: nodes.document, members: bool) -> Iterator[list[nodes.Element]]:
-    """Name and first sentence of each documented object."""
+def tables_of(doctree: nodes.document, members: bool) -> Iterator[nodes.row]:
+    """Rows with the name and first sentence of each object; members after their class, by kind."""
     for desc in doctree.findall(addnodes.desc):
-        within = owner_of(desc)
-        if not name_of(desc) or (within is not None and not members):
-            continue
-        kind = desc["objtype"]
-        said = name_of(desc).rpartition(".")[2] + "()" * (kind in ("function", "method"))
-        if within is not None:
-            said = f"{name_of(within).rpartition('.')[2]}.{said}"
-        link = nodes.reference("", "", nodes.literal("", said), refid=name_of(desc), internal=True)
-        first = next((n for n in desc[-1] if isinstance(n, nodes.paragraph)), nodes.paragraph())
-        yield [nodes.paragraph("", "", link), first.deepcopy()]
+        if name_of(desc) and owner_of(desc) is None:
+            yield row_of(desc)
+            within = [one for one in desc[-1].findall(addnodes.desc) if name_of(one)]
+            for kinds, title in KINDS.items() if members else ():
+                own = [one for one in within if one["objtype"] in kinds]
+                if own:
+                    yield heading(title)
+                    yield from map(row_of, own)
 
 
-def table_of(rows: list[list[nodes.Element]]) -> nodes.table:
+KINDS = {("method",): "Methods", ("attribute", "property"): "Attributes"}
+
+
+def heading(title: str) -> nodes.row:
+    """A row over all columns."""
+    text = nodes.paragraph("", "", nodes.emphasis("", title))
+    return nodes.row("", nodes.entry("", text, morecols=1), classes=["kind"])
+
+
+def row_of(desc: addnodes.desc) -> nodes.row:
+    """A row with the name and the first sentence of an object."""
+    kind = desc["objtype"]
+    said = name_of(desc).rpartition(".")[2] + "()" * (kind in ("function", "method"))
+    link = nodes.reference("", "", nodes.literal("", said), refid=name_of(desc), internal=True)
+    name = nodes.entry("", nodes.paragraph("", "", link))
+    classes = ["member"] if owner_of(desc) is not None else []
+    return nodes.row("", name, nodes.entry("", first_sentence(desc[-1])), classes=classes)
+
+
+def first_sentence(content: nodes.Element) -> nodes.paragraph:
+    """The first sentence of a docstring."""
+    said = nodes.paragraph()
+    whole = next((n for n in content if isinstance(n, nodes.paragraph)), nodes.paragraph())
+    for part in whole.deepcopy().children:
+        text, end, _ = part.astext().partition(". ")
+        if end and isinstance(part, nodes.Text):
+            said += nodes.Text(f"{text}.")
+            break
+        said += part
+    return said
+
+
+def table_of(rows: list[nodes.row]) -> nodes.table:
     """A table of two columns without a header."""
-    body = nodes.tbody()
-    for row in rows:
-        body += nodes.row("", *(nodes.entry("", cell) for cell in row))
     columns = [nodes.colspec(colwidth=width) for width in (30, 70)]
-    return nodes.table("", nodes.tgroup("", *columns, body, cols=2), classes=["summary"])
+    group = nodes.tgroup("", *columns, nodes.tbody("", *rows), cols=2)
+    return nodes.table("", group, classes=["summary"])
+
+
+def add_type(desc: addnodes.desc, types: dict[str, str]) -> None:
+    """Add the type of a property to its signature."""
+    if said := types.get(name_of(desc)):
+        desc[0] += addnodes.desc_annotation(
+            "", "", addnodes.desc_sig_punctuation("", " : "), addnodes.desc_type("", said)
+        )
 
 
 class Links:
@@ -245,4 +283,4 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("env-purge-doc", forget)
     app.connect("doctree-read", fill_summaries)
     app.connect("doctree-resolved", link_page)
-    return {"parallel_read_safe": False, "parallel_write_safe": True}
+    return {"env_version": 1, "parallel_read_safe": False, "parallel_write_safe": True}

@@ -81,7 +81,7 @@ class Loads(Stateful[LoadsState]):
         return {load.name: load.factor for load in self} | ponds
 
     def replace_each(self, change: Callable[[Any], Any]) -> None:
-        """Internal: replace each load and pond by a function's value."""
+        """Replace each load and pond by a function's value."""
         self.state = LoadsState(
             tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
         )
@@ -333,7 +333,7 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def add(self, load: MembraneLoad) -> None:
-        """Internal: add a load made on the current shape."""
+        """Add a load made on the current shape."""
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 

@@ -106,6 +106,7 @@ class Scene:
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
+    """The stress-free membrane."""
     V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
     """Function space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
@@ -115,7 +116,9 @@ class Scene:
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly(
         "membrane.materials", "call scene.set_material(...)"
     )
+    """Materials by the numbers of the parts of the mesh."""
     comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    """Communicator of the mesh."""
     pressure: ReadOnly[float] = ReadOnly("air.pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
     loads: ReadOnly[Loads] = ReadOnly("_loads", "call scene.put_load(...) and the like")
@@ -148,12 +151,17 @@ class Scene:
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
+    """Height of the floor (length), see `floor`; None without one."""
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
+    """The argument `strain`."""
     pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
+    """The argument `pressure`."""
     penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
+    """The argument `penalty`."""
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
     )
+    """The argument `literal_penalty`."""
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
     """Current factors of loads and ponds, by name."""
@@ -200,7 +208,7 @@ class Scene:
         if strain == "step":
             self.membrane.refuse_step_strain()
         self.versions = Versions()
-        """Internal: version numbers of model and state, and the state in equilibrium."""
+        """Version numbers of model and state, and the state in equilibrium."""
         self.net = CableNet(self.membrane)
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.membrane, self.versions, self.frame)
@@ -236,7 +244,7 @@ class Scene:
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
     ) -> None:
-        """Internal: take over results of a load step besides the states of the parts."""
+        """Take over results of a load step besides the states of the parts."""
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -706,16 +714,16 @@ class Scene:
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
-        """Internal: divisor of the strengths under the current loads."""
+        """Divisor of the strengths under the current loads, see `set_strengths`."""
         return self.membrane.strength_factor(self.factors)
 
     def in_equilibrium(self) -> bool:
-        """Internal: whether nothing has changed since the last load step. Collective."""
+        """Whether nothing has changed since the last load step. Collective."""
         settled = self.versions.are_settled(self.membrane.owned_u)
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:
-        """Internal: raise an error unless the last load step found the current state. Collective.
+        """Raise an error unless the last load step found the current state. Collective.
 
         Raises
         ------
