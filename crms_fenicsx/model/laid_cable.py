@@ -78,6 +78,13 @@ class LaidCable(Handle[CableState]):
     layer
         Of two crossing cables the one with the higher layer lies on top; with equal layers, the one
         laid later.
+
+    Examples
+    --------
+    >>> round(ridge.tension, 2), round(ridge.length - ridge.L0, 3)
+    (5.02, 0.02)
+    >>> ridge.line[0]
+    array([0., 2., 0.])
     """
 
     cable: ReadOnly[Cable] = ReadOnly(

@@ -324,6 +324,13 @@ class Loads(Stateful[LoadsState]):
         ------
         InputError
             On all ranks: an unknown load.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.2), name="snow")
+        >>> scene.remove_load("snow")
+        >>> scene.factors
+        {}
         """
         factor = checks.named("load", self.factors, name)
         self.state = LoadsState(
@@ -450,6 +457,13 @@ class Air(Stateful[AirState]):
         ------
         InputError
             On all ranks: air that is not sealed.
+
+        Examples
+        --------
+        >>> scene.seal(volume=50.0)
+        >>> scene.unseal()
+        >>> scene.air.sealed is None
+        True
         """
         if self.sealed is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")

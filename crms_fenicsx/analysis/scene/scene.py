@@ -103,6 +103,14 @@ class Scene:
     -----
     PenaltyWarning
         A penalty factor outside the range in which folded cells are sound.
+
+    Examples
+    --------
+    >>> mesh = meshes.rectangle(MPI.COMM_WORLD, 4.0, 4.0, size=1.0)
+    >>> scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    >>> scene.fix("boundary")
+    >>> scene.lay_cable(Cable(EA=1e3), [(0.0, 2.0), (4.0, 2.0)], name="ridge").taut
+    False
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
@@ -260,13 +268,26 @@ class Scene:
         return self.net.dissipated
 
     def positions(self) -> Array:
-        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts."""
+        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts.
+
+        Examples
+        --------
+        >>> float(scene.positions()[:, 2].max().round(2))
+        0.18
+        """
         return self.membrane.positions()
 
     def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of vertices in a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.
+
+        Examples
+        --------
+        >>> corner = scene.vertices("front left")
+        >>> scene.positions()[corner]
+        array([[0., 0., 0.]])
+        >>> right = scene.vertices(lambda x: x[0] > 3.99)
         """
         return self.membrane.vertices(where)
 
@@ -290,6 +311,13 @@ class Scene:
         ------
         InputError
             Unknown vertices or directions, or edges that cables already cross.
+
+        Examples
+        --------
+        >>> sail = Scene(mesh, fabric)
+        >>> sail.fix("front left")
+        >>> sail.fix("back", "xz")
+        >>> sail.fix(lambda x: x[0] > 3.99, "z")
         """
         self.membrane.hold(where, directions, new_edges=not self.cables)
 
@@ -302,6 +330,13 @@ class Scene:
         ------
         InputError
             A membrane that is below it.
+
+        Examples
+        --------
+        >>> scene.floor(-0.05)
+        >>> step = solver.advance(pressure=-0.5)
+        >>> float(scene.positions()[:, 2].min().round(3))
+        -0.05
         """
         self.membrane.check_finite("floor")
         heights = self.positions()[:, 2]
@@ -345,6 +380,11 @@ class Scene:
         ------
         InputError
             No cable has that name.
+
+        Examples
+        --------
+        >>> scene.cable("ridge").taut
+        True
         """
         return self.net.cable(name)
 
@@ -423,6 +463,16 @@ class Scene:
             the cells where it left.
         InputError
             An L0 or tension that is not positive, both of them, or a name in use.
+
+        Examples
+        --------
+        >>> steel = Cable(EA=1e3)
+        >>> diagonal = scene.lay_cable(steel, [(0.0, 1.0), (4.0, 3.0)], tension=4.0)
+        >>> anchors = [(2.0, -1.0, -0.5), (2.0, 5.0, -0.5)]
+        >>> guyed = scene.lay_cable(steel, anchors, hold="sleeve")
+        >>> step = solver.advance()
+        >>> round(diagonal.tension, 1), guyed.hold
+        (3.2, 'sleeve')
         """
         from crms_fenicsx.cabling.paths.laying import lay
 
@@ -554,6 +604,14 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown clamp.
+
+        Examples
+        --------
+        >>> cross = scene.lay_cable(Cable(EA=1e3), [(2.0, 0.0), (2.0, 4.0)], name="cross")
+        >>> clamps = scene.clamp(ridge, cross)
+        >>> scene.unclamp(ridge, cross)
+        >>> len(scene.clamps)
+        0
         """
         self.net.unclamp(cables, near)
 
@@ -575,6 +633,13 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown cable.
+
+        Examples
+        --------
+        >>> scene.remove("ridge")
+        >>> step = solver.advance()
+        >>> scene.cables
+        ()
         """
         self.net.remove(cable)
 
@@ -594,6 +659,14 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown bar.
+
+        Examples
+        --------
+        >>> corner = scene.vertex_at((4.0, 4.0, 0.0))
+        >>> mast = scene.add_bar(Bar(EA=1e5), (4.0, 4.0, -3.0), corner)
+        >>> scene.remove_bar(mast)
+        >>> len(scene.bars)
+        0
         """
         if isinstance(bar, str):
             bar = self.frame.bar(bar)

@@ -112,7 +112,8 @@ def find_form(
     ...     mesh, 2.0, fixed=["masts", "corners"], lifted={"masts": (0.0, 0.0, 5.0)},
     ...     cables=[FormCable("north", tension=30.0), FormCable("south", length=21.5)],
     ... )
-    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
+    >>> fabric = IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0)
+    >>> scene = found.scene(fabric, Cable(EA=8e3))
     """
     inflated = _is_inflated(pressure=pressure, volume=volume, rise=rise)
     if lifted is not None:

@@ -74,7 +74,8 @@ def refine(
 
     Examples
     --------
-    >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
+    >>> coarse = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=8.0)
+    >>> fine = meshes.refine(coarse)
     >>> meshes.refine(mesh, mesh.parts["corner"])
     """
     with raised_together(mesh.comm):
