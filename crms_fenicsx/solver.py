@@ -582,8 +582,8 @@ class Solver:
 
         Examples
         --------
-        >>> corner = solver.reactions("corner 1")
-        >>> corner.total, corner.membrane, corner.parts["guy 1"]
+        >>> corner = solver.reactions("front left")
+        >>> corner.total, corner.membrane, corner.parts
         """
         from crms_fenicsx.results.reactions import reactions
 
@@ -969,10 +969,10 @@ class Solver:
 
         Examples
         --------
-        >>> scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        >>> scene = Scene(mesh, fabric)
         >>> solver = Solver(scene, results="results/dome")
         >>> solver.load("results/dome/checkpoint")
-        >>> solver.advance(L0={scene.cable("ridge"): 99.0})
+        >>> step = solver.advance(L0={scene.cable("ridge"): 3.99})
         """
         if self.steps:
             raise InputError(

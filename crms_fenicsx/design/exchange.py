@@ -223,7 +223,7 @@ def write_shape(scene: Scene, filename: File, *, unit: str = "m") -> None:
 
     Examples
     --------
-    >>> exchange.write_shape(found.scene(material), "form.dxf")
+    >>> exchange.write_shape(scene, "form.dxf")
     """
     checks.one_of("write_shape: unit", unit, DXF_UNITS)
     path = absolute(filename, scene.comm)

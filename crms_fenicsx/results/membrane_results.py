@@ -147,7 +147,7 @@ class MembraneResults:
 
         Examples
         --------
-        >>> worst = solver.results().utilisation({"roof": (84.0, 80.0)}).max()
+        >>> worst = solver.results().utilisation((84.0, 80.0)).max()
         """
         given, divided = self.membrane.strengths, self.strength_factor
         if strengths is not None:

@@ -167,11 +167,14 @@ class Frame:
 
         Examples
         --------
-        >>> top = scene.add_joint((0.0, 0.0, 6.0), name="mast top")
-        >>> mast = scene.add_bar(Bar(EA=1e5), (0.0, 0.0, 0.0), top, name="mast")
-        >>> guy = scene.add_bar(Bar(EA=2e4, tension_only=True), top, (8.0, 0.0, 0.0))
-        >>> solver.advance(L0={guy: 9.95}, move={mast.start: (0.0, 0.0, 0.1)})
-        >>> mast.force, mast.start.reaction
+        >>> top = scene.add_joint((8.0, 0.0, 6.0), name="mast top", held="y")
+        >>> mast = scene.add_bar(Bar(EA=1e5), (8.0, 0.0, 0.0), top, name="mast")
+        >>> guys = [
+        ...     scene.add_bar(Bar(EA=2e4, tension_only=True), top, foot)
+        ...     for foot in ((16.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        ... ]
+        >>> step = solver.advance(move={mast.start: (0.0, 0.0, 0.1)})
+        >>> bool(mast.force < 0.0 < guys[0].force), mast.start.reaction.round(0)
         """
         self.membrane.check_finite("add_bar")
         name = checks.new_name("add_bar", "bar", name, (bar.name for bar in self.bars))

@@ -210,7 +210,7 @@ class Loads(Stateful[LoadsState]):
 
         Examples
         --------
-        >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
+        >>> scene.put_line_load((0.0, 0.0, -0.2), "front", name="snow guard")
         >>> solver.advance(load={"snow guard": 1.35})
         """
         self._check_new("put_line_load", name)
@@ -294,9 +294,11 @@ class Loads(Stateful[LoadsState]):
 
         Examples
         --------
-        >>> scene.put_pond(10.0, level=6.2, on=["roof"])
-        >>> solver.advance(load={"pond": 1.0}, steps=4)
-        >>> scene.ponds[0].volume
+        >>> step = solver.advance(pressure=-1.0)  # makes a hollow
+        >>> scene.put_pond(10.0, level=-0.1)
+        >>> step = solver.advance(load={"pond": 1.0}, steps=2)
+        >>> scene.ponds[0].volume > 0.0
+        True
         """
         self._check_new("put_pond", name)
         if (level is None) == (volume is None):

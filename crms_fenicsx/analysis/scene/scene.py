@@ -519,9 +519,10 @@ class Scene:
 
         Examples
         --------
-        >>> net = nets.sections(scene, angles=(0.8, -0.8), offsets=[-9, -3, 3, 9])
-        >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
-        >>> scene.cable("A1").tension
+        >>> net = nets.sections(scene, angles=(0.0,), offsets=[1.0, 3.0])
+        >>> cables = scene.lay_net(net, Cable(EA=1e3), tension=5.0)
+        >>> round(scene.cable("A1").tension, 6)
+        5.0
         """
         before = self.net.state
         try:

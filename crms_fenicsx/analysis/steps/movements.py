@@ -52,7 +52,7 @@ class Rotation:
     Examples
     --------
     >>> turn = Rotation((0, 0, 0), (0, 0, 1), np.pi / 6)
-    >>> solver.advance(move={"ring": turn}, steps=3)
+    >>> step = solver.advance(move={"boundary": turn}, steps=3)
     """
 
     point: Vector

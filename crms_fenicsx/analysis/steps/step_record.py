@@ -50,8 +50,8 @@ class Step:
     Examples
     --------
     >>> step = solver.advance(pressure=1.2)
-    >>> step.number, step.verification.verdict
-    (3, 'verified')
+    >>> step.verification.verdict
+    'verified'
     """
 
     number: int

@@ -49,8 +49,9 @@ def geodesics_between(
 
     Examples
     --------
-    >>> net = nets.geodesics_between(scene, [("left", "right"), ("front", "back")], n=6)
-    >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
+    >>> roof = Scene(meshes.rectangle(MPI.COMM_WORLD, 30.0, 20.0, size=5.0), fabric)
+    >>> net = nets.geodesics_between(roof, [("left", "right"), ("front", "back")], n=3)
+    >>> cables = roof.lay_net(net, Cable(EA=20e3), tension=5.0)
     """
     call = "geodesics_between"
     surface = WholeSurface.of(call, scene)

@@ -63,8 +63,8 @@ def adapt(
 
     Examples
     --------
-    >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=4.0)
-    >>> solver = study.adapt(build, mesh, tolerance=0.005)
+    >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=8.0)
+    >>> solver = study.adapt(build, mesh, tolerance=0.05)
     >>> solver.estimate_error().relative
     """
     solver = built("adapt", build, mesh)

@@ -76,7 +76,7 @@ def refine(
     --------
     >>> coarse = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=8.0)
     >>> fine = meshes.refine(coarse)
-    >>> meshes.refine(mesh, mesh.parts["corner"])
+    >>> bisected = meshes.refine(coarse, [0, 1, 2])
     """
     with raised_together(mesh.comm):
         chosen = None if cells is None else _checked_cells(mesh, cells)

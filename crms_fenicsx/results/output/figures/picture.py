@@ -104,9 +104,9 @@ def join_pictures(
 
     Examples
     --------
-    >>> output.draw(solver, "height.png", colour="height")
+    >>> output.draw_history(solver.history, "history.png")
     >>> output.draw(solver, "stress.png", colour="stress")
-    >>> output.join_pictures("both.png", ["height.png", "stress.png"])
+    >>> output.join_pictures("both.png", ["stress.png", "history.png"])
     """
     from matplotlib.image import imread, imsave
 
