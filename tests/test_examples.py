@@ -153,8 +153,8 @@ class Rounded(doctest.OutputChecker):
             return True
         if "".join(number.sub("0", want).split()) != "".join(number.sub("0", got).split()):
             return False
-        numbers = ([float(x) for x in number.findall(text)] for text in (want, got))
-        return np.allclose(*numbers, rtol=0.02)
+        shown, found = ([float(x) for x in number.findall(text)] for text in (want, got))
+        return np.allclose(shown, found, rtol=0.02)
 
 
 @pytest.mark.parametrize("label", [label for label in EXAMPLES if label not in LEFT_OUT])
@@ -167,7 +167,8 @@ def test_example(
     names = names_after(script(page), scripts)
     exec(BEFORE.get(label, ""), names)
     examples = doctest.DocTestParser().get_examples(text)
-    runner, said = doctest.DocTestRunner(Rounded(), verbose=False), []
+    runner = doctest.DocTestRunner(Rounded(), verbose=False)
+    said: list[str] = []
     test = doctest.DocTest(examples, names, label, None, None, text)
     found = runner.run(test, out=said.append, clear_globs=False)
     assert found.failed == 0, "".join(said)

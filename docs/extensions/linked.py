@@ -275,7 +275,7 @@ def forget(app: Sphinx, env: BuildEnvironment, page: str) -> None:
     getattr(env, "attribute_anchors", {}).pop(page, None)
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive and the hooks."""
     app.add_directive("summary", Summary)
     app.add_node(SummaryTable)
