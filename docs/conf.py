@@ -142,4 +142,5 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "remove_config_comments": True,
     "reset_modules": (),
+    "reference_url": {"crms_fenicsx": None},
 }

@@ -119,8 +119,11 @@ def row_of(desc: addnodes.desc) -> nodes.row:
     said = name_of(desc).rpartition(".")[2] + "()" * (kind in ("function", "method"))
     link = nodes.reference("", "", nodes.literal("", said), refid=name_of(desc), internal=True)
     name = nodes.entry("", nodes.paragraph("", "", link))
-    classes = ["member"] if owner_of(desc) is not None else []
-    return nodes.row("", name, nodes.entry("", first_sentence(desc[-1])), classes=classes)
+    owner = owner_of(desc)
+    row = nodes.row("", name, nodes.entry("", first_sentence(desc[-1])))
+    if owner is not None:
+        row["classes"], row["owner"] = ["member"], name_of(owner)
+    return row
 
 
 def first_sentence(content: nodes.Element) -> nodes.paragraph:
@@ -172,17 +175,17 @@ class Links:
         self.outside |= {word: classes[name] for word, name in OUTSIDE.items() if name in classes}
         self.outside |= classes
 
-    def place(self, name: str, page: str, owner: addnodes.desc | None) -> Place | None:
+    def place(self, name: str, page: str, node: nodes.Node) -> Place | None:
         """Where the object with a name is documented, as far as it is clear which one is meant."""
         name = name.removesuffix("()")
         if not NAME.fullmatch(name):
             return None
+        owner = owner_of(node)
         if owner is not None and name in arguments_of(owner):
             return None
-        while owner is not None:
-            if found := self.places.get(f"{name_of(owner)}.{name}"):
+        for scope in scopes(node):
+            if found := self.places.get(f"{scope}.{name}"):
                 return found
-            owner = owner_of(owner)
         first, dot, rest = name.partition(".")
         if first in INSTANCES:
             name = f"{INSTANCES[first]}{dot}{rest}" if dot else ""
@@ -200,7 +203,7 @@ class Links:
         """Make links of the names in backticks."""
         for node in list(doctree.findall(lambda n: isinstance(n, NAMED))):
             if linkable(node):
-                place = self.place(node.astext(), page, owner_of(node))
+                place = self.place(node.astext(), page, node)
                 own = owner_of(node)
                 if place is not None and (own is None or place.anchor != name_of(own)):
                     shown = nodes.literal("", node.astext(), classes=["xref", "py"])
@@ -229,6 +232,16 @@ class Links:
 
 NAMED = (nodes.title_reference, nodes.literal)
 TYPES = (nodes.classifier, nodes.term, addnodes.desc_type)
+
+
+def scopes(node: nodes.Node) -> Iterator[str]:
+    """The names of the objects that a node describes, the innermost first."""
+    while node.parent is not None:
+        node = node.parent
+        if isinstance(node, addnodes.desc):
+            yield name_of(node)
+        elif isinstance(node, nodes.row) and "owner" in node:
+            yield node["owner"]
 
 
 def arguments_of(desc: addnodes.desc) -> set[str]:
