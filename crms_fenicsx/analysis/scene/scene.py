@@ -161,15 +161,15 @@ class Scene:
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     """Height of the floor (length), see `floor`; None without one."""
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
-    """The argument `strain`."""
+    """Strain law, as given to the scene."""
     pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
-    """The argument `pressure`."""
+    """Pressure law, as given to the scene."""
     penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
-    """The argument `penalty`."""
+    """Penalty factor, as given to the scene."""
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
     )
-    """The argument `literal_penalty`."""
+    """Penalty coefficient, as given to the scene; None with a factor."""
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
     """Current factors of loads and ponds, by name."""
