@@ -131,9 +131,9 @@ def first_sentence(content: nodes.Element) -> nodes.paragraph:
     said = nodes.paragraph()
     whole = next((n for n in content if isinstance(n, nodes.paragraph)), nodes.paragraph())
     for part in whole.deepcopy().children:
-        text, end, _ = part.astext().partition(". ")
+        end = re.match(r"(.*?\w\w[)\"]?\.)\s(?!Venant)", part.astext(), re.DOTALL)
         if end and isinstance(part, nodes.Text):
-            said += nodes.Text(f"{text}.")
+            said += nodes.Text(end[1])
             break
         said += part
     return said
