@@ -249,7 +249,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
         "roll": (3, roll),
         "sewn": (4, state(colour="warp", view=(-65.0, 28.0), width=5.5)),
     },
-    "results": {"utilisation": (5, state(colour="utilisation"))},
+    "results": {"utilisation": (4, state(colour="utilisation"))},
     "files": {"from_dxf": (2, state(colour="height", view=(-60.0, 28.0)))},
     "error": {
         "levels": (0, levels),
