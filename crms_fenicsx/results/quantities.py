@@ -97,11 +97,11 @@ class _CellQuantity:
 
 
 QUANTITIES = {
-    "warp": _CellQuantity("membrane force along warp", "warp_weft", 0, "stress"),
-    "weft": _CellQuantity("membrane force along weft", "warp_weft", 1, "stress"),
+    "warp": _CellQuantity("section force along warp", "warp_weft", 0, "stress"),
+    "weft": _CellQuantity("section force along weft", "warp_weft", 1, "stress"),
     "shear": _CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
-    "true force 1": _CellQuantity("larger principal membrane force", "true_forces", 0, "stress"),
-    "true force 2": _CellQuantity("smaller principal membrane force", "true_forces", 1, "stress"),
+    "true force 1": _CellQuantity("larger principal section force", "true_forces", 0, "stress"),
+    "true force 2": _CellQuantity("smaller principal section force", "true_forces", 1, "stress"),
     "second Piola warp": _CellQuantity(
         "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
     ),

@@ -219,7 +219,7 @@ def test_results_have_the_residual_section_forces(
     assert ("warp" in fields) == (fabric is FABRIC)
     np.testing.assert_array_equal(fields["true force 1"], results.true_forces[:, 0])
     theory = dict(model_of_scene(scene, Units(), {}).tables["mesh"].rows)
-    assert "forces below have them" in str(theory["Residual membrane forces"])
+    assert "forces below have them" in str(theory["Residual section forces"])
 
 
 def test_they_stay_with_the_fabric_as_it_strains(comm: MPI.Intracomm) -> None:

@@ -96,7 +96,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
                       "cable_envelope", "supports", "support_lines", "balance", "anchors",
                       "foundation_points", "foundations", "foundation_envelope", "verification")
     }  # fmt: skip
-    warp = "Membrane force along warp [kN/m]"
+    warp = "Section force along warp [kN/m]"
     rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
     for name, (largest, _, summary) in expected.items():
         row = next(r for r in rows if (r["Combination"], r["Part"]) == (name, "whole membrane"))

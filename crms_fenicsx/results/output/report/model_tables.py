@@ -294,9 +294,9 @@ def _theory(scene: Scene) -> dict[str, str]:
     added = [term.name for term in scene.terms]
     if ResidualStress.name in added:
         added.remove(ResidualStress.name)
-        found["Residual membrane forces"] = (
+        found["Residual section forces"] = (
             "deviations of the form's equilibrium forces from the prescribed prestress; the "
-            "membrane forces below have them"
+            "section forces below have them"
         )
     if added:
         found["Terms of the energy added by the user"] = ", ".join(added)

@@ -111,7 +111,7 @@ class ResultTables:
         return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
 
     def of_case(self, case: Case) -> Table:
-        """Membrane forces of a case, by parts."""
+        """Section forces of a case, by parts."""
         rows: list[Row] = []
         for part, name, label, low, high in self._extremes(case):
             smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
@@ -147,7 +147,7 @@ class ResultTables:
         return Table("Reinforced corners of the membrane", columns, rows, "reinforcement")
 
     def membrane(self) -> Table:
-        """Membrane forces of all cases, for the CSV file."""
+        """Section forces of all cases, for the CSV file."""
         rows: list[Row] = [
             (case.name, part_name(part), label, low.value, *low.at, high.value, *high.at)
             for case in self.cases

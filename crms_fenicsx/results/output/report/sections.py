@@ -59,12 +59,12 @@ PATCHES = (
     "supports, cables and bars there. The utilisation of plain fabric there depends on the mesh."
 )
 NOTES = (
-    "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
+    "Section forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
     "it, shear belongs to these two. Each triangle has one value, so that largest values at "
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means with "
     "the triangles around; a single-cell peak is a quarter larger than the largest one of these.",
-    "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
+    "Utilisation is the larger ratio of the section forces along warp and weft to the strengths "
     "given for them, in isotropic material that of the larger principal force to the strength. It "
     "is that of the vertices, means of the triangles around of the same material and strengths, "
     "outside of the reinforced corners, where forces grow without limit as triangles become "
@@ -245,7 +245,7 @@ class Report:
             shares = {name: one.value for name, one in used.items() if one is not None}
             card("Largest utilisation of the membrane", None, shares)
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
-        card("Largest principal membrane force", units["stress"].strip(" []"), forces)
+        card("Largest principal section force", units["stress"].strip(" []"), forces)
         tensions = {
             f"{cable}, {name}": one.largest
             for name, summary in summaries.items()
