@@ -131,7 +131,7 @@ def first_sentence(content: nodes.Element) -> nodes.paragraph:
     said = nodes.paragraph()
     whole = next((n for n in content if isinstance(n, nodes.paragraph)), nodes.paragraph())
     for part in whole.deepcopy().children:
-        end = re.match(r"(.*?\w\w[)\"]?\.)\s(?!Venant)", part.astext(), re.DOTALL)
+        end = re.match(r"(.*?\w{3}[)\"]?\.)\s", part.astext(), re.DOTALL)
         if end and isinstance(part, nodes.Text):
             said += nodes.Text(end[1])
             break
