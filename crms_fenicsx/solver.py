@@ -185,7 +185,7 @@ class Solver:
 
     @property
     def history(self) -> History:
-        """Table with a row for each accepted step; see `Recorder`."""
+        """Table with a row for each accepted step."""
         return self._recorder.history
 
     @collective

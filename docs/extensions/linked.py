@@ -22,7 +22,8 @@ from sphinx.ext.intersphinx import InventoryAdapter
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
-NAME = re.compile(r"[A-Za-z_]\w*(?:\.\w+)*")
+CALL = re.compile(r"([A-Za-z_]\w*(?:\.\w+)*)(?:\(.*\))?", re.DOTALL)
+"""A name, which may be that of a call."""
 OUTSIDE = {"array": "numpy.ndarray", "array-like": "numpy.typing.ArrayLike"}
 INSTANCES = {"scene": "Scene", "solver": "Solver", "cable": "LaidCable", "found": "FoundForm"}
 """Classes of the objects that pages and examples call by these names."""
@@ -97,13 +98,15 @@ def tables_of(doctree: nodes.document, members: bool) -> Iterator[nodes.row]:
         if name_of(desc) and owner_of(desc) is None:
             yield row_of(desc)
             within = [one for one in desc[-1].findall(addnodes.desc) if name_of(one)]
-            for kinds, title in KINDS.items() if members else ():
+            for kinds, title in KINDS.items() if members and len(within) >= MANY else ():
                 own = [one for one in within if one["objtype"] in kinds]
                 if own:
                     yield heading(title)
                     yield from map(row_of, own)
 
 
+MANY = 5
+"""Members of a class that a table lists; fewer are found at the class."""
 KINDS = {("method",): "Methods", ("attribute", "property"): "Attributes"}
 
 
@@ -177,9 +180,10 @@ class Links:
 
     def place(self, name: str, page: str, node: nodes.Node) -> Place | None:
         """Where the object with a name is documented, as far as it is clear which one is meant."""
-        name = name.removesuffix("()")
-        if not NAME.fullmatch(name):
+        called = CALL.fullmatch(name)
+        if called is None:
             return None
+        name = called[1]
         owner = owner_of(node)
         if owner is not None and name in arguments_of(owner):
             return None
