@@ -22,7 +22,7 @@ from sphinx.ext.intersphinx import InventoryAdapter
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
-CALL = re.compile(r"([A-Za-z_]\w*(?:\.\w+)*)(?:\(.*\))?", re.DOTALL)
+CALL = re.compile(r"([A-Za-z_]\w*(?:\.\w+)*)(?:\([^()]*(?:\([^()]*\)[^()]*)*\))?")
 """A name, which may be that of a call."""
 OUTSIDE = {"array": "numpy.ndarray", "array-like": "numpy.typing.ArrayLike"}
 INSTANCES = {"scene": "Scene", "solver": "Solver", "cable": "LaidCable", "found": "FoundForm"}
