@@ -180,7 +180,7 @@ class Links:
 
     def place(self, name: str, page: str, node: nodes.Node) -> Place | None:
         """Where the object with a name is documented, as far as it is clear which one is meant."""
-        called = CALL.fullmatch(name)
+        text, called = name, CALL.fullmatch(name)
         if called is None:
             return None
         name = called[1]
@@ -195,7 +195,7 @@ class Links:
             name = f"{INSTANCES[first]}{dot}{rest}" if dot else ""
         known = [self.places[full] for full in self.tails.get(name, ())]
         here = [place for place in known if place.page == page]
-        word = name.islower() and "_" not in name and not dot
+        word = text.islower() and text.isalpha()  # such as a variable
         known = here if word or len(known) > 1 else known
         return known[0] if len(known) == 1 else None
 
