@@ -31,7 +31,7 @@ TUTORIALS = [
 ]
 
 project = "crms_fenicsx"
-author = "the authors of crms_fenicsx"
+author = "the crms_fenicsx developers"
 copyright = author
 release = crms_fenicsx.__version__
 
@@ -46,9 +46,10 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "demos",
     "formulas",
-    "plots",
     "typed",
+    "words",
 ]
 exclude_patterns = [
     "tutorials/**/*.ipynb",

@@ -264,6 +264,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
         "rubber": (1, state(colour="stress", view=(-60.0, 28.0))),
     },
     "coupling": {"fluid": (1, state(colour="stress"))},
+    "supports": {},
 }
 """By page its pictures, the block of code after which each is drawn, and how."""
 

@@ -13,3 +13,14 @@ window.addEventListener("DOMContentLoaded", () => {
         new MutationObserver(mend).observe(button, { childList: true, subtree: true });
     }
 });
+/* Pictures lead to their files, so that details can be seen on small screens. */
+window.addEventListener("DOMContentLoaded", () => {
+    for (const picture of document.querySelectorAll(".bd-article img")) {
+        if (!picture.closest("a")) {
+            const link = document.createElement("a");
+            link.href = picture.src;
+            picture.replaceWith(link);
+            link.append(picture);
+        }
+    }
+});

@@ -1,10 +1,11 @@
-"""The figures of the theory's pages are those that their script draws."""
+"""The figures on the pages are those that their scripts draw."""
 
 from __future__ import annotations
 
 import re
 import runpy
 from pathlib import Path
+from xml.etree import ElementTree
 
 DOCS = Path(__file__).parents[1] / "docs"
 LARGEST = 80_000  # bytes
@@ -31,3 +32,18 @@ def test_every_figure_is_on_a_page() -> None:
     text = "".join(page.read_text() for page in DOCS.joinpath("theory").glob("*.md"))
     linked = re.findall(r"!\[[^\]]+\]\(figures/([\w.]+)\)", text)
     assert sorted(linked) == sorted(path.name for path in (DOCS / "theory/figures").iterdir())
+
+
+def test_plots_show_the_tables_above_them() -> None:
+    """After a change of a table or of a plot's comment run `./run python docs/draw_plots.py`."""
+    plots = list(runpy.run_path(str(DOCS / "draw_plots.py"))["plots"]())
+    for plot in plots:
+        tree = ElementTree.parse(plot.path)
+        said = tree.findtext(".//{http://purl.org/dc/elements/1.1/}description")
+        assert said == plot.content, plot.path.name
+        assert all(len(x) > 1 for _, x, _ in plot.lines), plot.path.name
+    assert sorted(plot.path.name for plot in plots) == sorted(
+        path.name for path in (DOCS / "plots").iterdir()
+    )
+    comments = "".join(page.read_text() for page in DOCS.rglob("*.md"))
+    assert len(re.findall("<!-- (?:plot|bars)", comments)) == len(plots)
