@@ -48,9 +48,22 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "demos",
     "formulas",
+    "linked",
     "typed",
     "words",
 ]
+intersphinx_mapping = {  # with the classes that are named here, so that no network is needed
+    name: (url, f"inventories/{name}.txt")
+    for name, url in {
+        "dolfinx": "https://docs.fenicsproject.org/dolfinx/v0.9.0/python",
+        "matplotlib": "https://matplotlib.org/stable",
+        "mpi4py": "https://mpi4py.readthedocs.io/en/stable",
+        "numpy": "https://numpy.org/doc/stable",
+        "petsc4py": "https://petsc.org/release/petsc4py",
+        "pyvista": "https://docs.pyvista.org",
+        "scipy": "https://docs.scipy.org/doc/scipy",
+    }.items()
+}
 exclude_patterns = [
     "tutorials/**/*.ipynb",
     "tutorials/**/*.py",
@@ -156,4 +169,5 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "remove_config_comments": True,
     "reset_modules": (),
+    "reference_url": {"crms_fenicsx": None},
 }

@@ -190,6 +190,8 @@ def view(names: Names, file: str) -> None:
 
 DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
     "mesh": {"cushion": (0, state(colour="stress", view=(-60.0, 40.0)))},
+    "supports": {},
+    "not_converged": {},
     "form_finding": {
         "sail": (0, state(colour="height", view=(-65.0, 25.0), width=5.5)),
         "sail_on_bars": (1, state(view=(-65.0, 25.0), width=5.5)),
@@ -264,7 +266,6 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
         "rubber": (1, state(colour="stress", view=(-60.0, 28.0))),
     },
     "coupling": {"fluid": (1, state(colour="stress"))},
-    "supports": {},
 }
 """By page its pictures, the block of code after which each is drawn, and how."""
 

@@ -28,6 +28,7 @@ KNOWN = {"comm", "energies", "steps", "history"}
 DIRECTIVES = {
     "toctree": ("docs/",),
     "eval-rst": ("docs/api/",),
+    "summary": ("docs/api/",),
     "include": ("docs/changelog.md", "docs/contributing.md"),
     "grid": ("docs/index.md",),
     "grid-item-card": ("docs/index.md",),
@@ -110,14 +111,16 @@ def test_git_hosts_show_what_the_site_shows(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_code_is_narrow(page: Path) -> None:
+    """But for the test command that CI looks for on one line."""
     fence, code, before, long = "", False, "", []
+    ci = ROOT.joinpath(".ci", "run").read_text()
     for line in page.read_text().splitlines():
         if line.lstrip().startswith("```"):
             fence = "" if fence else line.strip()
         indented = line.startswith("    ") and (code or not before)  # else it continues a list
-        code = "{" not in fence if fence else indented
+        code = "{" not in fence and fence != "```text" if fence else indented  # not its output
         before = line
-        if code and len(line) > WIDEST:
+        if code and len(line) > WIDEST and line.strip() not in ci:
             long.append(line)
     assert not long
 
