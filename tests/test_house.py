@@ -58,7 +58,7 @@ BUDGETS = {
     "energy": 7542,
     "cabling": 7321,
     "analysis": 6430,
-    "results": 10478,
+    "results": 10480,
     "solver": 935,
     "design": 8248,
 }
