@@ -344,8 +344,8 @@ def browser() -> str:
     if not found:
         raise InputError(
             f"report: pdf=True needs a browser that prints, and there is no {own or BROWSERS[0]}; "
-            "install one (apt install weasyprint) or name one in the variable CRMS_BROWSER. Without "
-            "pdf=True open the page in any browser, and print it to a file on A4."
+            "install one (apt install weasyprint) or name one in the variable CRMS_BROWSER. "
+            "Without pdf=True open the page in any browser, and print it to a file on A4."
         )
     return found
 
