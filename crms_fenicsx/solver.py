@@ -857,7 +857,7 @@ class Solver:
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
             together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
             ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to print
-            the page as PDF, with an installed browser or the one named by the variable
+            the page as PDF, with an installed browser or WeasyPrint, or that in the variable
             CRMS_BROWSER. ``interactive``: whether to write a rotatable view of each combination, as
             ``tent_view_1.html``, with pyvista and its trame.
 
