@@ -47,10 +47,12 @@ if TYPE_CHECKING:
     from crms_fenicsx.design import codes, exchange, form_finding, nets, patterns, study
     from crms_fenicsx.results import output
 
+    __version__: str
+
 show_warnings()
 del show_warnings
 
-__version__ = "0.2.0"
+_RELEASE = "0.3.0"
 __all__ = [
     "Bar",
     "Cable",
@@ -96,9 +98,31 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """The packages that most scripts do without, imported at the first access."""
+    """The version, and the packages that most scripts do without, imported at the first access."""
+    if name == "__version__":
+        return _version()
     if name == "output":
         return import_module("crms_fenicsx.results.output")
     if name in {"codes", "exchange", "form_finding", "nets", "patterns", "study"}:
         return import_module(f"crms_fenicsx.design.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _version() -> str:
+    """The release, in a clone with its commit and ".dirty" if files differ: "0.3.0+g1a2b3c4d"."""
+    import os
+    import subprocess
+    from pathlib import Path
+
+    clone = Path(__file__).parents[1]
+    if not (clone / ".git").exists():
+        return _RELEASE
+    commit = os.environ.get("CRMS_COMMIT", "")  # from `run`, in whose environment there is no git
+    if not commit:
+        describe = ["git", "describe", "--always", "--dirty", "--exclude=*", "--abbrev=8"]
+        try:
+            done = subprocess.run(describe, cwd=clone, capture_output=True, text=True, check=False)
+        except OSError:
+            return _RELEASE
+        commit = done.stdout.strip()
+    return f"{_RELEASE}+g{commit.replace('-', '.')}" if commit else _RELEASE

@@ -128,6 +128,7 @@ class Solver:
     """
 
     scene: ReadOnly[Scene] = ReadOnly("_scene", ANOTHER)
+    """The scene that it solves."""
     prefix: ReadOnly[str] = ReadOnly("_options.prefix", ANOTHER)
     rtol: ReadOnly[float] = ReadOnly("_options.rtol", ANOTHER)
     max_halvings: ReadOnly[int] = ReadOnly("_options.max_halvings", ANOTHER)
@@ -157,9 +158,9 @@ class Solver:
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
         self.case = ""
-        """Internal: name of the branch of the load steps; "" outside branches."""
+        """Name of the branch of the load steps; "" outside branches."""
         self.base: SceneState | None = None
-        """Internal: state at which the first loads were applied; None before."""
+        """State at which the first loads were applied; None before."""
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
@@ -184,7 +185,7 @@ class Solver:
 
     @property
     def history(self) -> History:
-        """Table with a row for each accepted step; see `Recorder`."""
+        """Table with a row for each accepted step."""
         return self._recorder.history
 
     @collective
@@ -244,6 +245,15 @@ class Solver:
             On all ranks, after Ctrl-C or SIGTERM on one of them, at the next evaluation of the
             energy; a second signal ends the process at once. The scene keeps the last good state,
             which with `resume` is in a checkpoint.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.2), name="snow", per="plan")
+        >>> step = solver.advance(pressure=0.8, load={"snow": 1.5}, steps=2)
+        >>> round(ridge.tension, 2)
+        3.33
+        >>> solver.advance(L0={ridge: 0.995 * ridge.L0}).verification.verdict
+        'verified'
         """
         scene = self.scene
         air = {"temperature": temperature, "atmosphere": atmosphere}
@@ -350,6 +360,14 @@ class Solver:
         """Snapshot of the scene and this solver, for `restore`.
 
         Collective. It stays in memory; `save` writes to a folder.
+
+        Examples
+        --------
+        >>> calm = solver.snapshot()
+        >>> step = solver.advance(pressure=2.0)
+        >>> solver.restore(calm)
+        >>> scene.pressure
+        1.0
         """
         return self._increments.snapshot()
 
@@ -369,6 +387,16 @@ class Solver:
         ------
         InputError
             On all ranks: not a snapshot, or one of another scene.
+
+        Examples
+        --------
+        >>> calm = solver.snapshot()
+        >>> for pressure in (1.5, 2.0):
+        ...     solver.restore(calm)
+        ...     step = solver.advance(pressure=pressure)
+        ...     print(pressure, round(ridge.tension, 1))
+        1.5 6.6
+        2.0 8.0
         """
         with raised_together(self.scene.comm):
             checks.of_type("restore: snapshot", snapshot, SceneState)
@@ -516,6 +544,14 @@ class Solver:
         -------
         MembraneResults
             Values in this rank's cells, in the current state.
+
+        Examples
+        --------
+        >>> results = solver.results()
+        >>> float(results.values("true force 1").max().round(1))
+        6.6
+        >>> results.shares()  # slack, wrinkled, taut
+        (0.0, 0.0, 1.0)
         """
         from crms_fenicsx.results.membrane_results import membrane_results
 
@@ -546,8 +582,8 @@ class Solver:
 
         Examples
         --------
-        >>> corner = solver.reactions("corner 1")
-        >>> corner.total, corner.membrane, corner.parts["guy 1"]
+        >>> corner = solver.reactions("front left")
+        >>> corner.total, corner.membrane, corner.parts
         """
         from crms_fenicsx.results.reactions import reactions
 
@@ -572,6 +608,12 @@ class Solver:
         ------
         InputError
             Not a cable of this scene.
+
+        Examples
+        --------
+        >>> forces = solver.contact_forces(ridge)
+        >>> round(float(forces.normal.sum()), 1)
+        1.4
         """
         checks.own("contact_forces", "cable", cable, self.scene.cables)
         return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
@@ -619,6 +661,14 @@ class Solver:
         -------
         Summary
             The same on all ranks.
+
+        Examples
+        --------
+        >>> summary = solver.summary()
+        >>> round(summary.membrane.largest["true force 1"].value, 1)
+        6.6
+        >>> round(summary.cables["ridge"].largest, 2)
+        5.02
         """
         from crms_fenicsx.results.summary import summary
 
@@ -807,7 +857,7 @@ class Solver:
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
             together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
             ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to print
-            the page as PDF, with an installed browser or the one named by the variable
+            the page as PDF, with an installed browser or WeasyPrint, or that in the variable
             CRMS_BROWSER. ``interactive``: whether to write a rotatable view of each combination, as
             ``tent_view_1.html``, with pyvista and its trame.
 
@@ -823,7 +873,7 @@ class Solver:
         Examples
         --------
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
-        >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
+        >>> solver.report("results/tent.html", found, title="Tent", unit="m", force="kN")
         """
         from crms_fenicsx.results.output.report.reporting import write_report
 
@@ -919,10 +969,10 @@ class Solver:
 
         Examples
         --------
-        >>> scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        >>> scene = Scene(mesh, fabric)
         >>> solver = Solver(scene, results="results/dome")
         >>> solver.load("results/dome/checkpoint")
-        >>> solver.advance(L0={scene.cable("ridge"): 99.0})
+        >>> step = solver.advance(L0={scene.cable("ridge"): 3.99})
         """
         if self.steps:
             raise InputError(

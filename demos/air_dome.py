@@ -79,9 +79,6 @@ if scene.comm.rank == 0:
     for name, forces in tensions.items():
         print(f"{name:6} tensions from {forces.min():.0f} to {forces.max():.0f} kN")
     print(f"the air lifts the roof with {lift / 1e3:.2f} MN; the cables hold {-ends / 1e3:.2f} MN")
+    print(f"files: {RESULTS}")
 
-# The supports take all of the lift, except for the area between the rim's polygon and the circle.
-np.testing.assert_allclose(boundary.total[2], -lift, rtol=2 * (size / RADIUS) ** 2 / 3)
-# Measured with this program: means of 277 and 273 kN in calm air with 1500 and 3000 unknowns.
-np.testing.assert_allclose(tensions["calm"].mean(), 277.0, rtol=0.1)
-assert np.all(tensions["storm"] > 1.5 * tensions["calm"])
+# sphinx_gallery_thumbnail_number = 2

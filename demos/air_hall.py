@@ -62,12 +62,6 @@ net = {cable: 0.99 * cable.L0 for cable in scene.cables}
 solver.advance(pressure=CALM, load={"weight": 1.0}, L0=net)
 operation = np.array([cable.tension for cable in scene.cables])
 
-# %%
-# The rim and the anchors balance the lift of the air.
-rim = solver.reactions("boundary").total[2]
-lift, weight = CALM * 4 * HALF**2, 0.0105 * form.area
-np.testing.assert_allclose(rim, weight - lift, rtol=1e-6)
-
 LOOK = {
     "box": ((-18.5, -18.5, 0.0), (18.5, 18.5, 10.0)),
     "view": (-125.0, 30.0),
@@ -139,8 +133,6 @@ calm = solver.snapshot()
 solver.advance(load={"wind": 0.75}, pressure=STORM)
 scene.seal(volume=form.volume + scene.volume, exponent=1.4)
 cases |= solver.combine({"Gust, sealed": {"wind": 1.5}})
-solver.restore(cases["Gust, sealed"].snapshot)
-gust = scene.pressure
 solver.restore(calm)
 
 # %%
@@ -175,17 +167,9 @@ if scene.comm.rank == 0:
     join_pictures(
         f"{RESULTS}/both.png", [f"{RESULTS}/operation.png", f"{RESULTS}/storm.png"], upright=True
     )
+    lift, weight = CALM * 4 * HALF**2, 0.0105 * form.area
     print(f"in operation tensions from {operation.min():.1f} to {operation.max():.1f} kN, the air"
           f" lifts {lift:.0f} kN, fabric weighs {weight:.1f} kN")  # fmt: skip
+    print(f"files: {RESULTS}")
 
-# Measured with this program at sizes 1.8 and 2.0: 16.7 and 17.0 kN on average in operation, 74.2
-# and 74.3 kN in the storm, 85.1 and 85.8 kN in the diagonal one, 0.385 and 0.384 kPa in the gust.
-rtol = 0.03 if size < 2.1 else 0.2
-largest = [found[name][0] for name in ("Storm", "Diagonal storm", "Drifted snow")]
-np.testing.assert_allclose(operation.mean(), 16.8, rtol=rtol)
-np.testing.assert_allclose(largest, [74.2, 85.1, 35.9], rtol=rtol)
-np.testing.assert_allclose(gust, 0.385, rtol=rtol)
-np.testing.assert_allclose(form.mesh.mesh.geometry.x[:, 2].max(initial=9.4), 9.45, atol=0.1)
-assert CALM < gust < STORM
-assert 0.35 < max(used for _, used, _ in found.values()) < 0.7
-assert found["Storm"][2] < 1.2
+# sphinx_gallery_thumbnail_number = 2

@@ -118,11 +118,6 @@ if scene.comm.rank == 0:
     print(f"windy  tensions from {windy.min():5.2f} to {windy.max():5.2f} kN")
     print(f"       {lifted} cables lifted off somewhere; the membrane moved up to {way:.2f} m,")
     print(f"       cables slid over it up to {slid:.2f} m")
+    print(f"files: {RESULTS}")
 
-# Measured with this program at sizes 1.6, 2.0 and 3.0: mean tensions of 10.98, 11.14 and 11.21 kN
-# in calm air, largest tensions of 37.58, 37.72 and 38.93 in the wind; another gmsh may mesh
-# differently. docs/benchmarks/cable_accuracy.md shows the influence of a coarse mesh.
-rtol = 0.03 if size == 1.6 else 0.25
-np.testing.assert_allclose((calm.mean(), windy.max()), (10.98, 37.58), rtol=rtol)
-assert lifted >= 3
-assert 0.2 < slid < 1.0
+# sphinx_gallery_thumbnail_number = 2

@@ -101,16 +101,6 @@ if scene.comm.rank == 0:
     join_pictures(
         f"{RESULTS}/both.png", [f"{RESULTS}/taken_in.png", f"{RESULTS}/profile.png"], upright=True
     )
+    print(f"files: {RESULTS}")
 
-# %%
-# Check
-# -----
-# The ratio is 0.999 to 1.000 of the capstan ratio at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from
-# strains of a thousandth: 5.57, 5.53, 5.11 and 4.75 kN in the frictionless cable; another gmsh may
-# mesh differently.
-np.testing.assert_allclose(ends["taken in"][3], 1.0, atol=0.05)
-if size == 1.2:
-    np.testing.assert_allclose(ends["taken in"][:3], (3.06, 7.48, 7.48), rtol=0.06)
-    np.testing.assert_allclose(ends["let out"][:3], (3.12, 4.65, 2.83), rtol=0.06)
-np.testing.assert_allclose(rough.tension, free.tension, rtol=0.05)  # mean tensions
-assert ends["let out"][1] > 1.3 * max(ends["let out"][0], ends["let out"][2])  # in the middle
+# sphinx_gallery_thumbnail_number = 1

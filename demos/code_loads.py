@@ -130,20 +130,6 @@ if scene.comm.rank == 0:
     print(f"fabric used to {used[fabric]:.0%}: {fabric}")
     print(f"tension of the valley cable {pull[cable]:.1f} kN: {cable}")
     print(f"rain would stand in {len(wet)} of the combinations")
+    print(f"files: {RESULTS}")
 
-# %%
-# Checks
-# ------
-# By hand: mu_3 = min(0.2 + 10 h/b, 2), and the supports carry 1.5 x 0.8 s_k on the width l_s where
-# the arch is no steeper than 60 degrees. Measured with this program at sizes 0.5 and 1.4: fabric
-# utilisation of 67 and 63 %, 31.4 and 33.4 kN in the cable.
-width = shapes["snow"].width
-np.testing.assert_allclose(shapes["snow drifted"].mu_3, min(0.2 + 10 * RISE / SPAN, 2.0))
-np.testing.assert_allclose(width, 2 * RADIUS * np.sin(np.pi / 3))
-snow, calm = (summaries[name] for name in ("ULS: 1 weight + 1.5 snow", "ULS: 1 weight"))
-lift = snow.reaction[2] - calm.reaction[2]
-np.testing.assert_allclose(lift, 1.5 * 0.8 * SNOW * width * BAY, rtol=0.03)
-rtol = 0.03 if size < 0.6 else 0.08
-np.testing.assert_allclose((used[fabric], pull[cable]), (0.67, 31.4), rtol=rtol)
-assert fabric.endswith(("1.5 snow drifted", "1.5 snow drifted back")) and cable.endswith("1.5 wind")
-assert len(table) == 22 and not wet
+# sphinx_gallery_thumbnail_number = 1

@@ -112,32 +112,15 @@ def draw_curves(results):
 # With and without friction
 # -------------------------
 results = {name: experiment(name) for name in RUNS}
-smooth, rough = (places[:, 0, 50] for places, _, _ in results.values())
-tensions = {name: values for name, (_, values, _) in results.items()}
 for name, (_, values, solver) in results.items():
     if solver.scene.comm.rank == 0:
         print(f"{RUNS[name][1]:>11}: tension {values[DOWN - 1]:.2f} kgf down,", end=" ")
         print(f"{values[-1]:.2f} kgf sideways; middle at y =", end=" ")
         print(", ".join(f"{y:.2f}" for y in results[name][0][DOWN + 1 :: 2, 0, 50]), end=" cm; ")
         print(f"dissipated {solver.scene.dissipated:.1f} kgf cm")
-work = results["rough"][2].history["dissipated"]
 if solver.scene.comm.rank == 0:
     draw_curves(results)
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/{name}.png" for name in RUNS])
+    print(f"files: {RESULTS}")
 
-# %%
-# Check
-# -----
-# As in the paper, friction mainly changes the sideways displacement, hardly the vertical one.
-lag = np.abs(smooth - rough)[DOWN:].max()
-sag = np.abs(results["smooth"][0] - results["rough"][0])[:, 1].max()
-assert lag > 3.5 and sag < 0.6
-# A sticking cable gains tension; a freely sliding one hardly does.
-assert tensions["smooth"][-1] < 1.04 * tensions["smooth"][DOWN - 1]
-assert tensions["rough"][-1] > 1.25 * tensions["rough"][DOWN - 1]
-assert np.all(np.diff(work) >= 0.0) and work[-1] > 800.0  # friction only dissipates
-# Measured with this program at mesh sizes 5, 3.5 and 2.5 cm: tensions of 385.59, 385.60 and 385.63
-# without friction and 493.9, 493.0, 493.1 with it; the middle at 9.872 and at 5.93, 5.95, 5.95.
-np.testing.assert_allclose(tensions["smooth"][-1], 385.6, rtol=2e-3)
-np.testing.assert_allclose(tensions["rough"][-1], 494.0, rtol=1e-2)
-np.testing.assert_allclose((smooth[-1], rough[-1]), (9.872, 5.93), atol=0.08)
+# sphinx_gallery_thumbnail_number = 2

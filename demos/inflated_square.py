@@ -73,8 +73,6 @@ if scene.comm.rank == 0:
     print(f"tightened  cable's middle   {middle:8.3f} cm")
     print(f"           cable's tension  {cable.tension:8.2f} kgf")
     print(f"           energy           {scene.energy:8.2f} kgf cm")
+    print(f"files: {RESULTS}")
 
-# Measured with this program on this mesh. At size=1.0 it gives 10.1841 (no vertex lies in the
-# middle at 4.0), -375.559, 1.9526, 253.002, 8.598; the continuum's square 10.1845, -375.649.
-measured = (top, inflated, middle, cable.tension, scene.energy)
-np.testing.assert_allclose(measured, (10.1501, -374.208, 1.9507, 253.137, 10.4891), rtol=1e-4)
+# sphinx_gallery_thumbnail_number = 2

@@ -177,18 +177,4 @@ if FIRST:
             f"{'':9} model 3 tension {smooth[2]:.2f} and with µ = 0.7 {rough[2]:.2f} kgf,", end=" "
         )
         print(f"middle at y = {smooth[0]:.3f} and {rough[0]:.3f} cm")
-    print(f"pictures, histories and files for ParaView: {RESULTS}")
-
-# %%
-# Check
-# -----
-# The equations written out by hand (`benchmarks/validation/paper_by_hand.py`) give this tension of
-# model 1; of models 2 and 3 the other figures have been measured with this program.
-np.testing.assert_allclose(model_1["paper"], 98.859619, rtol=1e-7)
-np.testing.assert_allclose(model_1["default"], 102.3595, rtol=1e-6)
-if SIZE == 5.0:
-    np.testing.assert_allclose(model_2["paper"], (10.2932, 251.303, 1.9646), rtol=1e-4)
-    np.testing.assert_allclose(model_2["default"], (10.1714, 253.700, 1.9459), rtol=1e-4)
-    np.testing.assert_allclose(model_3["paper", 0.0][-1, 2], 382.30, rtol=2e-3)
-    np.testing.assert_allclose(model_3["paper", 0.7][-1, 2], 575.7, rtol=1e-2)
-    np.testing.assert_allclose(model_3["default", 0.7][-1, 2], 493.9, rtol=1e-2)
+    print(f"files: {RESULTS}")

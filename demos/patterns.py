@@ -153,7 +153,7 @@ found = {
 solver = found["compensated"][0]
 sections = patterns.report_sections(pattern, sheet, got, unit="m", force="kN")
 solver.report(
-    f"{RESULTS}/report.html", title="Hall sewn of its pieces", sections=sections,
+    f"{RESULTS}/report.html", title="Hall sewn from its pieces", sections=sections,
     pictures=["warp"], unit="m", force="kN",
 )  # fmt: skip
 
@@ -171,14 +171,6 @@ if form.comm.rank == 0:
     columns = np.array([tensions for _, *both in found.values() for tensions in both])
     for name, row in zip([*names, "mean"], [*columns.T, columns.mean(axis=1)], strict=True):
         print(f"{name:14}" + "".join(f"{a:10.1f}{b:8.1f}" for a, b in row.reshape(-1, 2)))
+    print(f"files: {RESULTS}")
 
-calm, storm = (np.array([tensions[k].mean() for tensions in found.values()]) for k in (1, 2))
-# Measured with this program at 1.8 m, and at 0.9 m to 2 %: without compensation the cables carry
-# 6 % more in operation and 7 % more in the storm; with compensation, what was planned. With gores
-# single cables differ more, as the warp runs from the crown to the foot all around.
-rtol = 0.02 if size < 2.0 else 0.1
-np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98, 0.98], rtol=rtol)
-np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99, 1.01], rtol=rtol)
-np.testing.assert_allclose(got.whole.mean, WANTED, rtol=0.01 if size < 2.0 else 0.05)
-for lengths in pattern.seam_lengths().values():
-    np.testing.assert_allclose(lengths[:, 0], lengths[:, 1], rtol=1e-9)
+# sphinx_gallery_thumbnail_number = 2

@@ -70,14 +70,4 @@ if MPI.COMM_WORLD.rank == 0:
         print(f"ends moved {name} by 12 cm: tension {tension:.3f} kgf")
         print(f"  node 2 at {np.round(node_2.points[-1], 4)}, node 3 at", end=" ")
         print(np.round(node_3.points[-1], 4))
-
-# %%
-# Check
-# -----
-# Measured with this program; six unknowns leave no mesh to refine.
-np.testing.assert_allclose(tensions, 102.3595, rtol=1e-6)
-np.testing.assert_allclose(tracks[0].points[-1], [11.8361, 28.4117, 8.3503], atol=1e-4)
-np.testing.assert_allclose(tracks[1].points[-1], [49.8790, 26.3681, 8.6131], atol=1e-4)
-# The element starts flat, so down mirrors up.
-for up, down in zip(tracks[:2], tracks[2:], strict=True):
-    np.testing.assert_allclose(up.points * (1, 1, -1), down.points, atol=1e-6)
+    print(f"files: {RESULTS}")

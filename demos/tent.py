@@ -97,6 +97,9 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance()
 moved = solver.summary().displacement.value
 pretension = {bar.name: bar.force for bar in scene.bars}
+if scene.comm.rank == 0:
+    print(f"prestressed: {found.area:.1f} m2, mast {pretension['mast east']:.1f}, guy"
+          f" {pretension['guy east south']:.1f} kN; moved by {moved:.3f} m")  # fmt: skip
 draw(
     solver, f"{RESULTS}/form.png", title="Found form", colour="height", unit="m", force="kN",
     view=VIEW, dpi=110,
@@ -154,7 +157,6 @@ for name, one in combinations.items():
             limits=(0.0, 0.8), line_limits=(-210.0, 210.0), unit="m", force="kN", view=VIEW,
             dpi=110,
         )  # fmt: skip
-figures = {}
 for name, one in summaries.items():
     forces = {kind: [bar.force for bar in one.bars.values() if bar.name.startswith(kind)]
               for kind in ("mast", "guy")}  # fmt: skip
@@ -163,37 +165,13 @@ for name, one in summaries.items():
     belt = max(one.cables[f"belt {name}"].largest for name in EDGES)
     used = one.membrane.largest["utilisation"].value
     stable = max(x.utilisation for x in one.bars.values() if x.name.startswith("mast"))
-    figures[name] = (edge, mast, guy, belt, used, one.lowest.value, one.highest.value)
     if scene.comm.rank == 0:
         print(
             f"{name:12} tension of edges {edge:5.1f}, guys {guy:5.1f}, belts {belt:4.1f} kN; masts "
             f"{mast:5.1f} kN, {stable:3.0%} used; fabric {used:3.0%}; "
             f"z {one.lowest.value:+.3f} to {one.highest.value:+.3f} m"
         )
+if scene.comm.rank == 0:
+    print(f"files: {RESULTS}")
 
-# %%
-# Checks
-# ------
-# The supports carry 1.35 times the weight, and 1.5 times the snow on the plan area within the edge
-# cables. The other figures are known results of this script.
-plans = [cable.path.T[:2] for cable in found.cables]
-plan_area = sum(abs(x[:-1] @ y[1:] - x[1:] @ y[:-1]) for x, y in plans) / 2.0
-more = np.subtract(summaries["Snow"].reaction, summaries["Permanent"].reaction)
-np.testing.assert_allclose(more, (0.0, 0.0, 1.5 * 0.52 * plan_area), atol=1e-5)
-np.testing.assert_allclose(
-    summaries["Permanent"].reaction, (0.0, 0.0, 1.35 * 0.0105 * found.area), atol=1e-5
-)
-assert moved < 1e-8
-np.testing.assert_allclose(found.area, 89.9, rtol=0.01)
-np.testing.assert_allclose(pretension["mast east"], -128.9, rtol=0.01)
-np.testing.assert_allclose(pretension["guy east south"], 56.3, rtol=0.01)
-# edges, masts, guys; then belts, the fabric outside of its patches, and deflections, of all sizes
-# of cells from 0.21 to 0.84 m
-expected = {
-    "Permanent": (44.8, 129.2, 56.5), "Snow": (42.8, 203.8, 86.4), "Uplift": (47.3, 131.8, 59.8),
-    "Wind along x": (46.6, 130.1, 59.0),
-}  # fmt: skip
-for name, forces in expected.items():
-    np.testing.assert_allclose(figures[name][:3], forces, rtol=0.01)
-np.testing.assert_allclose(figures["Snow"][3:6], (26.8, 0.79, -0.325), rtol=0.1)
-np.testing.assert_allclose(figures["Uplift"][6], 0.253, rtol=0.03)
+# sphinx_gallery_thumbnail_number = 2

@@ -33,7 +33,7 @@ TUTORIALS = [
 project = "crms_fenicsx"
 author = "the crms_fenicsx developers"
 copyright = author
-release = crms_fenicsx.__version__
+release = crms_fenicsx.__version__.partition("+")[0]
 
 extensions = [
     "myst_parser",
@@ -48,9 +48,22 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "demos",
     "formulas",
+    "linked",
     "typed",
     "words",
 ]
+intersphinx_mapping = {  # with the classes that are named here, so that no network is needed
+    name: (url, f"inventories/{name}.txt")
+    for name, url in {
+        "dolfinx": "https://docs.fenicsproject.org/dolfinx/v0.9.0/python",
+        "matplotlib": "https://matplotlib.org/stable",
+        "mpi4py": "https://mpi4py.readthedocs.io/en/stable",
+        "numpy": "https://numpy.org/doc/stable",
+        "petsc4py": "https://petsc.org/release/petsc4py",
+        "pyvista": "https://docs.pyvista.org",
+        "scipy": "https://docs.scipy.org/doc/scipy",
+    }.items()
+}
 exclude_patterns = [
     "tutorials/**/*.ipynb",
     "tutorials/**/*.py",
@@ -99,21 +112,47 @@ class Order(ExplicitOrder):
 
 
 demos = Path(__file__).parents[1] / "demos"
-seen = {path: path.stat().st_mtime for path in demos.rglob("*.png")}
+made = [path for kind in ("png", "html") for path in demos.rglob(f"*.{kind}")]
+seen = {path: path.stat().st_mtime for path in made}
+
+
+def new(kind):
+    """The files of a kind that the demos have written since they were asked for last."""
+    written = sorted(demos.rglob(f"*.{kind}"), key=lambda path: path.stat().st_mtime)
+    found = [path for path in written if seen.get(path) != path.stat().st_mtime]
+    seen.update((path, path.stat().st_mtime) for path in found)
+    return found
 
 
 def pictures(block, block_vars, gallery_conf):
-    """Show the pictures written by a block of a demo, except the parts of joined ones."""
-    written = sorted(demos.rglob("*.png"), key=lambda path: path.stat().st_mtime)
-    new = [path for path in written if seen.get(path) != path.stat().st_mtime]
-    seen.update((path, path.stat().st_mtime) for path in new)
+    """Show the pictures written by a block of a demo, except the parts of joined ones, and link its
+    reports and views.
+    """
     shown, names = [], []
-    for path in new:
+    for path in new("png"):
         if path.stem != "both":
             shown.append(next(block_vars["image_path_iterator"]))
             names.append(f"{path.parent.name}, {path.stem}".replace("_", " "))
             shutil.copy(path, shown[-1])
-    return figure_rst(shown, gallery_conf["src_dir"], "; ".join(names))
+    links = [
+        f'<a href="../results/{path.parent.name}/{path.name}">{path.stem.replace("_", " ")}</a>'
+        for path in new("html")
+    ]
+    linked = ".. raw:: html\n\n    <p>Open the " + ", the ".join(links) + ".</p>\n"
+    return figure_rst(shown, gallery_conf["src_dir"], "; ".join(names)) + linked * bool(links)
+
+
+def copy_reports(app, error):
+    """Put the reports and views of the demos where the tutorials link them."""
+    for path in demos.glob("results/*/*.html"):
+        folder = Path(app.outdir) / "results" / path.parent.name
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, folder)
+
+
+def setup(app):
+    """Sphinx calls this."""
+    app.connect("build-finished", copy_reports)
 
 
 sphinx_gallery_conf = {
@@ -130,4 +169,5 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "remove_config_comments": True,
     "reset_modules": (),
+    "reference_url": {"crms_fenicsx": None},
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import Bbox
 from mpi4py import MPI
+from scipy.special import j0
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import (
+    Cable,
+    Friction,
+    IsotropicMembrane,
+    PatternWarning,
+    Scene,
+    SnapThroughWarning,
+    Solver,
+    meshes,
+    patterns,
+)
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.cabling.friction.slip import material_place
 from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
@@ -598,6 +610,279 @@ def draw_overview() -> Figure:
     return figure
 
 
+# ---------------------------------------------------------------------------------------------
+# Solved examples
+
+
+def draw_wrinkling() -> Figure:
+    """A sheared sheet: which cells are taut, wrinkled and slack, and along which way they pull."""
+    figure, (axes,) = panels(3.2, [1])
+    mesh = meshes.rectangle(MPI.COMM_WORLD, width=10.0, depth=4.0, size=0.8, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0))
+    for side in ("front", "back"):
+        scene.fix(side)
+    scene.fix(lambda x: x[2] < 1.0, "z")
+    solver = Solver(scene)
+    solver.advance(move={"back": (0.12, 0.07, 0.0)}, steps=3)
+    results = solver.results()
+    states, names = results.values("state"), ("slack", "wrinkled", "taut")
+    looks = {"slack": "#CFCFCF", "wrinkled": FOLDED, "taut": "#BFDDF0"}
+    cells = scene.positions()[scene.V.dofmap.list][..., :2]
+    ways = results.true_directions[:, 0, :2]
+    forces = results.values("true force 1")
+    longest = forces.max()
+    for cell, state, way, force in zip(cells, states, ways, forces, strict=True):
+        polygon(axes, cell, looks[names[round(state)]], lw=0.5)
+        arm = 0.3 * force / longest * way / max(np.linalg.norm(way), 1e-12)
+        line(axes, [cell.mean(axis=0) - arm, cell.mean(axis=0) + arm], FORCE, lw=1.4)
+    for y in (0.0, 4.07):
+        at = cells.reshape(-1, 2)
+        ends = at[np.abs(at[:, 1] - y) < 1e-9]
+        line(axes, [ends.min(axis=0), ends.max(axis=0)], "black", lw=3)
+    arrow(axes, np.array([4.3, 4.45]), np.array([1.6, 0.0]), SLIP)
+    handles: list[Any] = [Patch(fc=looks[name], ec=LINE, label=name) for name in reversed(names)]
+    handles.append(Line2D([], [], color=FORCE, label="larger section force"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def unrolled(cells: Sequence[Array], path: Array) -> tuple[list[Array], Array]:
+    """A strip of cells (3, 3) in space laid into the plane one after the other, and a path's points
+    (n, 3), of which each cell has two.
+    """
+    flat: list[Array] = []
+    points: list[Array] = []
+    for k, cell in enumerate(cells):
+        if not flat:
+            base = distance(cell[0], cell[1])
+            places = [np.zeros(2), np.array([base, 0.0])]
+            known = [0, 1]
+        else:
+            before = cells[k - 1]
+            known = [c for c in range(3) if min(distance(cell[c], one) for one in before) < 1e-9]
+            places = [
+                flat[-1][int(np.argmin([distance(cell[c], one) for one in before]))] for c in known
+            ]
+        (new,) = set(range(3)) - set(known)
+        a, b = (cell[c] for c in known)
+        u, v = places
+        size = distance(a, b)
+        along = (cell[new] - a) @ (b - a) / size
+        away = np.sqrt(max(distance(cell[new], a) ** 2 - along**2, 0.0))
+        e = (v - u) / size
+        normal = np.array([-e[1], e[0]])
+        if flat:
+            opposite = flat[-1].mean(axis=0)
+            normal = -normal if (opposite - u) @ normal > 0 else normal
+        laid = np.zeros((3, 2))
+        laid[known[0]], laid[known[1]], laid[new] = u, v, u + along * e + away * normal
+        flat.append(laid)
+        frame = np.linalg.lstsq(cell.T, path[k], rcond=None)[0]
+        points.append(frame @ laid)
+        if k == len(cells) - 1:
+            points.append(np.linalg.lstsq(cell.T, path[k + 1], rcond=None)[0] @ laid)
+    return flat, np.array(points)
+
+
+def draw_unrolled() -> Figure:
+    """A geodesic over a dome, and its cells unrolled."""
+    figure, (left, right) = panels(6.0, [1], [2.9, 1])
+    mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=10.0, height=5.0, size=2.6)
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    scene.fix("boundary")
+    ends = [(-9.3, -3.6), (8.2, -5.6)]
+    ways = [scene.lay_cable(Cable(EA=15e3), ends, shortest=short) for short in (True, False)]
+    points = scene.positions()
+    cells = points[scene.V.dofmap.list] + np.array([0.0, 0.0, 1e3])  # no cell passes the origin
+    view = (-75.0, 58.0)
+    places = seen(points, *view)[0]
+    for cell in scene.V.dofmap.list:
+        polygon(left, places[cell], "white", lw=0.7)
+    path = ways[0].line + np.array([0.0, 0.0, 1e3])
+    path = path[np.r_[True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9]]
+    strip = []
+    for a, b in itertools.pairwise(path):
+        shares = np.linalg.solve(np.moveaxis(cells, 1, 2), ((a + b) / 2)[None, :, None])[..., 0]
+        inside = (shares.min(axis=1) > -1e-9) & (abs(shares.sum(axis=1) - 1) < 1e-6)
+        strip.append(cells[inside.argmax()])
+        polygon(left, places[scene.V.dofmap.list[inside.argmax()]], FOLDED, lw=0.7)
+    flat, straight = unrolled(strip, path)
+    chord = straight[-1] - straight[0]
+    length = sum(distance(a, b) for a, b in itertools.pairwise(path))
+    np.testing.assert_allclose(np.linalg.norm(chord), length)  # it is straight
+    e = chord / np.linalg.norm(chord)
+    back = np.array([[e[0], -e[1]], [e[1], e[0]]])
+    for cell in flat:
+        polygon(right, cell @ back, FOLDED, lw=0.8)
+    line(right, straight @ back, CABLE, lw=3)
+    dots(right, (straight @ back)[1:-1], FOLD, ms=5)
+    on = [seen(cable.line, *view)[0] for cable in ways]
+    line(left, on[1], "black", lw=1.8, ls="--")
+    line(left, on[0], CABLE, lw=3)
+    lengths = [sum(distance(a, b) for a, b in itertools.pairwise(c.line)) for c in ways]
+    left.set_title("over the dome", fontsize=12)
+    right.set_title("its cells unrolled", fontsize=12)
+    handles = [
+        Line2D([], [], color=CABLE, lw=3, label=f"geodesic, {lengths[0]:.2f} m"),
+        Line2D([], [], color="black", ls="--", label=f"straight in plan, {lengths[1]:.2f} m"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def draw_stick_slip() -> Figure:
+    """A cable on a sheet moved to and fro: its middle's place over that of its ends."""
+    figure, (axes,) = panels(3.4, [1])
+    for mu, colour, label in ((0.0, "black", "frictionless"), (0.4, CABLE, r"$\mu = 0.4$")):
+        mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, size=12.0)
+        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        scene.fix("front")
+        scene.fix("back")
+        ends = [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
+        cable = scene.lay_cable(Cable(EA=32000.0, friction=mu), ends)
+        solver = Solver(scene)
+        solver.advance(move={cable: (0.0, 0.0, -8.0)}, steps=2)
+        way: list[tuple[float, float]] = []
+        y = 0.0
+        for step in [2.0] * 5 + [-2.0] * 10 + [2.0] * 10:
+            y += step
+            solver.advance(move={cable: (0.0, step, 0.0)})
+            way.append((y, float(np.interp(50.0, *cable.line.T[:2])) - 50.0))
+        axes.plot(*np.array(way).T, "o-", color=colour, ms=4, label=label)
+    graph(axes, "ends of the cable, sideways [cm]", "its middle [cm]")
+    axes.legend(frameon=False)
+    return figure
+
+
+def draw_capstan() -> Figure:
+    """Tension along a cable with friction along itself, tightened at one end."""
+    figure, (axes,) = panels(3.2, [1])
+    mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=12.0, height=8.0, size=2.0)
+    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=0.4)
+    mu = 0.3
+    cable = scene.lay_cable(
+        Cable(3000.0, friction=Friction(0.0, along=mu)), path=[(0.0, 6.0), (16.0, 6.0)]
+    )
+    solver.advance(L0={cable: cable.L0 - 0.25}, steps=5)
+    ways = np.diff(cable.line, axis=0)
+    sizes = np.linalg.norm(ways, axis=1)
+    turns = np.arccos(np.clip(np.sum(ways[1:] * ways[:-1], axis=1) / sizes[1:] / sizes[:-1], -1, 1))
+    wrap = np.r_[0.0, np.cumsum(turns)]
+    smooth: Array = np.linspace(0.0, wrap[-1], 100)
+    axes.plot(np.degrees(smooth), cable.tensions[0] * np.exp(mu * smooth), color=FORCE, lw=2,
+              label=r"$T_0\,e^{\mu\theta}$")  # fmt: skip
+    axes.plot(np.degrees(wrap), cable.tensions, "o", color=CABLE, ms=6, label="solved, by span")
+    graph(axes, r"turn $\theta$ from the far end [degrees]", "tension [kN]")
+    axes.set_ylim(0.0)
+    axes.legend(frameon=False)
+    return figure
+
+
+def draw_ponding() -> Figure:
+    """Sections of a drum under water of a given level, beside the closed form."""
+    figure, (axes,) = panels(3.4, [1])
+    tension, radius, h0 = 2.0, 3.0, 1e-3
+    axes.axhline(1.0, color="#6BAED6", lw=1.5)
+    for k, colour in ((1.0, FORCE), (1.5, SLIP), (2.0, CABLE)):
+        scene = Scene(
+            meshes.ellipse(MPI.COMM_WORLD, radius, radius, 0.3),
+            IsotropicMembrane(E=1e-6, nu=0.3, thickness=1.0, prestress=tension, wrinkling=False),
+        )
+        scene.fix("boundary")
+        scene.put_pond(tension * (k / radius) ** 2, level=h0)
+        Solver(scene).advance(load=1.0)
+        x, y, z = scene.positions()[abs(scene.positions()[:, 1]) < 0.3].T  # near a diameter
+        r: Array = np.linspace(0.0, radius, 200)
+        closed = -(j0(k * r / radius) / j0(k) - 1)
+        axes.plot(r / radius, closed, color=colour, lw=1.5)
+        axes.plot(np.hypot(x, y) / radius, z / h0, "o", color=colour, ms=2.5, label=f"k R = {k:g}")
+    note(axes, np.array([0.08, 1.0]), "water level", (12, 0), "#2171B5")
+    graph(axes, "distance from the centre, r / R", "z / h0")
+    axes.legend(frameon=False, loc="lower right", markerscale=2)
+    return figure
+
+
+def draw_snap_through() -> Figure:
+    """The height of a dome under growing snow, with its jump."""
+    figure, (axes,) = panels(3.3, [1])
+    mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=10.0, height=5.0, size=2.0)
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
+    solver = Solver(scene)
+    solver.advance(pressure=0.3)
+    crown = int(np.argmin(np.hypot(*scene.positions()[:, :2].T)))
+    way, jumps = [(0.0, scene.positions()[crown, 2])], []
+    for load in np.arange(0.05, 0.51, 0.05):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SnapThroughWarning)
+            step = solver.advance(load={"snow": float(load)})
+        way.append((float(load), scene.positions()[crown, 2]))
+        jumps += [getattr(one, "loads", {}).get("snow") for one in step.warnings]
+    at = np.array(way)
+    jump = next(one for one in jumps if one)
+    limit = float(np.mean(jump))
+    before = at[:, 0] < limit
+    axes.axvline(limit, color=LINE, lw=1, ls=":")
+    axes.axhline(0.0, color=LINE, lw=0.8)
+    axes.plot(*at[before].T, "o-", color=FORCE, ms=5)
+    axes.plot(*at[~before].T, "o-", color=CABLE, ms=5)
+    tail, head = at[before][-1], at[~before][0]
+    arrow(axes, np.array([limit, tail[1]]), np.array([0.0, head[1] - tail[1]]), SLIP)
+    graph(axes, "snow [kPa]", "height of the crown [m]")
+    axes.set_ylim(-6.5, 6.5)
+    note(axes, np.array([limit, 1.5]), f"limit load {limit:.2f} kPa", (-78, 0))
+    note(axes, np.array([limit, -2.0]), "snaps through", (52, 0), SLIP)
+    return figure
+
+
+def draw_flattening() -> Figure:
+    """Strains across a flattened strip of a dome, beside the formula."""
+    figure, (left, right) = panels(3.4, [1, 1.15])
+    R, W = 8.0, 2.0
+    mesh = meshes.spherical_cap(
+        MPI.COMM_WORLD, radius=4.0, height=R - np.sqrt(R**2 - 16.0), size=0.16
+    )
+    seams = [
+        patterns.plane_section(mesh, (0.0, y, 0.0), (0.0, 1.0, 0.0), name=f"seam {k}")
+        for k, y in enumerate((-W / 2, W / 2))
+    ]
+    fabric = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PatternWarning)  # 16 columns would take four times as long
+        pattern = patterns.flatten(
+            patterns.cut(mesh, seams), fabric, warp=(1.0, 0.0, 0.0), equal=False
+        )
+    (flat,) = (one for one in pattern.flat if sum(edge.sewn for edge in one.piece.edges) == 2)
+    view = (-70.0, 35.0)
+    angles = np.linspace(0.0, 2 * np.pi, 80)
+    rim = np.column_stack([4.0 * np.cos(angles), 4.0 * np.sin(angles), 0.0 * angles])
+    polygon(left, seen(rim, *view)[0], "white")
+    crown = np.column_stack([0.0 * angles, 4.0 * np.cos(angles), 0.0 * angles])
+    crown[:, 2] = np.sqrt(R**2 - crown[:, 1] ** 2) - np.sqrt(R**2 - 16.0)
+    line(left, seen(crown, *view)[0], LINE, lw=1)
+    outline = flat.piece.outline
+    polygon(left, seen(flat.piece.points[outline], *view)[0], FOLDED, lw=1.2)
+    polygon(left, flat.shape[outline] - flat.shape.mean(axis=0) - (0.0, 4.2), FOLDED, lw=1.2)
+    note(left, np.array([0.0, -4.2]), "flat")
+    left.set_title("a strip of a dome", fontsize=12)
+    middles = flat.shape[flat.piece.triangles].mean(axis=1)
+    middles -= (np.ptp(flat.shape, axis=0) / 2 + flat.shape.min(axis=0))[None]
+    inside = abs(middles[:, 0]) < 0.7  # away from its ends
+    y: Array = np.linspace(-W / 2, W / 2, 100)
+    right.plot(middles[inside, 1], 100 * flat.strains[inside, 0], "o", color=CABLE, ms=2.5,
+               label="cells")  # fmt: skip
+    right.plot(y, 100 / R**2 * (W**2 / 24 - y**2 / 2), color="black", lw=1.8,
+               label=r"$K(W^2/24 - y^2/2)$")  # fmt: skip
+    right.axhline(0.0, color=LINE, lw=0.8)
+    graph(right, "y across the strip [m]", "strain along it [%]")
+    right.legend(frameon=False, fontsize=10)
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": draw_overview,
     "fold": draw_fold,
@@ -608,6 +893,13 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "contact_force": draw_contact_force,
     "friction": draw_friction,
     "friction_law": draw_friction_law,
+    "wrinkling": draw_wrinkling,
+    "unrolled": draw_unrolled,
+    "stick_slip": draw_stick_slip,
+    "capstan": draw_capstan,
+    "ponding": draw_ponding,
+    "snap_through": draw_snap_through,
+    "flattening": draw_flattening,
 }
 
 

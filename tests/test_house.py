@@ -53,14 +53,14 @@ OPTIONS = set("Solver.__init__ Scene.lay_cable laying.lay find_form.find_form".s
 
 
 BUDGETS = {
-    "foundation": 7814,
-    "model": 3022,
+    "foundation": 7888,
+    "model": 3056,
     "energy": 7542,
-    "cabling": 7329,
-    "analysis": 6431,
-    "results": 10478,
-    "solver": 935,
-    "design": 8248,
+    "cabling": 7321,
+    "analysis": 6562,
+    "results": 10581,
+    "solver": 985,
+    "design": 8364,
 }
 """Lines of each wing. They may only fall, or rise with a line in docs/features.md."""
 
@@ -71,8 +71,8 @@ RATCHETS = {
     "public functions and classes": 987,
     "classes": 408,
     "module constants": 249,
-    "numbers in values": 85,
-    "numbers that decide the answer": 33,
+    "numbers in values": 80,
+    "numbers that decide the answer": 28,
 }
 """What may only fall."""
 

@@ -95,7 +95,7 @@ def read_dxf(path: File, *, unit: Positive | None = None) -> dict[str, Lines]:
 
     Examples
     --------
-    >>> outline = read_dxf("site.dxf")["ROOF"].outlines[0]
+    >>> outline = exchange.read_dxf("site.dxf")["ROOF"].outlines[0]
     >>> mesh = meshes.polygon(MPI.COMM_WORLD, outline[:, :2], size=0.5)
     """
     file, ezdxf = Path(path), dxf_library("read_dxf")
@@ -223,7 +223,7 @@ def write_shape(scene: Scene, filename: File, *, unit: str = "m") -> None:
 
     Examples
     --------
-    >>> write_shape(found.scene(material), "form.dxf")
+    >>> exchange.write_shape(scene, "form.dxf")
     """
     checks.one_of("write_shape: unit", unit, DXF_UNITS)
     path = absolute(filename, scene.comm)
@@ -295,7 +295,8 @@ def from_compas(comm: MPI.Intracomm, mesh: Any, **options: Any) -> MembraneMesh:
 
     Examples
     --------
-    >>> mesh = from_compas(MPI.COMM_WORLD, compas.datastructures.Mesh.from_obj("roof.obj"))
+    >>> roof = compas.datastructures.Mesh.from_obj("roof.obj")
+    >>> mesh = exchange.from_compas(MPI.COMM_WORLD, roof)
     """
 
     def triangles() -> tuple[Any, Any]:
@@ -342,7 +343,8 @@ def to_vertices_and_faces(
 
     Examples
     --------
-    >>> mesh = compas.datastructures.Mesh.from_vertices_and_faces(*to_vertices_and_faces(scene))
+    >>> vertices, faces = exchange.to_vertices_and_faces(scene)
+    >>> mesh = compas.datastructures.Mesh.from_vertices_and_faces(vertices, faces)
     """
     whole = whole_shape(scene)
     if whole is None:

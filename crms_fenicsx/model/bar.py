@@ -46,6 +46,12 @@ class Bar:
         "d", which needs EI and strength; the slenderness takes the strength for A f_y, as with the
         partial factor 1. Or a reduction factor of the strength of your own, 0 to 1. None: a
         compressed bar has no utilisation.
+
+    Examples
+    --------
+    >>> mast = Bar(EA=5e5, EI=200.0, strength=300.0, curve="c")
+    >>> round(mast.reduction(4.0), 2)  # of the strength, by buckling over a length of 4
+    0.3
     """
 
     EA: Positive

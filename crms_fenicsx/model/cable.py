@@ -30,6 +30,13 @@ class Cable:
     friction
         Friction on the membrane: a coefficient, or a `Friction` with more data. The default 0 costs
         nothing.
+
+    Examples
+    --------
+    >>> rope = Cable(EA=1e3, friction=0.2)
+    >>> cable = scene.lay_cable(rope, [(2.0, 0.0), (2.0, 4.0)], tension=3.0)
+    >>> round(cable.tension, 6)
+    3.0
     """
 
     EA: Positive

@@ -57,6 +57,14 @@ class Friction:
         If a coefficient is negative, `static` is below `mu`, the law is unknown, `cone` comes
         without `mu` and `along`, with a static coefficient or with the law "step", or the tolerance
         is not between 0 and 0.1.
+
+    Examples
+    --------
+    >>> rope = Cable(EA=1e3, friction=Friction(0.2, along=0.1))
+    >>> cable = scene.lay_cable(rope, [(2.0, 0.0), (2.0, 4.0)], tension=3.0)
+    >>> step = solver.advance(pressure=1.5)
+    >>> bool(np.ptp(cable.tensions) > 0.0)  # differs along the cable
+    True
     """
 
     mu: NonNegative

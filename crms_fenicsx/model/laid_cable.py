@@ -78,8 +78,13 @@ class LaidCable(Handle[CableState]):
     layer
         Of two crossing cables the one with the higher layer lies on top; with equal layers, the one
         laid later.
-    state
-        Internal: all that load steps change, as one value.
+
+    Examples
+    --------
+    >>> round(ridge.tension, 2), round(ridge.length - ridge.L0, 3)
+    (5.02, 0.02)
+    >>> ridge.line[0]
+    array([0., 2., 0.])
     """
 
     cable: ReadOnly[Cable] = ReadOnly(
@@ -103,12 +108,12 @@ class LaidCable(Handle[CableState]):
 
     @property
     def lifts_off(self) -> bool:
-        """Internal: whether it may lift off the membrane."""
+        """Whether it may lift off the membrane."""
         return HOLDS[self.hold].lifts
 
     @property
     def keeps_line(self) -> bool:
-        """Internal: whether it stays on its line on the fabric, and so crosses the same edges."""
+        """Whether it stays on its line on the fabric, and so crosses the same edges."""
         return not HOLDS[self.hold].sideways
 
     @property
@@ -124,7 +129,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def blocked(self) -> list[int]:
-        """Internal: its sliding nodes that have run into a vertex of the mesh."""
+        """Its sliding nodes that have run into a vertex of the mesh."""
         if not self.taut:
             return []
         fractions, nodes = self.state.fractions, self.state.nodes
@@ -160,7 +165,7 @@ class LaidCable(Handle[CableState]):
 
     @property
     def part_tensions(self) -> Array:
-        """Internal: tensions between consecutive `contacts` (force)."""
+        """Tensions between consecutive `contacts` (force)."""
         law, parts = self.state.law, int(np.count_nonzero(~self.state.lifted)) - 1
         if self.taut and law.axial is not None and len(law.axial.tensions) == parts:
             return law.axial.tensions
@@ -169,34 +174,34 @@ class LaidCable(Handle[CableState]):
         return np.full(parts, self.tension)
 
     def parts_of(self, nodes: Sequence[int]) -> Integers:
-        """Internal: numbers of the parts between clamps that begin at or contain the nodes."""
+        """Numbers of the parts between clamps that begin at or contain the nodes."""
         return np.searchsorted(np.array(self.clamped, dtype=np.int64), nodes, side="right")
 
     @property
     def clamped(self) -> tuple[int, ...]:
-        """Internal: its nodes at clamps and bonds, between which its tensions may differ."""
+        """Its nodes at clamps and bonds, between which its tensions may differ."""
         return () if self.state.law.parts is None else self.state.law.parts.nodes
 
     @property
     def is_divided(self) -> bool:
-        """Internal: whether friction or clamps let its tension vary along it."""
+        """Whether friction or clamps let its tension vary along it."""
         return self.state.law.axial is not None or self.state.law.parts is not None
 
     @property
     def may_slip(self) -> bool:
-        """Internal: whether it can slip through a clamp."""
+        """Whether it can slip through a clamp."""
         return self.state.law.parts is not None and bool(self.state.law.parts.grips.any())
 
     @property
     def at_clamps(self) -> Array:
-        """Internal: 1 at the points of its `line` held by clamps, 0 elsewhere."""
+        """1 at the points of its `line` held by clamps, 0 elsewhere."""
         bonds = () if self.state.laid.bonds is None else self.state.laid.bonds.supports
         nodes = [k for k in self.clamped if self.state.nodes[k].support not in bonds]
         return np.isin(self.line_nodes(), nodes).astype(float)
 
     @property
     def part_lengths(self) -> Array:
-        """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
+        """Unstressed lengths of its parts between clamps, or its own (length)."""
         parts = self.state.law.parts
         if parts is None:
             return np.array([self.L0])
@@ -289,7 +294,7 @@ class LaidCable(Handle[CableState]):
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
-        """Internal: whether it is short enough to be taut, or `nearly`, as folds bulge."""
+        """Whether it is short enough to be taut, or `nearly`, as folds bulge."""
         steps = np.diff(self.state.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -UNSTRAINED

@@ -117,6 +117,14 @@ class IsotropicMembrane(MembraneMaterial):
         True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
         the mesh. False: the membrane resists compression, and compressed regions have no unique
         equilibrium.
+
+    Examples
+    --------
+    >>> fabric = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
+    >>> fabric.stiffness.round()
+    array([[879., 264.,   0.],
+           [264., 879.,   0.],
+           [  0.,   0., 308.]])
     """
 
     E: Positive
@@ -183,6 +191,14 @@ class OrthotropicMembrane(MembraneMaterial):
         True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
         the mesh. False: the membrane resists compression, and compressed regions have no unique
         equilibrium.
+
+    Examples
+    --------
+    >>> fabric = OrthotropicMembrane(900.0, 700.0, G12=30.0, nu21=0.15, thickness=1.0)
+    >>> fabric.stiffness.round()
+    array([[927., 139.,   0.],
+           [139., 721.,   0.],
+           [  0.,   0.,  30.]])
     """
 
     E1: Positive

@@ -68,8 +68,6 @@ class Discretisation:
     oblique: float = 0.1
     """Sine of the smallest angle of a crossing; below it cables run side by side. A cable's force
     on an edge that it crosses at a smaller one is along the edge's normal, not across both."""
-    tangled: int = 8
-    """Cells between two crossings of the same cables up to which these are tangled, not taut."""
 
     nearly_taut: float = 2e-3
     """Relative excess length up to which a cable still counts as taut at first."""
@@ -78,29 +76,26 @@ class Discretisation:
     along a side, cables keep some tension up to a factor of 1.0."""
     most_bulge: float = 0.02
     """The largest such excess length."""
-    hardly_slack: float = 1e-4
-    """Slack of a guy, relative to its length, up to which it counts as taut: a mast that shortens
-    under its load slackens guys without prestress by that much."""
+    slight: float = 1e-4
+    """Change of length, relative to the length, that does not count: a cable that has moved by less
+    keeps its rejected paths, and first sticks with the force of this strain; a guy with less slack
+    counts as taut, as a mast that shortens under its load slackens guys without prestress."""
 
     sliding: float = 0.05
-    """Slip in a load step above which a node slides: with less, noise would trigger an avalanche
-    where the static coefficient is larger; with much more sliding starts late."""
-    first_strain: float = 1e-4
-    """Least strain for the force by which a cable first sticks."""
+    """Slip in a load step, relative to that which mobilises friction, above which a node slides;
+    and excess of a pull over friction, relative to its bound, for a cable to pass a vertex: with
+    less, noise would trigger an avalanche where the static coefficient is larger; with much more
+    sliding starts late."""
     bound_rise: float = 1e-3
     """Rise of the tension for bounds of friction to grow: an idle cable's smoothing gives less."""
     bent_pull: float = 0.5
     """Lateral pull of a fold point beyond the friction force, relative to its bound, that only a
     bent edge can carry. From 0.2 to 1 the choice does not count on 20 meshes of a cylinder."""
 
-    friction_excess: float = 0.05
-    """Excess of a pull over friction, relative to its bound, for a cable to pass a vertex."""
     uneven: float = 0.02
     """Lateral pull of a run without friction, relative to the normal force, that is not counted:
     different cells on both sides cause such forces, which vanish with the cell size, and edges that
     the penalty straightens hold fold points slightly."""
-    still: float = 1e-4
-    """Movement, relative to a cable's length, within which rejected paths stay rejected."""
     kink: float = 0.05
     """Angle that counts as a turn: of a folded edge, above which its cable is laid again, and above
     three times which a state is rejected if fold points have approached each other; of a path along
@@ -131,9 +126,6 @@ class Discretisation:
     wrinkled: float = 0.5
     """Share of the area that is wrinkled or slack above which other states are looked for: one or
     two solves more."""
-    near_state: float = 0.1
-    """Largest distance of another state, relative to the membrane's size: folds move by less, and
-    what has not snapped through must not do so in the search."""
 
     @property
     def pressed(self) -> float:

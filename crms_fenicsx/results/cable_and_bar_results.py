@@ -117,15 +117,31 @@ def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
 
 @dataclass(frozen=True)
 class BarResults:
-    """Results of a bar in equilibrium."""
+    """Results of a bar in equilibrium.
 
-    name: str  # name of the bar
-    force: float  # axial force (force), tension positive
-    slack: bool  # whether the bar is a slack guy
-    length: float  # length, L0: current and unstressed length (length)
+    Attributes
+    ----------
+    name
+        Name of the bar.
+    force
+        Axial force (force), tension positive.
+    slack
+        Whether the bar is a slack guy.
+    length, L0
+        Current and unstressed length (length).
+    buckling
+        Euler load (force); None if unknown.
+    utilisation
+        Utilisation of the strength; None if unknown.
+    """
+
+    name: str
+    force: float
+    slack: bool
+    length: float
     L0: float
-    buckling: float | None = None  # Euler load (force), and utilisation of the
-    utilisation: float | None = None  # strength; None if unknown
+    buckling: float | None = None
+    utilisation: float | None = None
 
 
 def bar_results(scene: Scene) -> dict[str, BarResults]:

@@ -157,7 +157,7 @@ def lengths_to_order(
 
     Examples
     --------
-    >>> order = nets.lengths_to_order(scene, tension=5.0, temperature=-15.0, allowance=0.4)
+    >>> order = nets.lengths_to_order(scene, tension=5.0, temperature=-15, allowance=0.4)
     >>> order.cables["A1"].spacings
     >>> order.write("cables.csv")
     """

@@ -147,7 +147,7 @@ class MembraneResults:
 
         Examples
         --------
-        >>> worst = solver.results().utilisation({"roof": (84.0, 80.0)}).max()
+        >>> worst = solver.results().utilisation((84.0, 80.0)).max()
         """
         given, divided = self.membrane.strengths, self.strength_factor
         if strengths is not None:
@@ -180,6 +180,11 @@ class MembraneResults:
         InputError
             An unknown name; the message lists the known ones. Names of values along warp and weft
             where all materials are isotropic.
+
+        Examples
+        --------
+        >>> float(solver.results().values("true force 1").max().round(1))
+        6.6
         """
         if name in QUANTITIES and name not in self.names and name != "utilisation":
             raise InputError(
@@ -201,6 +206,10 @@ class MembraneResults:
         ------
         InputError
             On all ranks: an unknown part.
+
+        Examples
+        --------
+        >>> slack, wrinkled, taut = solver.results().shares()
         """
         cells: Indices = np.arange(len(self.state), dtype=np.int32)
         if part is not None:
@@ -234,6 +243,12 @@ class MembraneResults:
         ------
         InputError
             On all ranks: an unknown name.
+
+        Examples
+        --------
+        >>> force = solver.results().function("true force 1", smooth=True)
+        >>> float(force.x.array.max().round(1))
+        6.2
         """
         if name == "displacement":
             found = fem.Function(self.membrane.V, name=name)
@@ -282,6 +297,12 @@ class MembraneResults:
         InputError
             On all ranks: no points, or a point off the surface; in plan by more than 5 % of the
             local cell size, in space by more than 10 %.
+
+        Examples
+        --------
+        >>> middle = solver.results().at([(2.0, 1.0)])
+        >>> float(middle["true force 1"][0].round(1)), middle.displacement[0].round(2)
+        (5.4, array([ 0.  , -0.  ,  0.15]))
         """
         places = find_places(self.comm, self.surface, points, on)
         values = {}

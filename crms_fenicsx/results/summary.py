@@ -52,7 +52,15 @@ from crms_fenicsx.results.recovered_values import (
 
 @dataclass(frozen=True, repr=False)
 class Extreme:
-    """An extreme value and its present place on the surface (length)."""
+    """An extreme value.
+
+    Attributes
+    ----------
+    value
+        The value.
+    at
+        Its present place on the surface (length).
+    """
 
     value: float
     at: Force
@@ -63,26 +71,43 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PartSummary:
-    """Summary of a part of the membrane, or of all of it."""
+    """Summary of a part of the membrane, or of all of it.
 
-    area: float  # stress-free (length squared)
-    slack: float  # slack, wrinkled: shares of that area
+    Attributes
+    ----------
+    area
+        Stress-free area (length squared).
+    slack, wrinkled
+        Shares of that area.
+    least, largest
+        Cell values by name, such as "true force 1" or "warp"; the utilisation, with strengths only,
+        is the recovered one at the vertices outside of reinforcement.
+    change
+        What finer cells may change of the largest utilisation, relative to it: largest difference
+        between the utilisation of a cell and those recovered at its corners, in two rings of cells.
+    """
+
+    area: float
+    slack: float
     wrinkled: float
-    # least, largest: cell values by the names in `SUMMED_UP`; the utilisation, with strengths only,
-    # is the recovered one at the vertices outside of reinforcement
     least: Mapping[str, Extreme]
     largest: Mapping[str, Extreme]
-    # what finer cells may change of the largest utilisation, relative to it: largest difference
-    # between the utilisation of a cell and those recovered at its corners, in two rings of cells
     change: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
 class PatchSummary:
-    """Reinforcement around a corner, where the utilisation of the plain fabric is not judged."""
+    """Reinforcement around a corner, where the utilisation of the plain fabric is not judged.
+
+    Attributes
+    ----------
+    patch
+        Its place, radius and reason.
+    utilisation
+        Largest recovered utilisation of the plain fabric in it, which grows as cells become finer.
+    """
 
     patch: Patch
-    # largest recovered utilisation of the plain fabric in it, which grows as cells become finer
     utilisation: float
 
     def __repr__(self) -> str:
@@ -95,17 +120,29 @@ class PatchSummary:
 
 @dataclass(frozen=True)
 class SupportSummary:
-    """Summary of a named group of held vertices."""
+    """Summary of a named group of held vertices.
 
-    # directions out of "xyz" in which all its vertices are held; "" for vertices in no such group
+    Attributes
+    ----------
+    directions
+        Directions out of "xyz" in which all its vertices are held; "" for vertices in no such
+        group.
+    total, membrane
+        Sum of all reactions, and the reaction on the membrane (force).
+    parts
+        Reactions on ends of cables and bars, and on loads at joints, by name (force).
+    length
+        Current length of its edges (length); 0 for points.
+    mean, largest
+        Magnitude of the membrane's reaction per length of held edges (force per length), mean along
+        its edges and largest at a vertex.
+    """
+
     directions: str
-    total: Force  # sum of all reactions (force), of `membrane` and `parts`
-    membrane: Force  # reaction on the membrane (force)
-    # reactions on ends of cables and bars, and on loads at joints, by name (force)
+    total: Force
+    membrane: Force
     parts: Mapping[str, Force]
-    length: float  # current length of its edges (length); 0 for points
-    # mean, largest: magnitude of the membrane's reaction per length of held edges (force per
-    # length), mean along its edges and largest at a vertex
+    length: float
     mean: float
     largest: float
 

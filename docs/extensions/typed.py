@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import ast
 import inspect
+import itertools
+import operator
+import pydoc
 import re
 import sys
 import typing
@@ -21,6 +24,8 @@ ARRAYS = {
     "Indices": "array of int",
     "Booleans": "array of bool",
     "Flags": "array of bool",
+    "ArrayLike": "array-like",
+    "Ranks": "array-like or function",
 }
 PLAIN = ("ReadOnly", "ClassVar", "Final", "Annotated", "PerRank")
 SEQUENCES = ("Sequence", "Iterable", "list", "frozenset", "set", "Iterator", "Collection")
@@ -55,6 +60,10 @@ def generic(name: str, inner: ast.expr, names: dict[str, Any]) -> str:
     if name == "Callable":
         return "function"
     said = [words(item, names) for item in items if ast.unparse(item) != "..."]
+    if name == "PathLike":
+        return "path-like"
+    if name == "Union":
+        return " or ".join(dict.fromkeys(said))
     if name in PLAIN:
         return said[0]
     if name in ("Mapping", "dict"):
@@ -105,32 +114,31 @@ def annotations(obj: Any, owner: Any) -> dict[str, str]:
     return said
 
 
-def drop_internal(lines: list[str]) -> None:
-    """Omit attributes marked internal."""
-    kept: list[str] = []
-    within = False
-    for i, line in enumerate(lines):
-        if line and not line.startswith(" "):
-            within = i + 1 < len(lines) and lines[i + 1].startswith("    Internal:")
-        if not within:
-            kept.append(line)
-    lines[:] = kept
+def entries(names: list[str], types: dict[str, str]) -> list[str]:
+    """Entries of names that share a description: one for each type."""
+    known = [(types.get(name, ""), name) for name in names]
+    of_type = itertools.groupby(known, key=operator.itemgetter(0))
+    return [", ".join(n for _, n in group) + f" : {kind}" * bool(kind) for kind, group in of_type]
 
 
 def tell(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Add types to the names in a docstring's sections."""
+    if what == "property":
+        owner, _, own = name.rpartition(".")
+        said = annotations(pydoc.locate(owner), None).get(own, "")
+        app.property_types[name] = said  # type: ignore[attr-defined]
     if what not in ("class", "exception", "function", "method") or not lines:
         return
-    drop_internal(lines)
     types = annotations(obj, type(obj))
-    within = False
-    for i, line in enumerate(lines):
-        if i + 1 < len(lines) and line and set(lines[i + 1]) == {"-"}:
+    within, said = False, []
+    for line, after in zip(lines, [*lines[1:], ""], strict=True):
+        if line and set(after) == {"-"}:
             within = line.strip() in SECTIONS
         elif within and re.fullmatch(r"[\w*]+(?:, [\w*]+)*", line):
-            known = dict.fromkeys(types[n] for n in line.split(", ") if n in types)
-            if known:
-                lines[i] = f"{line} : {', '.join(known)}"
+            said += entries(line.split(", "), types)
+            continue
+        said.append(line)
+    lines[:] = said
 
 
 def without_arguments(
@@ -143,6 +151,7 @@ def without_arguments(
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the hook that runs before numpydoc."""
+    app.property_types = {}  # type: ignore[attr-defined]
     app.connect("autodoc-process-docstring", tell, priority=100)
     app.connect("autodoc-process-signature", without_arguments, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

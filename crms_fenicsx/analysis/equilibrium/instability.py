@@ -86,7 +86,7 @@ class _FrameStability:
         for bar in self.scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             d = (bar.points[1] - bar.points[0]) / length
-            slack = bar.bar.tension_only and length < (1 - TOL.hardly_slack) * bar.L0
+            slack = bar.bar.tension_only and length < (1 - TOL.slight) * bar.L0
             across = bar.force / length
             block = ((not slack) * bar.bar.EA / bar.L0 - across) * np.outer(d, d)
             block += across * np.eye(3)
@@ -184,7 +184,7 @@ def _by_tangents(
                 level = term.pond.level + TOUCH * system.scene.membrane.size
                 stack.enter_context(_with(term, pond=replace(term.pond, level=level)))
         if system.bars is not None:  # what hardly slack guys restrain hardly moves
-            stack.enter_context(_with(system.bars.energy, loose=TOL.hardly_slack))
+            stack.enter_context(_with(system.bars.energy, loose=TOL.slight))
         tangent = ExactTangent(potential, h0, springs)
         for term in ponds:
             if tangent.negative == 0:

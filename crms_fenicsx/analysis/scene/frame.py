@@ -76,6 +76,14 @@ class Frame:
         ------
         InputError
             On all ranks: a position that is not finite, other directions, or a name that is taken.
+
+        Examples
+        --------
+        >>> foot = scene.add_joint((2.0, 2.0, -3.0), name="foot", held="xyz")
+        >>> corner = scene.vertex_at((4.0, 4.0, 0.0))
+        >>> mast = scene.add_bar(Bar(EA=1e5), foot, corner, name="mast")
+        >>> round(mast.length, 3)
+        4.123
         """
         joint = self._add_joint(np.asarray(position), name, held)
         self.versions.change_model(acts=False)
@@ -94,6 +102,13 @@ class Frame:
         ------
         InputError
             On all ranks: no vertex is there; the message names the nearest.
+
+        Examples
+        --------
+        >>> corner = scene.vertex_at((4.0, 0.0, 0.0))
+        >>> guy = scene.add_bar(Bar(EA=1e4, tension_only=True), corner, (6.0, -2.0, -1.0))
+        >>> guy.L0
+        3.0
         """
         self.membrane.check_finite("vertex_at")
         membrane, point = self.membrane, np.asarray(point)
@@ -152,11 +167,14 @@ class Frame:
 
         Examples
         --------
-        >>> top = scene.add_joint((0.0, 0.0, 6.0), name="mast top")
-        >>> mast = scene.add_bar(Bar(EA=1e5), (0.0, 0.0, 0.0), top, name="mast")
-        >>> guy = scene.add_bar(Bar(EA=2e4, tension_only=True), top, (8.0, 0.0, 0.0), L0=9.98)
-        >>> solver.advance(L0={guy: 9.95}, move={mast.start: (0.0, 0.0, 0.1)})
-        >>> mast.force, mast.start.reaction
+        >>> top = scene.add_joint((8.0, 0.0, 6.0), name="mast top", held="y")
+        >>> mast = scene.add_bar(Bar(EA=1e5), (8.0, 0.0, 0.0), top, name="mast")
+        >>> guys = [
+        ...     scene.add_bar(Bar(EA=2e4, tension_only=True), top, foot)
+        ...     for foot in ((16.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        ... ]
+        >>> step = solver.advance(move={mast.start: (0.0, 0.0, 0.1)})
+        >>> bool(mast.force < 0.0 < guys[0].force), mast.start.reaction.round(0)
         """
         self.membrane.check_finite("add_bar")
         name = checks.new_name("add_bar", "bar", name, (bar.name for bar in self.bars))

@@ -81,7 +81,7 @@ class Loads(Stateful[LoadsState]):
         return {load.name: load.factor for load in self} | ponds
 
     def replace_each(self, change: Callable[[Any], Any]) -> None:
-        """Internal: replace each load and pond by a function's value."""
+        """Replace each load and pond by a function's value."""
         self.state = LoadsState(
             tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
         )
@@ -210,7 +210,7 @@ class Loads(Stateful[LoadsState]):
 
         Examples
         --------
-        >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
+        >>> scene.put_line_load((0.0, 0.0, -0.2), "front", name="snow guard")
         >>> solver.advance(load={"snow guard": 1.35})
         """
         self._check_new("put_line_load", name)
@@ -294,9 +294,11 @@ class Loads(Stateful[LoadsState]):
 
         Examples
         --------
-        >>> scene.put_pond(10.0, level=6.2, on=["roof"])
-        >>> solver.advance(load={"pond": 1.0}, steps=4)
-        >>> scene.ponds[0].volume
+        >>> step = solver.advance(pressure=-1.0)  # makes a hollow
+        >>> scene.put_pond(10.0, level=-0.1)
+        >>> step = solver.advance(load={"pond": 1.0}, steps=2)
+        >>> scene.ponds[0].volume > 0.0
+        True
         """
         self._check_new("put_pond", name)
         if (level is None) == (volume is None):
@@ -324,6 +326,13 @@ class Loads(Stateful[LoadsState]):
         ------
         InputError
             On all ranks: an unknown load.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.2), name="snow")
+        >>> scene.remove_load("snow")
+        >>> scene.factors
+        {}
         """
         factor = checks.named("load", self.factors, name)
         self.state = LoadsState(
@@ -333,7 +342,7 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def add(self, load: MembraneLoad) -> None:
-        """Internal: add a load made on the current shape."""
+        """Add a load made on the current shape."""
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 
@@ -450,6 +459,13 @@ class Air(Stateful[AirState]):
         ------
         InputError
             On all ranks: air that is not sealed.
+
+        Examples
+        --------
+        >>> scene.seal(volume=50.0)
+        >>> scene.unseal()
+        >>> scene.air.sealed is None
+        True
         """
         if self.sealed is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")

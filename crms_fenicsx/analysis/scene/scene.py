@@ -103,9 +103,18 @@ class Scene:
     -----
     PenaltyWarning
         A penalty factor outside the range in which folded cells are sound.
+
+    Examples
+    --------
+    >>> mesh = meshes.rectangle(MPI.COMM_WORLD, 4.0, 4.0, size=1.0)
+    >>> scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    >>> scene.fix("boundary")
+    >>> scene.lay_cable(Cable(EA=1e3), [(0.0, 2.0), (4.0, 2.0)], name="ridge").taut
+    False
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
+    """The stress-free membrane."""
     V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
     """Function space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
@@ -115,7 +124,9 @@ class Scene:
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly(
         "membrane.materials", "call scene.set_material(...)"
     )
+    """Materials by the numbers of the parts of the mesh."""
     comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    """Communicator of the mesh."""
     pressure: ReadOnly[float] = ReadOnly("air.pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
     loads: ReadOnly[Loads] = ReadOnly("_loads", "call scene.put_load(...) and the like")
@@ -148,12 +159,17 @@ class Scene:
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The energy terms added by the user."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
+    """Height of the floor (length), see `floor`; None without one."""
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "pass it to Scene(..., strain=...)")
+    """Strain law, as given to the scene."""
     pressure_law: ReadOnly[PressureLaw] = ReadOnly("_pressure_law", ANOTHER)
+    """Pressure law, as given to the scene."""
     penalty: ReadOnly[float] = ReadOnly("_penalty", "pass it to Scene(..., penalty=...)")
+    """Penalty factor, as given to the scene."""
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "pass it to Scene(..., literal_penalty=...)"
     )
+    """Penalty coefficient, as given to the scene; None with a factor."""
 
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
     """Current factors of loads and ponds, by name."""
@@ -200,7 +216,7 @@ class Scene:
         if strain == "step":
             self.membrane.refuse_step_strain()
         self.versions = Versions()
-        """Internal: version numbers of model and state, and the state in equilibrium."""
+        """Version numbers of model and state, and the state in equilibrium."""
         self.net = CableNet(self.membrane)
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.membrane, self.versions, self.frame)
@@ -236,7 +252,7 @@ class Scene:
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
     ) -> None:
-        """Internal: take over results of a load step besides the states of the parts."""
+        """Take over results of a load step besides the states of the parts."""
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -252,13 +268,26 @@ class Scene:
         return self.net.dissipated
 
     def positions(self) -> Array:
-        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts."""
+        """Current positions (n, 3) of the vertices by local degree of freedom, with ghosts.
+
+        Examples
+        --------
+        >>> float(scene.positions()[:, 2].max().round(2))
+        0.18
+        """
         return self.membrane.positions()
 
     def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of vertices in a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.
+
+        Examples
+        --------
+        >>> corner = scene.vertices("front left")
+        >>> scene.positions()[corner]
+        array([[0., 0., 0.]])
+        >>> right = scene.vertices(lambda x: x[0] > 3.99)
         """
         return self.membrane.vertices(where)
 
@@ -282,6 +311,13 @@ class Scene:
         ------
         InputError
             Unknown vertices or directions, or edges that cables already cross.
+
+        Examples
+        --------
+        >>> sail = Scene(mesh, fabric)
+        >>> sail.fix("front left")
+        >>> sail.fix("back", "xz")
+        >>> sail.fix(lambda x: x[0] > 3.99, "z")
         """
         self.membrane.hold(where, directions, new_edges=not self.cables)
 
@@ -294,6 +330,13 @@ class Scene:
         ------
         InputError
             A membrane that is below it.
+
+        Examples
+        --------
+        >>> scene.floor(-0.05)
+        >>> step = solver.advance(pressure=-0.5)
+        >>> float(scene.positions()[:, 2].min().round(3))
+        -0.05
         """
         self.membrane.check_finite("floor")
         heights = self.positions()[:, 2]
@@ -337,6 +380,11 @@ class Scene:
         ------
         InputError
             No cable has that name.
+
+        Examples
+        --------
+        >>> scene.cable("ridge").taut
+        True
         """
         return self.net.cable(name)
 
@@ -415,6 +463,16 @@ class Scene:
             the cells where it left.
         InputError
             An L0 or tension that is not positive, both of them, or a name in use.
+
+        Examples
+        --------
+        >>> steel = Cable(EA=1e3)
+        >>> diagonal = scene.lay_cable(steel, [(0.0, 1.0), (4.0, 3.0)], tension=4.0)
+        >>> anchors = [(2.0, -1.0, -0.5), (2.0, 5.0, -0.5)]
+        >>> guyed = scene.lay_cable(steel, anchors, hold="sleeve")
+        >>> step = solver.advance()
+        >>> round(diagonal.tension, 1), guyed.hold
+        (3.2, 'sleeve')
         """
         from crms_fenicsx.cabling.paths.laying import lay
 
@@ -461,9 +519,10 @@ class Scene:
 
         Examples
         --------
-        >>> net = nets.sections(scene, angles=(0.8, -0.8), offsets=[-9, -3, 3, 9])
-        >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
-        >>> scene.cable("A1").tension
+        >>> net = nets.sections(scene, angles=(0.0,), offsets=[1.0, 3.0])
+        >>> cables = scene.lay_net(net, Cable(EA=1e3), tension=5.0)
+        >>> round(scene.cable("A1").tension, 6)
+        5.0
         """
         before = self.net.state
         try:
@@ -546,6 +605,14 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown clamp.
+
+        Examples
+        --------
+        >>> cross = scene.lay_cable(Cable(EA=1e3), [(2.0, 0.0), (2.0, 4.0)], name="cross")
+        >>> clamps = scene.clamp(ridge, cross)
+        >>> scene.unclamp(ridge, cross)
+        >>> len(scene.clamps)
+        0
         """
         self.net.unclamp(cables, near)
 
@@ -567,6 +634,13 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown cable.
+
+        Examples
+        --------
+        >>> scene.remove("ridge")
+        >>> step = solver.advance()
+        >>> scene.cables
+        ()
         """
         self.net.remove(cable)
 
@@ -586,6 +660,14 @@ class Scene:
         ------
         InputError
             On all ranks: an unknown bar.
+
+        Examples
+        --------
+        >>> corner = scene.vertex_at((4.0, 4.0, 0.0))
+        >>> mast = scene.add_bar(Bar(EA=1e5), (4.0, 4.0, -3.0), corner)
+        >>> scene.remove_bar(mast)
+        >>> len(scene.bars)
+        0
         """
         if isinstance(bar, str):
             bar = self.frame.bar(bar)
@@ -706,16 +788,16 @@ class Scene:
         self.membrane.strengths, self.membrane.strength_factors = found, divided
 
     def strength_factor(self) -> float:
-        """Internal: divisor of the strengths under the current loads."""
+        """Divisor of the strengths under the current loads, see `set_strengths`."""
         return self.membrane.strength_factor(self.factors)
 
     def in_equilibrium(self) -> bool:
-        """Internal: whether nothing has changed since the last load step. Collective."""
+        """Whether nothing has changed since the last load step. Collective."""
         settled = self.versions.are_settled(self.membrane.owned_u)
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:
-        """Internal: raise an error unless the last load step found the current state. Collective.
+        """Raise an error unless the last load step found the current state. Collective.
 
         Raises
         ------

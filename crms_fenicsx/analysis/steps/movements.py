@@ -51,7 +51,8 @@ class Rotation:
 
     Examples
     --------
-    >>> solver.advance(move={"ring": Rotation((0, 0, 0), (0, 0, 1), np.pi / 6)}, steps=3)
+    >>> turn = Rotation((0, 0, 0), (0, 0, 1), np.pi / 6)
+    >>> step = solver.advance(move={"boundary": turn}, steps=3)
     """
 
     point: Vector

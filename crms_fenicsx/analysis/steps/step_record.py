@@ -46,6 +46,12 @@ class Step:
     warnings
         Warnings of the step: snap-through with its load interval, unstable equilibrium, cable
         ends under the membrane, ranges of uncertain forces.
+
+    Examples
+    --------
+    >>> step = solver.advance(pressure=1.2)
+    >>> step.verification.verdict
+    'verified'
     """
 
     number: int

@@ -40,11 +40,20 @@ class Check:
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """Result of a load step's checks."""
+    """Result of a load step's checks.
 
-    checks: tuple[Check, ...]  # all checks
-    seconds: float  # wall time of the checks
-    # warnings about a state that is an equilibrium
+    Attributes
+    ----------
+    checks
+        All checks.
+    seconds
+        Wall time of the checks.
+    warnings
+        Warnings about a state that is an equilibrium.
+    """
+
+    checks: tuple[Check, ...]
+    seconds: float
     warnings: tuple[StateWarning, ...] = ()
 
     @property

@@ -7,10 +7,10 @@ slides over an edge is found in the next cell, one that slides off vanishes.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import chain, combinations, pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +39,6 @@ from crms_fenicsx.foundation.runtime.arrays import (
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, Support
 from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import TOL
 
 
 class _Meeting(NamedTuple):
@@ -283,16 +282,9 @@ def _between(
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
-    """Numbers of upper cables that cross a lower one back and forth within a few cells."""
-    links: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
-    for one in crossings:
-        links[one.lower, one.upper].append(one.links)
-    return {
-        upper
-        for (_, upper), own in links.items()
-        for (a, b), (c, d) in combinations(own, 2)
-        if max(abs(a - c), abs(b - d)) <= TOL.tangled
-    }
+    """Numbers of upper cables that cross a lower one back and forth."""
+    times = Counter((one.lower, one.upper) for one in crossings)
+    return {upper for (_, upper), crossed in times.items() if crossed > 1}
 
 
 def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:

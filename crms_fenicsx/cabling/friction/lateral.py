@@ -70,7 +70,7 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     expected = _tension_in_place(cable)
     rises = expected > (1 + TOL.bound_rise) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
-        force = max(cable.tension, expected, cable.cable.EA * TOL.first_strain)
+        force = max(cable.tension, expected, cable.cable.EA * TOL.slight)
         cable.update(lateral=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
     elif rises:
         cable.update(lateral=replace(grip, bounds=grip.bounds * (expected / cable.tension)))

@@ -121,7 +121,7 @@ def held_vertices(
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    uneven = TOL.uneven * np.abs(down) if grip is None else TOL.friction_excess * most
+    uneven = TOL.uneven * np.abs(down) if grip is None else TOL.sliding * most
     allowed = TOL.contact * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, allowed)), strict=True)
     found = [

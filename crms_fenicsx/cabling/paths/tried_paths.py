@@ -88,7 +88,7 @@ class TriedPaths:
         before, x = self.at.get(cable.name), cable.state.positions
         if before is None or before.shape != x.shape:
             return True
-        return bool(np.abs(before - x).max() > TOL.still * cable.length)
+        return bool(np.abs(before - x).max() > TOL.slight * cable.length)
 
     def has_rested(self, cable: LaidCable) -> bool:
         """Whether a cable has not changed since the last load step."""

@@ -119,7 +119,8 @@ def combinations(
 
     Examples
     --------
-    >>> table = combinations(en1990, permanent=["weight"], variable=["snow", "wind x", "wind y"])
+    >>> variable = ["snow", "wind x", "wind y"]
+    >>> table = codes.combinations(codes.en1990, permanent=["weight"], variable=variable)
     >>> found = solver.combine(table)
     """
     state = rules.states[0] if state is None else state

@@ -64,7 +64,7 @@ def snow_on_pitch(pitch: float | Array, *, retained: bool = False) -> Array:
 
     Examples
     --------
-    >>> float(snow_on_pitch(45.0))
+    >>> float(codes.snow_on_pitch(45.0))
     0.4
     """
     pitches = np.asarray(pitch, dtype=np.float64)
@@ -97,6 +97,11 @@ class PitchedSnow:
     ------
     InputError
         A pitch that is not between 0 and 90 degrees.
+
+    Examples
+    --------
+    >>> load = codes.snow_load(0.75, codes.PitchedSnow(pitch=40.0))
+    >>> scene.put_load(load, name="snow", per="plan")
     """
 
     pitch: Pitch | None = None
@@ -130,6 +135,11 @@ class DuopitchSnow:
     ------
     InputError
         An unknown case, a direction without length, or a pitch out of range.
+
+    Examples
+    --------
+    >>> drifted = codes.DuopitchSnow(ridge=(0, 0), across=(1, 0), case="ii", pitch=20.0)
+    >>> scene.put_load(codes.snow_load(0.75, drifted), name="snow ii", per="plan")
     """
 
     ridge: PlanVector
@@ -173,6 +183,12 @@ class CylindricalSnow:
     InputError
         An unknown case, a direction without length, a span or rise that is not positive, or a rise
         of more than half the span, beyond the figure.
+
+    Examples
+    --------
+    >>> drifted = codes.CylindricalSnow((0, 0), across=(1, 0), span=40, rise=10, case="ii")
+    >>> round(drifted.mu_3, 2), round(drifted.width, 1)
+    (2.0, 40.0)
     """
 
     crown: PlanVector
@@ -241,6 +257,14 @@ class DriftedSnow:
     Notes
     -----
     Use m and kN/m^2, the units of the recommended bounds 0.8 <= mu_w <= 4 and 5 m <= l_s <= 15 m.
+
+    Examples
+    --------
+    >>> drift = codes.DriftedSnow(
+    ...     wall=(-20, 0), away=(1, 0), height=4.0, upper=15.0, lower=40.0, s_k=0.75
+    ... )
+    >>> drift.length, round(drift.mu_w, 2)
+    (8.0, 4.0)
     """
 
     wall: PlanVector
@@ -312,8 +336,8 @@ def snow_load(
 
     Examples
     --------
-    >>> vault = CylindricalSnow(crown=(0, 0), across=(1, 0), span=36.0, rise=9.0, case="ii")
-    >>> scene.put_load(snow_load(0.75, vault), name="snow drifted", per="plan")
+    >>> vault = codes.CylindricalSnow((0, 0), across=(1, 0), span=40, rise=10, case="ii")
+    >>> scene.put_load(codes.snow_load(0.75, vault), name="snow drifted", per="plan")
     """
     load = s_k * exposure * thermal
     shape = PitchedSnow() if shape is None else shape

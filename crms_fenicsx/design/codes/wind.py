@@ -125,7 +125,7 @@ def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
 
     Examples
     --------
-    >>> en1991_vault_zones(0.5)
+    >>> codes.en1991_vault_zones(0.5)
     (0.8, -1.2, -0.4)
     """
     rise = checks.within("en1991_vault_zones: f/d", rise, *VAULT_RISES)
@@ -164,7 +164,7 @@ def asce7_arch_zones(rise: Positive, *, raised: bool, alternative: bool = False)
 
     Examples
     --------
-    >>> asce7_arch_zones(0.5, raised=False)
+    >>> codes.asce7_arch_zones(0.5, raised=False)
     (0.7, -1.2, -0.5)
     """
     checks.within("asce7_arch_zones: rise", rise, 0.0, 0.6)
@@ -350,7 +350,7 @@ def vault(
 
     Examples
     --------
-    >>> scene.put_wind(0.8, vault(scene, (1.0, 0.0)), name="wind x")
+    >>> scene.put_wind(0.8, codes.vault(scene, (1.0, 0.0)), name="wind x")
     """
     roof = _footprint("vault", scene, direction, part)
     tall = height / roof.depth
@@ -392,7 +392,8 @@ def dome(
 
     Examples
     --------
-    >>> scene.put_wind(0.8, dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1)), name="wind")
+    >>> along_x = codes.dome(scene, (1.0, 0.0), zones=(0.4, -0.9, -0.1))
+    >>> scene.put_wind(0.8, along_x, name="wind")
     """
     roof = _footprint("dome", scene, direction, part)
     if roof.rise <= 0.0:
@@ -450,7 +451,7 @@ def canopy(
 
     Examples
     --------
-    >>> up = canopy(scene, (1, 0), "duopitch", 12.0, "up", blockage=0.5)
+    >>> up = codes.canopy(scene, (1, 0), "duopitch", 12.0, "up", blockage=0.5)
     >>> scene.put_wind(0.7, up, name="wind up")
     """
     phi = checks.within("canopy: blockage", blockage, 0.0, 1.0)

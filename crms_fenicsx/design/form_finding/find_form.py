@@ -108,11 +108,12 @@ def find_form(
 
     Examples
     --------
-    >>> found = find_form(
-    ...     mesh, 2.0, fixed=["masts", "corners"], lifted={"masts": (0.0, 0.0, 5.0)},
-    ...     cables=[FormCable("north", tension=30.0), FormCable("south", length=21.5)],
-    ... )
-    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
+    >>> corners = ["front left", "front right", "back right", "back left"]
+    >>> rims = [FormCable("front", length=10.5)]
+    >>> rims += [FormCable(side, tension=25.0) for side in ("right", "back", "left")]
+    >>> lifted = {"back left": (0.0, 0.0, 2.0)}
+    >>> hung = find_form(mesh, 2.0, fixed=corners, lifted=lifted, cables=rims)
+    >>> scene = hung.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
     """
     inflated = _is_inflated(pressure=pressure, volume=volume, rise=rise)
     if lifted is not None:

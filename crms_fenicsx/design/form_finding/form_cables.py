@@ -43,6 +43,13 @@ class FormCable:
     ------
     InputError
         None or several of the three are given, or one is not positive.
+
+    Examples
+    --------
+    >>> FormCable("front", tension=25.0)
+    FormCable(group='front', tension=25.0, force_density=None, length=None, bonded=False)
+    >>> FormCable("left", length=10.5)
+    FormCable(group='left', tension=None, force_density=None, length=10.5, bonded=False)
     """
 
     group: str

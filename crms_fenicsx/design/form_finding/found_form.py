@@ -277,12 +277,12 @@ class FoundForm:
 
         Examples
         --------
-        >>> found.reactions["high point"]
+        >>> found.reactions["front left"]
         >>> mast, guy = Bar(EA=5e5), Bar(EA=3e4, tension_only=True)
         >>> scene = found.scene(fabric, steel, bars=[
-        ...     FormBar("high point", mast, foot=(-1.0, 0.0, 0.0)),
-        ...     FormBar("high point", guy, foot=(-5.0, -3.0, 0.0)),
-        ...     FormBar("high point", guy, foot=(-5.0, 3.0, 0.0)),
+        ...     FormBar("front left", mast, foot=(0.5, 0.5, -3.0)),
+        ...     FormBar("front left", guy, foot=(-5.0, 0.0, -3.0)),
+        ...     FormBar("front left", guy, foot=(0.0, -5.0, -3.0)),
         ... ])
         """
         kinds = self._kinds(cables)

@@ -84,7 +84,8 @@ def equidistant(
 
     Examples
     --------
-    >>> net = nets.equidistant(scene, 2.0, origin=(0.0, 0.0), directions=[(1, 1), (-1, 1)])
+    >>> directions = [(1, 1), (-1, 1)]
+    >>> net = nets.equidistant(scene, 4.0, origin=(0.0, 0.0), directions=directions)
     """
     call = "equidistant"
     surface = WholeSurface.of(call, scene)

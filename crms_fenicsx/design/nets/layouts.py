@@ -49,8 +49,9 @@ def geodesics_between(
 
     Examples
     --------
-    >>> net = nets.geodesics_between(scene, [("left", "right"), ("front", "back")], n=6)
-    >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
+    >>> roof = Scene(meshes.rectangle(MPI.COMM_WORLD, 30.0, 20.0, size=5.0), fabric)
+    >>> net = nets.geodesics_between(roof, [("left", "right"), ("front", "back")], n=3)
+    >>> cables = roof.lay_net(net, Cable(EA=20e3), tension=5.0)
     """
     call = "geodesics_between"
     surface = WholeSurface.of(call, scene)
@@ -101,7 +102,8 @@ def geodesics_across(
 
     Examples
     --------
-    >>> net = nets.geodesics_across(scene, [[(-18, 0), (18, 0)], [(0, -18), (0, 18)]], spacing=3.0)
+    >>> axes = [[(-18, 0), (18, 0)], [(0, -18), (0, 18)]]
+    >>> net = nets.geodesics_across(scene, axes, spacing=6.0)
     """
     call = "geodesics_across"
     surface = WholeSurface.of(call, scene)
@@ -185,7 +187,8 @@ def sections(
 
     Examples
     --------
-    >>> net = nets.sections(scene, angles=(np.pi / 4, -np.pi / 4), offsets=[-9, -3, 3, 9])
+    >>> angles = (np.pi / 4, -np.pi / 4)
+    >>> net = nets.sections(scene, angles=angles, offsets=[-9, -3, 3, 9])
     """
     call = "sections"
     surface = WholeSurface.of(call, scene)
@@ -232,10 +235,10 @@ def from_paths(scene: Scene, families: Sequence[Sequence[Array]], *, shortest: b
     Examples
     --------
     >>> offsets = np.linspace(-15.0, 15.0, 7)
-    >>> net = nets.from_paths(
-    ...     scene,
-    ...     [[nets.great_circle(20.0, 10.0, angle, s) for s in offsets] for angle in (0.0, 1.2)],
-    ... )
+    >>> families = [
+    ...     [nets.great_circle(20.0, 10.0, angle, s) for s in offsets] for angle in (0.0, 1.2)
+    ... ]
+    >>> net = nets.from_paths(scene, families)
     """
     call = "from_paths"
     surface = WholeSurface.of(call, scene)
@@ -266,6 +269,12 @@ def great_circle(radius: Positive, height: Positive, angle: Finite, offset: Fini
     InputError
         An argument that is not finite, a length that is not positive, a cap that is too high, or a
         line beyond it.
+
+    Examples
+    --------
+    >>> line = nets.great_circle(radius=20.0, height=10.0, angle=0.0, offset=5.0)
+    >>> line.shape, line[16].round(2)
+    ((33, 2), array([0.  , 7.91]))
     """
     for name, value in (("height", height), ("offset", abs(offset))):
         if value >= radius:

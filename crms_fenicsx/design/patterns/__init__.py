@@ -1,4 +1,4 @@
-"""Cutting patterns: seams, flat pieces, compensation, sheets, and the roof sewn of them."""
+"""Cutting patterns: seams, flat pieces, compensation, sheets, and the roof sewn from them."""
 
 from crms_fenicsx.design.patterns.compensation import EdgeShrink, Shrink, largest_width, shrink_for
 from crms_fenicsx.design.patterns.pattern import FlatPiece, Pattern, flatten

@@ -38,7 +38,8 @@ class Shrink:
 
     Examples
     --------
-    >>> Shrink(warp=0.008, weft=[(0.0, 0.0), (0.2, 0.012), (0.8, 0.012), (1.0, 0.0)])
+    >>> weft = [(0.0, 0.0), (0.2, 0.012), (0.8, 0.012), (1.0, 0.0)]
+    >>> shrink = patterns.Shrink(warp=0.008, weft=weft)
     """
 
     warp: Profile = 0.0
@@ -174,6 +175,11 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     float
         ``sqrt(12 n / (E t |K|))`` (length), on the safe side on a saddle; infinite without
         curvature.
+
+    Examples
+    --------
+    >>> round(patterns.largest_width(fabric, force=2.0, curvature=-0.01), 2)
+    1.63
     """
     K = checks.finite("largest_width: curvature", curvature)
     return width_in_tension(float(warp_moduli(material.stiffness)), force, K)

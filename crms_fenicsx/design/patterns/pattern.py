@@ -164,7 +164,12 @@ class Pattern:
         return sum(one.area for one in self.flat)
 
     def seam_lengths(self) -> dict[str, Array]:
-        """Lengths (k, 2) of each seam's segments, on both sides (length)."""
+        """Lengths (k, 2) of each seam's segments, on both sides (length).
+
+        Examples
+        --------
+        >>> one, other = pattern.seam_lengths()["seam 1"].sum(axis=0)
+        """
         joints = self.pieces.joints
         lengths = np.zeros(joints.pieces.shape)
         for k, one in enumerate(self.flat):
@@ -256,7 +261,8 @@ def flatten(
 
     Examples
     --------
-    >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
+    >>> shrink = patterns.shrink_for(fabric, 2.0)
+    >>> pattern = patterns.flatten(pieces, fabric, shrink=shrink)
     """
     if warp is not None and not (isinstance(warp, str) and warp == "seams"):
         check_warp("flatten", warp)

@@ -155,7 +155,13 @@ class Pieces:
         return sum(piece.area for piece in self.pieces)
 
     def piece(self, name: str) -> Piece:
-        """Return the piece with a name."""
+        """Return the piece with a name.
+
+        Examples
+        --------
+        >>> round(pieces.piece("piece 1").area, 1)
+        12.1
+        """
         return checks.named("piece", {piece.name: piece for piece in self.pieces}, name)
 
 
@@ -190,7 +196,8 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
 
     Examples
     --------
-    >>> pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=2.5))
+    >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5)
+    >>> pieces = patterns.cut(found.mesh, seams)
     """
     surface = PatternSurface.of(mesh)
     checks.collection("cut: seams", seams, Sequence, "[patterns.geodesic(...)]")

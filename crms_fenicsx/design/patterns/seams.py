@@ -88,7 +88,7 @@ def geodesic(mesh: MembraneMesh, points: ArrayLike, *, name: str) -> Seam:
 
     Examples
     --------
-    >>> patterns.geodesic(found.mesh, [(-18.0, -6.0), (18.0, -6.0)], name="seam 1")
+    >>> seam = patterns.geodesic(found.mesh, [(3.0, 0.0), (3.0, 4.0)], name="seam 1")
     """
     surface = PatternSurface.of(mesh)
     route = checked_route(points)
@@ -127,6 +127,11 @@ def geodesic_along(mesh: MembraneMesh, start: Vector, direction: Vector, *, name
     PathError
         On all ranks: a point off the surface, a direction normal to it, or a line that does not
         reach the rim.
+
+    Examples
+    --------
+    >>> start, along = (3.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    >>> seam = patterns.geodesic_along(found.mesh, start, along, name="seam 1")
     """
     surface = PatternSurface.of(mesh)
     place, along = np.asarray(start), np.asarray(direction)
@@ -153,6 +158,13 @@ def plane_section(mesh: MembraneMesh, origin: Vector, normal: Axis, *, name: str
     ------
     PathError
         On all ranks: a plane that does not cut the surface.
+
+    Examples
+    --------
+    >>> origin, normal = (3.0, 2.0, 0.5), (1.0, 0.0, 0.0)
+    >>> middle = patterns.plane_section(found.mesh, origin, normal, name="middle")
+    >>> len(patterns.cut(found.mesh, [middle]).pieces)
+    2
     """
     surface = PatternSurface.of(mesh)
     point, across = np.asarray(origin), np.asarray(normal)
@@ -192,6 +204,10 @@ def edge_line(mesh: MembraneMesh, group: str, *, name: str | None = None) -> Sea
         On all ranks: an unknown group.
     PathError
         On all ranks: a group that is not one line.
+
+    Examples
+    --------
+    >>> rim = patterns.edge_line(found.mesh, "front")
     """
     surface = PatternSurface.of(mesh)
     points = surface.line_of_group("edge_line", group)
@@ -222,6 +238,11 @@ def parallel(
     ------
     PathError
         On all ranks: no part of the surface is that far from the line.
+
+    Examples
+    --------
+    >>> middle = (6.0, 2.0, 0.0)
+    >>> seam = patterns.parallel(found.mesh, "left", 2.0, toward=middle, name="seam 1")
     """
     surface = PatternSurface.of(mesh)
     away = surface.distances(points_of(surface, "parallel", line))

@@ -177,6 +177,16 @@ def compare(
     ------
     InputError
         On all ranks: a solver of another scene.
+
+    Examples
+    --------
+    >>> sewn = patterns.sew(pattern)
+    >>> sewn.fix("boundary")
+    >>> solver = Solver(sewn)
+    >>> step = solver.advance()
+    >>> found = patterns.compare(solver, pattern, forces=2.0)
+    >>> found.whole.mean.round(1)
+    array([2., 2.])
     """
     if solver.scene.mesh is not pattern.pieces.mesh:
         raise InputError(

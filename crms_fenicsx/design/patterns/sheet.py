@@ -45,6 +45,10 @@ class Sheet:
     ------
     InputError
         A roll narrower than twice the allowance, or an invalid length.
+
+    Examples
+    --------
+    >>> sheet = patterns.Sheet(roll=3.0, allowance=0.02, rim=0.05, edges={"front": 0.1})
     """
 
     roll: Positive
@@ -227,6 +231,12 @@ def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
     ------
     InputError
         A piece wider than the roll, or allowances of unknown edges.
+
+    Examples
+    --------
+    >>> layout = patterns.nest(pattern, sheet)
+    >>> round(layout.length, 1), round(layout.waste, 2)
+    (12.2, 0.14)
     """
     pieces = drawings(pattern, sheet)
     wide = [one for one in pieces if one.extent[1] > sheet.roll * (1.0 + 1e-9)]

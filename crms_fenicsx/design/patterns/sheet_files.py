@@ -68,6 +68,10 @@ def draw_sheets(
     InputError
         On all ranks, with nothing written: an invalid argument, pieces wider than the roll, or a
         file that cannot be written.
+
+    Examples
+    --------
+    >>> patterns.draw_sheets(pattern, "cutting.svg", sheet, unit="m")
     """
     comm = pattern.comm
     if filename is not None:
@@ -237,6 +241,10 @@ def write_dxf(pattern: Pattern, filename: File, sheet: Sheet, *, unit: str = "m"
         file that cannot be written.
     ImportError
         On all ranks: ezdxf is not installed.
+
+    Examples
+    --------
+    >>> patterns.write_dxf(pattern, "cutting.dxf", sheet)
     """
     comm = pattern.comm
     checks.one_of("write_dxf: unit", unit, DXF_UNITS)

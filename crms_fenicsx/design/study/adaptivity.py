@@ -63,7 +63,8 @@ def adapt(
 
     Examples
     --------
-    >>> solver = adapt(build, meshes.rectangle(comm, 10.0, 10.0, 1.0), tolerance=0.005)
+    >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=8.0)
+    >>> solver = study.adapt(build, mesh, tolerance=0.05)
     >>> solver.estimate_error().relative
     """
     solver = built("adapt", build, mesh)
@@ -109,7 +110,7 @@ def marked_cells(solver: Solver, share: Positive = 0.5) -> Indices:
 
     Examples
     --------
-    >>> finer = meshes.refine(solver.scene.mesh, marked_cells(solver))
+    >>> finer = meshes.refine(solver.scene.mesh, study.marked_cells(solver))
     """
     if share > 1.0:
         raise InputError(f"marked_cells: share = {share} is more than 1, all of the error.")

@@ -286,8 +286,9 @@ def convergence(
     ...     scene.lay_cable(Cable(EA=20e3), [(-20.0, 0.0), (20.0, 0.0)], name="ridge")
     ...     solver.advance(pressure=0.5)
     ...     return solver
-    >>> study = convergence(build, meshes.spherical_cap(comm, 20.0, 10.0, size=4.0))
-    >>> study["tension ridge"].limit, study["tension ridge"].bar
+    >>> cap = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=4.0)
+    >>> found = study.convergence(build, cap)
+    >>> found["tension ridge"].limit, found["tension ridge"].bar
     """
     comm, levels = mesh.comm, checks.whole("convergence: levels", levels, 2)
     rows, cells, seconds, scattered = [], [], [], False

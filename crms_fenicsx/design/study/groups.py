@@ -75,7 +75,7 @@ def combine_in_groups(
     ...     solver.advance(pressure=0.7)
     ...     return solver
     >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=20.0, height=10.0, size=1.0)
-    >>> found = combine_in_groups(build, mesh, table, groups=4, report="results/dome.html")
+    >>> found = study.combine_in_groups(build, mesh, table, groups=4, report="dome.html")
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
     from crms_fenicsx.results.output.report.reporting import (

@@ -74,8 +74,9 @@ def refine(
 
     Examples
     --------
-    >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
-    >>> meshes.refine(mesh, mesh.parts["corner"])
+    >>> coarse = meshes.spherical_cap(MPI.COMM_WORLD, 20.0, 10.0, size=8.0)
+    >>> fine = meshes.refine(coarse)
+    >>> bisected = meshes.refine(coarse, [0, 1, 2])
     """
     with raised_together(mesh.comm):
         chosen = None if cells is None else _checked_cells(mesh, cells)

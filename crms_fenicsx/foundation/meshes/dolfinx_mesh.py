@@ -68,6 +68,12 @@ def from_dolfinx(
     MeshError
         On all ranks: cells other than straight-sided triangles, tags of another dimension, names of
         missing tags, or anything `from_arrays` refuses.
+
+    Examples
+    --------
+    >>> square = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    >>> meshes.from_dolfinx(square)
+    MembraneMesh(8 cells, 9 vertices; edges boundary)
     """
     tags = {0: vertex_tags, 1: facet_tags, 2: cell_tags}
     with raised_together(mesh.comm):
@@ -103,6 +109,12 @@ def mesh_tags(
     ------
     InputError
         On all ranks: a name without a group, or an entity in two of the groups.
+
+    Examples
+    --------
+    >>> tags = meshes.mesh_tags(mesh, 1, names={"left": (1, 7), "right": (1, 8)})
+    >>> sorted(set(tags.values.tolist()))
+    [7, 8]
     """
     groups = {0: membrane.points, 1: membrane.edges, 2: membrane.parts}[dim]
     if names is None:

@@ -62,6 +62,12 @@ def spherical_cap(
     ------
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than `radius`.
+
+    Examples
+    --------
+    >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=10.0, height=5.0, size=4.0)
+    >>> sorted(mesh.edges)
+    ['boundary']
     """
     check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
     x, y = map(float, center)
@@ -142,6 +148,12 @@ def air_hall(
     ------
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than a side.
+
+    Examples
+    --------
+    >>> mesh = meshes.air_hall(MPI.COMM_WORLD, 12.0, 8.0, height=4.0, size=2.0)
+    >>> sorted(mesh.edges)
+    ['back', 'boundary', 'front', 'left', 'right']
     """
     area = width * depth + 2.0 * height * (width + depth)
     check_size("the air hall", size, min(width, depth), area)

@@ -167,6 +167,13 @@ def from_arrays(
         vertex without a cell, parts that touch only in a vertex, a one-sided piece, an `outside`
         that does not tell a piece's sides apart, a group that is empty or names missing members, or
         invalid `ranks`.
+
+    Examples
+    --------
+    >>> points = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)]
+    >>> cells = [(0, 1, 2), (0, 2, 3)]
+    >>> meshes.from_arrays(MPI.COMM_WORLD, points, cells, parts={"roof": [0, 1]})
+    MembraneMesh(2 cells, 4 vertices; edges boundary; parts roof)
     """
 
     def arrays() -> SurfaceArrays:

@@ -25,6 +25,13 @@ class AwayFrom:
     ----------
     point
         Coordinates (3 numbers, length) of a point inside.
+
+    Examples
+    --------
+    >>> points = [(1.0, 0, 0), (-1.0, 1.0, 0), (-1.0, -1.0, 0), (0, 0, 1.0)]
+    >>> cells = [(0, 1, 3), (1, 2, 3), (2, 0, 3)]
+    >>> outside = meshes.AwayFrom((0.0, 0.0, 0.2))
+    >>> mesh = meshes.from_arrays(MPI.COMM_WORLD, points, cells, outside=outside)
     """
 
     point: Sequence[float]

@@ -109,6 +109,14 @@ def rectangle(
     InputError
         On all ranks, if an argument is not finite or positive, `size` is larger than a side, or a
         structured mesh is given refinements.
+
+    Examples
+    --------
+    >>> mesh = meshes.rectangle(MPI.COMM_WORLD, 4.0, 3.0, size=0.5, structured=True)
+    >>> sorted(mesh.edges)
+    ['back', 'boundary', 'front', 'left', 'right']
+    >>> below = meshes.Refinement([(0.0, 1.5), (4.0, 1.5)], size=0.2, distance=1.0)
+    >>> fine = meshes.rectangle(MPI.COMM_WORLD, 4.0, 3.0, size=0.5, refinements=[below])
     """
     check_size("the rectangle", size, min(width, depth), width * depth)
     x, y = map(float, corner)
@@ -153,6 +161,12 @@ def ellipse(
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than a
         semi-axis.
+
+    Examples
+    --------
+    >>> mesh = meshes.ellipse(MPI.COMM_WORLD, a=3.0, b=2.0, size=1.0)
+    >>> float(mesh.mesh.geometry.x[:, 0].max())
+    3.0
     """
     check_size("the ellipse", size, min(a, b), math.pi * a * b)
     x, y = map(float, center)
@@ -186,6 +200,12 @@ def circle(
     ------
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is larger than the radius.
+
+    Examples
+    --------
+    >>> mesh = meshes.circle(MPI.COMM_WORLD, radius=2.0, size=1.0)
+    >>> sorted(mesh.edges)
+    ['boundary']
     """
     check_size("the circle", size, radius, math.pi * radius**2)
     x, y = map(float, center)
@@ -224,6 +244,16 @@ def polygon(
         On all ranks, if there are fewer than three corners, a side has no length, sides intersect
         or touch, the numbers of names and sides differ, or `size` is not positive or larger than
         the polygon's extent.
+
+    Examples
+    --------
+    >>> corners = [(0.0, 0.0), (5.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
+    >>> names = ["gutter", "gable", "wall", "gable"]
+    >>> mesh = meshes.polygon(MPI.COMM_WORLD, corners, 1.0, names=names)
+    >>> sorted(mesh.edges)
+    ['boundary', 'gable', 'gutter', 'wall']
+    >>> sorted(mesh.points)
+    ['corner 1', 'corner 2', 'corner 3', 'corner 4']
     """
     outline = _simple_outline(corners)
     if not isinstance(names, Sequence | None):

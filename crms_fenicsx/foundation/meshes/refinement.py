@@ -71,6 +71,11 @@ class Refinement:
     ------
     InputError
         If the line is not a list of points, or a size is not positive and finite.
+
+    Examples
+    --------
+    >>> near = meshes.Refinement([(0.0, 0.0)], size=0.1, distance=1.0)  # a corner
+    >>> mesh = meshes.rectangle(MPI.COMM_WORLD, 4.0, 4.0, size=1.0, refinements=[near])
     """
 
     line: Sequence[Sequence[float]]

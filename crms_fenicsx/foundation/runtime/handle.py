@@ -14,7 +14,7 @@ class ReadOnly(property, Generic[Value]):
     `AttributeError` with a remedy, as the value would be unchecked and on one rank only."""
 
     def __init__(self, source: str, remedy: str) -> None:
-        super().__init__(attrgetter(source), self._refuse)
+        super().__init__(attrgetter(source), self._refuse, doc="")
         self._remedy = remedy
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -164,6 +164,13 @@ class History:
         ------
         InputError
             A file that is missing or empty or has a row of another length.
+
+        Examples
+        --------
+        >>> step = Solver(scene, results="results/roof").advance(pressure=1.1)
+        >>> history = output.History.read("results/roof/history.csv")
+        >>> history["pressure"]
+        array([1.1])
         """
         with readable(f"the history {path}", "pass the CSV file that a run has written"):
             content = read_text(Path(path))

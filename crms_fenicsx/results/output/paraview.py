@@ -357,7 +357,8 @@ def write_vtkhdf(
 
     Examples
     --------
-    >>> write_vtkhdf(solver, "results/roof.vtkhdf", solver.combine({"snow": {"snow": 1.5}}))
+    >>> cases = solver.combine({"snow": {"snow": 1.5}})
+    >>> output.write_vtkhdf(solver, "roof.vtkhdf", cases)
     """
     comm, scene = solver.comm, solver.scene
     states = checked_states("write_vtkhdf", scene, combinations)

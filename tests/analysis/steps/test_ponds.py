@@ -70,7 +70,7 @@ def test_water_gathers_without_end(comm: MPI.Intracomm) -> None:
     scene = drum(comm, 0.4)
     scene.put_pond(TENSION * (3.0 / RADIUS) ** 2, level=1e-3)
     solver = Solver(scene)
-    with pytest.raises(ConvergenceError, match="none under 'pond', where water gathers"):
+    with pytest.raises(ConvergenceError, match="Under 'pond' there may be no equilibrium"):
         solver.advance(load=1.0)
     (pond,) = scene.ponds
     critical = (2.404826 / 3.0) ** 2
@@ -125,7 +125,7 @@ def test_ponds_beyond_their_limit_are_refused_soon(
     scene = clamped(meshes.ellipse(comm, RADIUS, RADIUS, 0.25), stretchy)
     scene.put_pond(TENSION * (2.41 / RADIUS) ** 2, level=1e-3)
     solver = Solver(scene)
-    with pytest.raises(ConvergenceError, match=r"the membrane moves without end.*The limit of the"):
+    with pytest.raises(ConvergenceError, match=r"the membrane moves without end.*Limits of load"):
         solver.advance(load=1.0)
     assert count[0] < 1200
     assert scene.ponds[0].factor == pytest.approx((2.404826 / 2.41) ** 2, abs=0.02)

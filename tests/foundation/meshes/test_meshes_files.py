@@ -273,7 +273,7 @@ def write_mesh(*cells, points=POINTS, **more):
             "point.geo.*no triangles",
         ),
         ("text.vtu", lambda file: file.write_text("no xml"), "meshio cannot read.*text.vtu"),
-        ("text.odd", lambda file: file.write_text("?"), "suffix '.odd': convert"),
+        ("text.odd", lambda file: file.write_text("?"), "suffix '.odd'; convert"),
         ("text.stl", lambda file: file.write_bytes(b"\xff\x00"), "text.stl"),
         ("lines.vtu", write_mesh(("line", [(0, 1)])), "lines.vtu.*no triangles"),
         ("quad.vtu", write_mesh(("quad", [(0, 1, 2, 3)])), "cells of the type 'quad'"),

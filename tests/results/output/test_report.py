@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from crms_fenicsx.results.output.report.page import (
     page,
     per_cent,
     place,
+    print_page,
 )
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
@@ -215,7 +217,7 @@ def test_bad_reports_write_nothing(
         ({"template": folder / "office.html"}, "no template .*office.html"),
         ({"template": page}, r"tent.html' is a template's name; use another name"),
         ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
-        ({"pdf": True}, r"apt install chromium.* CRMS_BROWSER"),
+        ({"pdf": True}, r"apt install weasyprint.* CRMS_BROWSER"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
     ):
         with pytest.raises(InputError, match=words):
@@ -373,3 +375,14 @@ def test_a_browser_prints_the_page(
     tent(comm).report(folder / "now.html", pictures=[], pdf=True)
     comm.barrier()
     assert (folder / "now.pdf").read_text().startswith("--print-to-pdf=")
+
+
+def test_weasyprint_prints_the_page_without_a_browser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weasyprint = shutil.which("weasyprint")
+    if weasyprint is None:
+        pytest.skip("there is no WeasyPrint")
+    monkeypatch.setenv("CRMS_BROWSER", weasyprint)
+    print_page("<h1>Tent</h1>", tmp_path / "tent.pdf")
+    assert (tmp_path / "tent.pdf").read_bytes().startswith(b"%PDF")

@@ -135,6 +135,10 @@ def draw(
     -----
     PictureWarning
         Nothing is drawn, as the mesh has more than `MOST_CELLS` cells.
+
+    Examples
+    --------
+    >>> output.draw(solver, "roof.png", colour="stress", unit="m", force="kN")
     """
     if not hasattr(type(solver), "system"):
         raise InputError(f"draw: solver is of type {type(solver).__name__}; pass a Solver.")
@@ -291,6 +295,13 @@ def draw_paths(
     -----
     PictureWarning
         The mesh is omitted, as it has more than `MOST_CELLS` cells.
+
+    Examples
+    --------
+    >>> before = output.Line(ridge.line, name="before")
+    >>> step = solver.advance(pressure=1.5)
+    >>> after = output.Line(ridge.line, name="after")
+    >>> output.draw_paths(scene, "cables.png", [before, after])
     """
     taken = sorted({"points", "triangles"} & set(options))
     if taken:

@@ -101,6 +101,12 @@ def join_pictures(
     ------
     InputError
         No pictures, one that cannot be read, or a file that cannot be written.
+
+    Examples
+    --------
+    >>> output.draw_history(solver.history, "history.png")
+    >>> output.draw(solver, "stress.png", colour="stress")
+    >>> output.join_pictures("both.png", ["stress.png", "history.png"])
     """
     from matplotlib.image import imread, imsave
 

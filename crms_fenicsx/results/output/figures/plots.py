@@ -136,6 +136,10 @@ def draw_history(
     InputError
         On all ranks: an empty history, a missing or non-numeric column, or a file that cannot be
         written.
+
+    Examples
+    --------
+    >>> output.draw_history(solver.history, "history.png", x="pressure", force="kN")
     """
     how = HistoryOptions(**options)
     if len(history) == 0:

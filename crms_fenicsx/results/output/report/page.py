@@ -331,9 +331,9 @@ class Units:
 
 BROWSERS = (
     "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
-    "microsoft-edge", "msedge",
+    "microsoft-edge", "msedge", "weasyprint",
 )  # fmt: skip
-"""Browsers, in the order of search."""
+"""Programs that print pages, in the order of search."""
 
 
 def browser() -> str:
@@ -344,8 +344,8 @@ def browser() -> str:
     if not found:
         raise InputError(
             f"report: pdf=True needs a browser that prints, and there is no {own or BROWSERS[0]}; "
-            "install one (apt install chromium) or name one in the variable CRMS_BROWSER. Without "
-            "pdf=True open the page in any browser, and print it to a file on A4."
+            "install one (apt install weasyprint) or name one in the variable CRMS_BROWSER. "
+            "Without pdf=True open the page in any browser, and print it to a file on A4."
         )
     return found
 
@@ -359,6 +359,8 @@ def print_page(html: str, path: Path) -> None:
             browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
             f"--user-data-dir={folder}/profile", f"--print-to-pdf={pdf}", page.as_uri(),
         ]  # fmt: skip
+        if Path(command[0]).name == "weasyprint":
+            command[1:] = ["--quiet", page.as_uri(), str(pdf)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=120)
             trouble = done.stderr.strip().splitlines()[-1:] if done.returncode else []
