@@ -68,11 +68,10 @@ NOTES = (
     "judged at vertices, from means over the triangles around them of the same material and "
     "strengths, outside of the reinforced corners, where forces grow without limit as triangles "
     "become smaller. The change by finer cells is how much the triangles around the largest value "
-    "differ from the means at their corners. "
-    "Strengths must contain all partial factors; they are divided by the largest factor of the "
-    "loads that act where such factors are given. Shear is not included. For bars in compression "
-    "the strength is reduced by the factor of their buckling curve (EN 1993-1-1, 6.3.1, between "
-    "hinges) or the one given; without either they have no utilisation.",
+    "differ from the means at their corners. Strengths must contain all partial factors; where "
+    "factors of loads are given, they are divided by the largest one that acts. Shear is not "
+    "included. For bars in compression the strength is reduced by the factor of their buckling "
+    "curve (EN 1993-1-1, 6.3.1, between hinges) or the one given; otherwise it is left out.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
