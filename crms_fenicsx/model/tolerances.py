@@ -126,6 +126,9 @@ class Discretisation:
     wrinkled: float = 0.5
     """Share of the area that is wrinkled or slack above which other states are looked for: one or
     two solves more."""
+    near_state: float = 0.1
+    """Largest distance of another state, relative to the membrane's size: folds move by less, and
+    what has not snapped through must not do so in the search."""
 
     @property
     def pressed(self) -> float:

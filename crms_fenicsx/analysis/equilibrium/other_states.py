@@ -64,7 +64,8 @@ def lower_state(system: System, at_once: tuple[float, ...]) -> _Scatter:
         outcome = system.minimize(prestress)
         system.write_scene()
         total = outcome if total is None else total + outcome
-        if not (outcome.converged and scene.energy < energy - SAME_VALUE * scale):
+        near = _moved(scene, first)[0] < TOL.near_state * scene.membrane.size
+        if not (outcome.converged and near and scene.energy < energy - SAME_VALUE * scale):
             scene.u.x.array[:] = best
             system.read_scene()
             system.write_scene()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
+import numpy as np
 import pytest
 from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, SnapThroughWarning, Solver, meshes
 from crms_fenicsx.analysis.steps import increment_solver
 
 
@@ -75,3 +78,21 @@ def test_it_is_not_looked_for_in_vain(comm: MPI.Intracomm) -> None:
         step = solver.advance(pressure=0.1)
         assert step.verification is not None
         assert SCATTER not in [check.name for check in step.verification.checks]
+
+
+def test_a_dome_does_not_snap_through_in_the_search(comm: MPI.Intracomm) -> None:
+    """Under growing snow it is mostly wrinkled, and has less energy upside down from early on."""
+    mesh = meshes.spherical_cap(comm, radius=10.0, height=5.0, size=2.0)
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
+    solver = Solver(scene)
+    solver.advance(pressure=0.3)
+    x, y, _ = scene.positions().T
+    crown = int(np.argmin(np.hypot(x, y)))
+    for snow in np.arange(0.05, 0.51, 0.05):
+        with pytest.warns(SnapThroughWarning) if snow > 0.33 else nullcontext():
+            solver.advance(load=snow)
+        if scene.positions()[crown, 2] < 0.0:
+            break
+    assert snow == pytest.approx(0.35)
