@@ -161,7 +161,7 @@ for name, case in cases.items():
     used = summary.parts[""].largest["utilisation"].value
     found[name] = (tension, used, summary.displacement.value)
     if scene.comm.rank == 0:
-        print(f"{name:14} tensions to {tension:4.1f} kN, fabric used to {used:.0%}, moved up to"
+        print(f"{name:14} tensions to {tension:4.1f} kN, fabric loaded to {used:.0%}, moved up to"
               f" {summary.displacement.value:.2f} m, {scene.pressure:.3f} kPa inside")  # fmt: skip
 if scene.comm.rank == 0:
     join_pictures(

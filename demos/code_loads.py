@@ -127,7 +127,7 @@ if scene.comm.rank == 0:
     zones = ", ".join(f"{c:.2f}" for c in wind.zones)
     print(f"mu_3 = {shapes['snow drifted'].mu_3:.2f}; c_pe = {zones} on f/d = "
           f"{wind.roof.rise / wind.roof.depth:.3f}; {len(table)} combinations")  # fmt: skip
-    print(f"fabric used to {used[fabric]:.0%}: {fabric}")
+    print(f"fabric loaded to {used[fabric]:.0%}: {fabric}")
     print(f"tension of the valley cable {pull[cable]:.1f} kN: {cable}")
     print(f"rain would stand in {len(wet)} of the combinations")
     print(f"files: {RESULTS}")
