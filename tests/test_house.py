@@ -249,7 +249,7 @@ def test_messages_are_plain_sentences() -> None:
                 texts = (str(x.value) if isinstance(x, ast.Constant) else "…" for x in parts)
                 words = "".join(texts)
                 if not words.endswith((".", "?", "…")) or re.search(STILTED, words):
-                    wrong.append(f"{module}, line {node.lineno}: {words}")
+                    wrong.append(f"{module}, line {made.lineno}: {words}")
     assert not wrong, "\n".join(wrong)
 
 
