@@ -45,7 +45,9 @@ for name, path in {"A1": [(0.0, 1.0), (4.0, 1.0)], "B2": [(2.5, 0.0), (2.5, 4.0)
     scene.lay_cable(Cable(EA=1e3), path, name=name)
 """
 PARTS = """
-vertices, cells = mesh.mesh.geometry.x, mesh.mesh.geometry.dofmap
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+
+vertices, cells = mesh.mesh.geometry.x, geometry_dofmap(mesh.mesh)
 first, others = np.array_split(np.arange(len(cells)), 2)
 parts = {"roof": first, "wall": others, "walls": others}
 points = {"mast head": [0], "low point": [1]}

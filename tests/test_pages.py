@@ -87,11 +87,11 @@ def test_pictures_are_those_that_the_script_draws() -> None:
 
 
 def test_script_of_readme_prints_what_readme_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    run(*blocks("../README"), {}, "README")
-    assert f"`{capfd.readouterr().out.strip()}`" in (DOCS.parent / "README.md").read_text()
+    said = run(*code("../README"), {}, "README")
+    assert f"`{said.strip()}`" in (DOCS.parent / "README.md").read_text()
     assert Path("results/square/tightened.png").exists()
 
 

@@ -92,7 +92,7 @@ class Refinement:
                 f"the refinement's line is {self.line!r}; pass points (x, y), or all (x, y, z)."
             )
         if not np.isfinite(line).all():
-            raise InputError(f"the refinement's line {self.line!r} must be finite.")
+            raise InputError(f"the refinement's line {self.line!r} is not finite.")
 
 
 class TargetSize:
