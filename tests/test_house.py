@@ -57,8 +57,8 @@ BUDGETS = {
     "model": 3059,
     "energy": 7542,
     "cabling": 7321,
-    "analysis": 6563,
-    "results": 10583,
+    "analysis": 6562,
+    "results": 10581,
     "solver": 985,
     "design": 8364,
 }
