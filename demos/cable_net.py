@@ -13,8 +13,7 @@ the pictures). Suction acts on the rest of the dome, where tensions triple. Unit
 
     ./run python demos/cable_net.py [SIZE] [--resume]
 
-with the cell size, 1.6 m by default. The picture of the README, docs/cable_net.png, is this demo's
-both.png.
+with the cell size, 1.6 m by default. The picture docs/cable_net.png is this demo's both.png.
 """
 
 import itertools

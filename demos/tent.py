@@ -12,8 +12,7 @@ are examples, not taken from a code. Units: m, kN.
 
     ./run python demos/tent.py [SIZE] [--resume]
 
-with the cell size, 0.42 m by default. The picture of the README, docs/tent.png, is this demo's
-snow.png.
+with the cell size, 0.42 m by default. The picture docs/tent.png is this demo's snow.png.
 """
 
 import sys
