@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gmsh
 import numpy as np
 import pytest
 
@@ -23,6 +24,8 @@ PLACE = re.compile(r"\([-+\d.e]+(?:, [-+\d.e]+)+\)")
 """Of a largest or smallest value: another mesh may have it elsewhere."""
 
 SECONDS = re.compile(r"\b[\d.]+ s\b")
+SAME_MESHES = gmsh.GMSH_API_VERSION.startswith("4.13.")
+"""Other versions make other meshes than those of the pages: small tensions and strains differ."""
 
 
 def code(page: str) -> list[str]:
@@ -30,15 +33,14 @@ def code(page: str) -> list[str]:
     return [block.code for block in blocks(page)]
 
 
-def assert_shows(shown: str, said: str) -> None:
-    """The same words, and numbers that differ by 5 % or 0.01 at most: meshes are not alike in all
-    versions of gmsh.
-    """
+def assert_shows(shown: str, said: str, numbers: bool = True) -> None:
+    """The same words and, if wanted, numbers that differ by 5 % or 0.01 at most."""
     shown, said = (SECONDS.sub("time", PLACE.sub("(place)", t)) for t in (shown, said))
     words = [NUMBER.sub("#", text).split() for text in (shown, said)]
     assert words[0] == words[1], f"the page shows\n{shown}\nits code prints\n{said}"
-    numbers = [[float(number) for number in NUMBER.findall(text)] for text in (shown, said)]
-    np.testing.assert_allclose(numbers[0], numbers[1], rtol=0.05, atol=0.01, err_msg=said)
+    if numbers:
+        pair = [[float(number) for number in NUMBER.findall(text)] for text in (shown, said)]
+        np.testing.assert_allclose(*pair, rtol=0.05, atol=0.01, err_msg=said)
 
 
 def test_comparison_of_output_can_fail() -> None:
@@ -70,7 +72,7 @@ def test_code_of_page_runs_and_prints_what_it_shows(
         roof["solver"].restore(roof["_at_end"])
         names |= roof
     for _, block, said in play(f"how_to/{page}", names):
-        assert_shows(block.shown or "", said)
+        assert_shows(block.shown or "", said, numbers=SAME_MESHES)
 
 
 def test_pictures_are_those_that_the_script_draws() -> None:

@@ -231,7 +231,7 @@ def taylor_test(
     Examples
     --------
     >>> taylor_test(Springs(0.1), scene.u)
-    TaylorRates(gradient=1.99..., stiffness=None)
+    TaylorRates(gradient=2.0, stiffness=None)
     """
     V, layout, kept = u.function_space, getattr(term, "unknowns", None), u.x.array.copy()
     f = TermsWithDyads(Unknowns(V), u, [term])
