@@ -33,7 +33,7 @@ TUTORIALS = [
 project = "crms_fenicsx"
 author = "the crms_fenicsx developers"
 copyright = author
-release = crms_fenicsx.__version__.partition("+")[0]
+release = crms_fenicsx._RELEASE
 
 extensions = [
     "myst_parser",

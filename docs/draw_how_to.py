@@ -290,7 +290,8 @@ def main(pages: list[str]) -> None:
 def run_page(page: str, names: Names) -> None:
     """Run a page's code in the current folder; write its output and pictures."""
     said = {}
-    for k, _, said[k] in play(f"how_to/{page}", names):
+    for k, _, printed in play(f"how_to/{page}", names):
+        said[k] = printed
         for name, (at, draw) in DRAWN[page].items():
             if at == k and (draw is not view or "DISPLAY" in os.environ):
                 draw(names, f"{PICTURES}/{name}.png")

@@ -40,6 +40,7 @@ from crms_fenicsx import (
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
 from crms_fenicsx.cabling.friction.slip import material_place
 from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 
 Array = npt.NDArray[Any]
@@ -47,6 +48,8 @@ Points = Sequence[Array] | Array
 
 FOLDER = Path(__file__).parent / "theory" / "figures"
 WIDTH = 7.0  # inches; with letters of 12 points legible at 400 pixels
+FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)  # kgf, cm
+COATED = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)  # kN, m
 CABLE, FOLD, FORCE, SLIP = "#C24E00", "#0072B2", "#00795A", "#AA3377"
 FABRIC, FOLDED, LINE = "#F1F1F1", "#FFE3B0", "#777777"
 STYLE = {
@@ -384,6 +387,13 @@ def draw_contact_force() -> Figure:
     return figure
 
 
+def held(mesh: MembraneMesh, fabric: IsotropicMembrane) -> Scene:
+    """A scene whose boundary is held."""
+    scene = Scene(mesh, fabric)
+    scene.fix("boundary")
+    return scene
+
+
 @functools.cache
 def slid(mu: float) -> tuple[Scene, LaidCable, Array]:
     """A cable laid in an arc over an inflated sheet and tightened; its line on the fabric before.
@@ -391,8 +401,7 @@ def slid(mu: float) -> tuple[Scene, LaidCable, Array]:
     Units: kgf, cm.
     """
     mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=60.0, size=14.0)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = held(mesh, FOIL)
     solver = Solver(scene)
     solver.advance(pressure=0.03)
     x = np.linspace(0.0, 100.0, 21)
@@ -540,8 +549,7 @@ def draw_contacts() -> Figure:
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     mesh = meshes.from_arrays(MPI.COMM_WORLD, points, triangles)
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
+    scene = held(mesh, COATED)
     cable = scene.lay_cable(Cable(EA=30e3), path=[(0.0, 1.0), (24.0, 1.0)])
     hill = np.column_stack([points[: x.shape[1], 0], points[: x.shape[1], 2]])
     polygon(left, [(0, -1.5), *hill, (24, -1.5)], FABRIC, ec="none")
@@ -551,8 +559,7 @@ def draw_contacts() -> Figure:
     left.set_title("a cable over a hollow", fontsize=12)
 
     plan = meshes.rectangle(MPI.COMM_WORLD, width=4.0, depth=4.0, size=2.0)
-    scene = Scene(plan, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
+    scene = held(plan, COATED)
     solver = Solver(scene)
     solver.advance(pressure=20.0)
     ends = [((0.0, 1.4), (4.0, 2.3)), ((1.3, 0.0), (2.2, 4.0))]
@@ -577,8 +584,7 @@ def draw_overview() -> Figure:
     """An inflated sheet with a taut cable."""
     figure, (axes,) = panels(3.0, [1])
     mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=60.0, size=10.0)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = held(mesh, FOIL)
     solver = Solver(scene)
     solver.advance(pressure=0.05)
     cable = scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 20.0), (100.0, 38.0)])
@@ -688,8 +694,7 @@ def draw_unrolled() -> Figure:
     """A geodesic over a dome, and its cells unrolled."""
     figure, (left, right) = panels(6.0, [1], [2.9, 1])
     mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=10.0, height=5.0, size=2.6)
-    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = held(mesh, COATED)
     ends = [(-9.3, -3.6), (8.2, -5.6)]
     ways = [scene.lay_cable(Cable(EA=15e3), ends, shortest=short) for short in (True, False)]
     points = scene.positions()
@@ -735,7 +740,7 @@ def draw_stick_slip() -> Figure:
     figure, (axes,) = panels(3.4, [1])
     for mu, colour, label in ((0.0, "black", "frictionless"), (0.4, CABLE, r"$\mu = 0.4$")):
         mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, size=12.0)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        scene = Scene(mesh, FOIL)
         scene.fix("front")
         scene.fix("back")
         ends = [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
@@ -758,8 +763,7 @@ def draw_capstan() -> Figure:
     """Tension along a cable with friction along itself, tightened at one end."""
     figure, (axes,) = panels(3.2, [1])
     mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=12.0, height=8.0, size=2.0)
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
+    scene = held(mesh, COATED)
     solver = Solver(scene)
     solver.advance(pressure=0.4)
     mu = 0.3
@@ -809,8 +813,7 @@ def draw_snap_through() -> Figure:
     """The height of a dome under growing snow, with its jump."""
     figure, (axes,) = panels(3.3, [1])
     mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=10.0, height=5.0, size=2.0)
-    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
-    scene.fix("boundary")
+    scene = held(mesh, COATED)
     scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
     solver = Solver(scene)
     solver.advance(pressure=0.3)
@@ -850,11 +853,10 @@ def draw_flattening() -> Figure:
         patterns.plane_section(mesh, (0.0, y, 0.0), (0.0, 1.0, 0.0), name=f"seam {k}")
         for k, y in enumerate((-W / 2, W / 2))
     ]
-    fabric = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PatternWarning)  # 16 columns would take four times as long
         pattern = patterns.flatten(
-            patterns.cut(mesh, seams), fabric, warp=(1.0, 0.0, 0.0), equal=False
+            patterns.cut(mesh, seams), COATED, warp=(1.0, 0.0, 0.0), equal=False
         )
     (flat,) = (one for one in pattern.flat if sum(edge.sewn for edge in one.piece.edges) == 2)
     view = (-70.0, 35.0)

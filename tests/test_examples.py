@@ -6,6 +6,7 @@ import doctest
 import inspect
 import pydoc
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-API = Path(__file__).parents[1] / "docs" / "api"
+DOCS = Path(__file__).parents[1] / "docs"
+API = DOCS / "api"
+blocks = runpy.run_path(str(DOCS / "draw_how_to.py"))["blocks"]
 DIRECTIVE = re.compile(r"^\.\. auto(?:function|class)\:\: (\S+)", re.MULTILINE)
 LEFT_OUT = {
     "exchange.from_compas": "needs compas",
@@ -119,11 +122,7 @@ EXAMPLES = {
 
 def script(page: str) -> str:
     """The script at the beginning of a page, or that of most."""
-    for one in (page, "index"):
-        blocks = re.findall(r"^```python\n(.*?)^```", (API / f"{one}.md").read_text(), re.S | re.M)
-        if blocks:
-            return blocks[0]
-    raise AssertionError(page)
+    return (blocks(f"api/{page}") or blocks("api/index"))[0].code
 
 
 @pytest.fixture(scope="module")

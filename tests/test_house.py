@@ -253,17 +253,6 @@ def test_messages_are_plain_sentences() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_files_beside_modules_are_installed() -> None:
-    """`pip install` copies what pyproject.toml names: a report needs its templates."""
-    text = (PACKAGE.parent / "pyproject.toml").read_text()
-    (listed,) = re.findall(r"^crms_fenicsx = \[(.*)\]$", text, re.MULTILINE)
-    installed = {path for glob in re.findall(r'"(.+?)"', listed) for path in PACKAGE.glob(glob)}
-    files = {path for path in PACKAGE.rglob("*") if path.is_file()}
-    assert {path for path in files if "__pycache__" not in path.parts and path.suffix != ".py"} == (
-        installed
-    )
-
-
 def documented_parameters(docstring: str) -> set[str]:
     """The names in the section "Parameters" of a docstring, that of numpydoc."""
     section = re.search(r"^Parameters\n-+\n(.*?)(\n\n\w+\n---|\Z)", docstring, re.DOTALL | re.M)

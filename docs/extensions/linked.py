@@ -56,25 +56,25 @@ class SummaryTable(nodes.General, nodes.Element):
 
 def fill_summaries(app: Sphinx, doctree: nodes.document) -> None:
     """Put the tables in their places, and anchors at attributes without an entry of their own."""
-    anchors = app.env.attribute_anchors.setdefault(app.env.docname, {})  # type: ignore[attr-defined]
+    anchors = app.env.attribute_anchors.setdefault(app.env.docname, set())  # type: ignore[attr-defined]
     for desc in doctree.findall(addnodes.desc):
         if desc["domain"] == "py" and desc["objtype"] in ("class", "exception"):
-            anchors |= dict(anchored_attributes(desc))
+            anchors.update(anchored_attributes(desc))
         elif desc["objtype"] in ("attribute", "property"):
             add_type(desc, app.property_types)  # type: ignore[attr-defined]
     for table in list(doctree.findall(SummaryTable)):
         table.replace_self(table_of(list(tables_of(doctree, table["members"]))))
 
 
-def anchored_attributes(desc: addnodes.desc) -> Iterator[tuple[str, str]]:
-    """Names of a class's attributes in the section "Attributes", and their new anchors."""
+def anchored_attributes(desc: addnodes.desc) -> Iterator[str]:
+    """Names of a class's attributes in the section "Attributes", which become anchors."""
     owner = name_of(desc)
     for field in desc.findall(nodes.field):
         if field[0].astext() == "Attributes":
             for term in field.findall(nodes.term):
                 for name in re.findall(r"\w+", term.astext()):
                     term["ids"].append(f"{owner}.{name}")
-                    yield f"{owner}.{name}", f"{owner}.{name}"
+                    yield f"{owner}.{name}"
 
 
 def name_of(desc: addnodes.desc) -> str:
@@ -83,13 +83,16 @@ def name_of(desc: addnodes.desc) -> str:
     return str(ids[0]) if ids else ""
 
 
-def owner_of(node: nodes.Node) -> addnodes.desc | None:
-    """The innermost documented object that a node describes."""
+def ancestors(node: nodes.Node) -> Iterator[nodes.Node]:
+    """The nodes that a node is in, the innermost first."""
     while node.parent is not None:
         node = node.parent
-        if isinstance(node, addnodes.desc):
-            return node
-    return None
+        yield node
+
+
+def owner_of(node: nodes.Node) -> addnodes.desc | None:
+    """The innermost documented object that a node describes."""
+    return next((one for one in ancestors(node) if isinstance(one, addnodes.desc)), None)
 
 
 def tables_of(doctree: nodes.document, members: bool) -> Iterator[nodes.row]:
@@ -165,7 +168,7 @@ class Links:
         self.places: dict[str, Place] = {}
         self.tails = defaultdict[str, list[str]](list)
         for page, anchors in app.env.attribute_anchors.items():  # type: ignore[attr-defined]
-            self.places |= {name: Place(page, at, "attribute") for name, at in anchors.items()}
+            self.places |= {name: Place(page, name, "attribute") for name in anchors}
         for name, entry in app.env.domaindata["py"]["objects"].items():
             if not entry.aliased:
                 self.places[name] = Place(entry.docname, entry.node_id, entry.objtype)
@@ -240,12 +243,11 @@ TYPES = (nodes.classifier, nodes.term, addnodes.desc_type)
 
 def scopes(node: nodes.Node) -> Iterator[str]:
     """The names of the objects that a node describes, the innermost first."""
-    while node.parent is not None:
-        node = node.parent
-        if isinstance(node, addnodes.desc):
-            yield name_of(node)
-        elif isinstance(node, nodes.row) and "owner" in node:
-            yield node["owner"]
+    for one in ancestors(node):
+        if isinstance(one, addnodes.desc):
+            yield name_of(one)
+        elif isinstance(one, nodes.row) and "owner" in one:
+            yield one["owner"]
 
 
 def arguments_of(desc: addnodes.desc) -> set[str]:
@@ -256,20 +258,14 @@ def arguments_of(desc: addnodes.desc) -> set[str]:
 
 def linkable(node: nodes.Node) -> bool:
     """Whether a node is in running text and not yet part of a link."""
-    while node.parent is not None:
-        node = node.parent
-        if isinstance(node, nodes.reference | nodes.title | nodes.literal_block | nodes.rubric):
-            return False
-    return True
+    others = nodes.reference | nodes.title | nodes.literal_block | nodes.rubric
+    return not any(isinstance(one, others) for one in ancestors(node))
 
 
 def section_of(node: nodes.Node) -> str:
     """The name of the section of a docstring in which a node is."""
-    while node.parent is not None:
-        node = node.parent
-        if isinstance(node, nodes.field):
-            return str(node[0].astext())
-    return ""
+    fields = (one for one in ancestors(node) if isinstance(one, nodes.field))
+    return next((str(one[0].astext()) for one in fields), "")
 
 
 def link_page(app: Sphinx, doctree: nodes.document, page: str) -> None:
@@ -300,4 +296,4 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("env-purge-doc", forget)
     app.connect("doctree-read", fill_summaries)
     app.connect("doctree-resolved", link_page)
-    return {"env_version": 1, "parallel_read_safe": False, "parallel_write_safe": True}
+    return {"env_version": 2, "parallel_read_safe": False, "parallel_write_safe": True}

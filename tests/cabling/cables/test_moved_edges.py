@@ -125,7 +125,9 @@ def test_ends_that_are_not_sewn_stay_and_say_so(comm: MPI.Intracomm) -> None:
             assert len(caught) == (comm.rank == 0 and not told)
         np.testing.assert_array_equal(cable.state.positions[0], start)
         tensions.append(cable.tension)
-    assert tensions[0] == pytest.approx(tensions[1], rel=1e-9)
+    # with more than two ranks PETSc sums what others send in the order in which it arrives
+    rounding = 0.0 if comm.size <= 2 else 1e-12
+    assert tensions[0] == pytest.approx(tensions[1], rel=rounding, abs=0.0)
 
 
 @pytest.mark.ranks
