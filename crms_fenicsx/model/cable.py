@@ -203,6 +203,18 @@ class Net:
     crossings: tuple[NetCrossing, ...] = field(repr=False)
     nodes: Array | None = field(default=None, repr=False)
 
+    @property
+    def paths(self) -> dict[str, Array]:
+        """Paths of the lines, (k, 3) (length), by name, for a mesh that follows them.
+
+        Examples
+        --------
+        >>> net = nets.sections(scene, angles=(0.0,), offsets=[1.0, 3.0])
+        >>> list(net.paths)
+        ['A1', 'A2']
+        """
+        return {line.name: line.path for line in self.lines}
+
     def __repr__(self) -> str:
         lengths = span([line.length for line in self.lines])
         return (

@@ -90,6 +90,8 @@ class LaidAs:
     layer: int = 0  # of two crossing cables the one with the higher layer lies on top
     joints: tuple[str | None, str | None] = (None, None)  # to which its ends are fixed, by name
     bonds: Bonds | None = None  # to the fabric
+    # group of edges along which it lies, from vertex to vertex, and which holds it sideways
+    line: str | None = None
 
 
 @dataclass(frozen=True)

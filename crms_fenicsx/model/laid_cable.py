@@ -114,7 +114,7 @@ class LaidCable(Handle[CableState]):
     @property
     def keeps_line(self) -> bool:
         """Whether it stays on its line on the fabric, and so crosses the same edges."""
-        return not HOLDS[self.hold].sideways
+        return not HOLDS[self.hold].sideways or self.state.laid.line is not None
 
     @property
     def slides_freely(self) -> bool:

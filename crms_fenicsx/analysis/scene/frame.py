@@ -306,7 +306,7 @@ class Frame:
         self._joints = tuple(j for j in self.joints if j.name not in own or j in used)
 
     def path_of(
-        self, path: Sequence[Sequence[float] | Joint] | Array
+        self, path: Sequence[Sequence[float] | Joint] | Array | None
     ) -> tuple[Any, tuple[str | None, str | None]]:
         """A cable's path with joints replaced by positions, and its end joints' names."""
         names: list[str | None] = [None, None]

@@ -141,9 +141,10 @@ class IncrementSolver:
     def search(self) -> EquilibriumSearch:
         """A search for the equilibrium, which continues from the paths tried before."""
         system = self.system
-        if not self._options.slide:
+        on_lines = all(cable.state.laid.line is not None for cable in self.scene.cables)
+        if not self._options.slide or on_lines:
             return EquilibriumSearch(system, None)
-        if self.tried is None and self.scene.cables:
+        if self.tried is None:
             from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
             self.tried = TriedPaths()

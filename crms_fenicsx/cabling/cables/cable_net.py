@@ -120,11 +120,11 @@ class CableNet:
         if self.clamps or any(cable.state.law.parts is not None for cable in self.cables):
             self.clamps = divide(self.cables, self.crossings, self.clamps)
 
-    def add(self, cable: LaidCable, strip: Strip) -> None:
-        """Add a cable laid over the cells of `strip`."""
+    def add(self, cables: Sequence[LaidCable], strip: Strip) -> None:
+        """Add cables laid over the cells of `strip`."""
         self.strip = strip if self.strip is None else self.strip.merged(strip)
-        self.cables = (*self.cables, cable)
-        self.laid += 1
+        self.cables = (*self.cables, *cables)
+        self.laid += len(cables)
 
     def remove(self, cable: LaidCable | str) -> None:
         """Remove a cable and its crossings. Collective."""
@@ -159,6 +159,12 @@ class CableNet:
                 raise InputError(
                     f'clamp: {cable.name!r} has law="step", with which its tension cannot differ '
                     "from clamp to clamp; lay it without."
+                )
+            if cable.state.laid.line is not None:
+                raise InputError(
+                    f"clamp: {cable.name!r} lies along a line of the mesh, which holds it "
+                    "sideways, so that clamps would hold the fabric too and strengthen it; lay the "
+                    "cables to be clamped by their paths, without `along`."
                 )
         new: list[Clamp] = []
         apart: list[str] = []

@@ -176,6 +176,8 @@ class Strip:
     @cached_property
     def is_outer(self) -> Booleans:
         """Whether each cell is not behind a seam, (n,)."""
+        if not self.hidden:
+            return np.ones(len(self.cells), dtype=bool)
         outer = [tuple(sorted(cell)) not in self.hidden for cell in self.corners]
         return np.array(outer, dtype=bool)
 

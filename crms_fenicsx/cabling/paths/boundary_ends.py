@@ -40,10 +40,13 @@ from crms_fenicsx.model.tolerances import BUDGET, SAME_PLACE, TOL
 
 
 def renew_ends(change: PathChange) -> bool:
-    """Move the ends of all paths to moved anchors, and return whether any changed. Collective."""
+    """Move the ends of all paths off lines of the mesh to moved anchors, and return whether any
+    changed. Collective."""
     changed = False
     shape = change.net.strip_shape()
     for cable in change.net.cables:
+        if cable.state.laid.line is not None:
+            continue
         for last in (False, True):
             if _renew(change, cable, last, shape):  # it may lie over other cells now
                 changed, shape = True, change.net.strip_shape()

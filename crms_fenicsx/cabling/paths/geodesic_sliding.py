@@ -123,6 +123,7 @@ class GeodesicSliding:
         off = [
             cable
             for cable in self.net.cables
+            if cable.state.laid.line is None
             if cable in crossed or (cable.taut and cable.state.lifted.any())
         ]
 

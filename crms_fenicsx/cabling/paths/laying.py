@@ -1,38 +1,41 @@
-"""Laying of a cable: from the user's route to a polyline of typed nodes."""
+"""Laying of cables: from routes, or along lines of the mesh, to polylines of typed nodes.
+
+Along a line, a named group of edges that form one open line, nothing is searched. The path is the
+row of its vertices, and the rows of a net and the cells around them are gathered once for all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
-from dataclasses import replace
-from itertools import pairwise
-from typing import Literal
+import logging
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
-from crms_fenicsx.cabling.cables.clamping import bonded_parts, bonds_of
-from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
-from crms_fenicsx.cabling.contact.lift_off import drape
+from crms_fenicsx.cabling.cables.strip import StripShape, cells_at, own_surface
+from crms_fenicsx.cabling.paths.bed import Bed, MeasuredOn, check_law, put
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
-from crms_fenicsx.cabling.paths.path_change import fractions_of, nodes_of
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
-from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface, arc_lengths_on
-from crms_fenicsx.foundation.meshes.triangles import mix, vectors
+from crms_fenicsx.foundation.meshes.edge_table import whole_line
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, vertex_ids
+from crms_fenicsx.foundation.meshes.triangles import dot, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, ints
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError
-from crms_fenicsx.foundation.surface.closest_point import Balls
-from crms_fenicsx.foundation.surface.corridor import cell_between
+from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, PathWarning, as_text
+from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, Balls, feet_of
 from crms_fenicsx.foundation.surface.path import Path
-from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.foundation.surface.points import SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.trace import route_points
-from crms_fenicsx.model.cable import HOLDS, Cable, Hold
-from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState, End, LaidAs, StepStart
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.cable import HOLDS, Cable, Hold, Net
+from crms_fenicsx.model.cable_state import LaidAs
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
+
+logger = logging.getLogger("crms_fenicsx")
 
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
@@ -72,229 +75,219 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
     return np.array(rows), known, folds
 
 
-MeasuredOn = Literal["surface", "facets"]
-
-
 def lay(
     net: CableNet,
     cable: Cable,
-    path: Sequence[Sequence[float]] | Array,
+    path: Sequence[Sequence[float]] | Array | None,
+    laid_as: LaidAs,
     *,
     L0: float | None,
     tension: float | None,
-    hold: Hold = "outside",
-    layer: int,
     name: str | None,
     measured_on: MeasuredOn,
     shortest: bool = False,
-    joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, type its points, and add the cable; see `Scene.lay_cable`. Collective."""
+    if laid_as.line is not None:
+        if shortest:
+            raise InputError(
+                f"lay_cable: along = {laid_as.line!r} leaves no other path, so pass no `shortest`."
+            )
+        ends = None if path is None else route_points(path)
+        one = Along(laid_as.line if name is None else name, laid_as, ends)
+        given = L0, tension, measured_on
+        return lay_along(net, cable, [one], *given)[0]
+    if path is None:
+        raise PathError(
+            "lay_cable: neither path nor along; pass the points of a path, or a line of the mesh."
+        )
     # not the number of a removed cable
     name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
-    if hold == "bonded" and cable.law == "step":
-        raise InputError(
-            f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '
-            'cable; use law="total".'
-        )
-    _check_length(name, L0, tension)
+    check_law(name, cable, laid_as.hold, L0, tension)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
+    slides = HOLDS[laid_as.hold].sideways
     try:
-        way, covers = traced_over_holes(net.membrane, route, known, HOLDS[hold].sideways)
+        way, covers = traced_over_holes(net.membrane, route, known, slides)
         if shortest:
             way = shortened(net.membrane, way, covers)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
-    _refuse_joints_on_the_membrane(name, joints, way)
     strip = cells_below(net.membrane, way, covers)
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(way, shape, name)
-    nodes = nodes_of(way.points, strip, _ends(net.membrane, strip, way))
-    positions = _positions(nodes, way, shape)
-    in_fold = dict(zip(known.values(), folds, strict=False))
-    folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
-    off = np.array([k.point is not None and strip.over_hole(k.support) for k in nodes], dtype=bool)
-    if HOLDS[hold].sideways and _follows_free_edge(way, strip):
-        hold = "pocket"
-    state = CableState(
-        nodes, positions, fractions_of(nodes), off, np.full_like(positions, np.nan),
-        CableLaw(_held_kind(cable, hold), L0=1.0, length=0.0, tension=0.0),
-        LaidAs(hold, layer, joints),
-    )  # fmt: skip
-    laid = LaidCable(name, state)
-    _refuse_folds(net.membrane, strip, laid)
-    if laid.lifts_off:
-        drape(laid, shape)
-    length = polyline_length(laid.state.positions[laid.contacts()])
-    if length == 0.0:
-        raise PathError(f"lay_cable: the path of {name!r} has no length.")
-    smooth = length
-    if L0 is None and measured_on == "surface" and cable.law == "total" and hold != "bonded":
-        smooth = _smooth_length(laid, shape, folded)
-    L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
-    force = cable.EA / L0 * max(smooth - L0, 0.0)
-    laid.update(L0=L0, length=length, tension=force, taut=cable.law == "step" or force > 0)
-    if cable.law == "step":
-        laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
-    if hold == "bonded":
-        laid.update(bonds=bonds_of(laid))
-        laid.update(parts=bonded_parts(laid))
-    elif cable.along > 0:
-        from crms_fenicsx.cabling.friction.axial import initial_state
+    bed = Bed.of(net.membrane, shape, [way], dict(zip(known.values(), folds, strict=False)))
+    laid = put(bed, name, cable, way, laid_as, L0=L0, tension=tension, measured_on=measured_on)
+    net.add([laid], strip)
+    return laid
 
-        laid.update(axial=initial_state(laid, shape))
-    if laid.cable.sideways is not None and laid.cable.sideways.law == "step":
-        from crms_fenicsx.cabling.friction.lateral import start_elements
-        from crms_fenicsx.cabling.friction.slip import material_curve
 
-        start_elements(laid, material_curve(laid, shape), shape)
+def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[int]]:
+    """Vertex ids along groups of edges, which must be open lines. Collective."""
+    ends, ids = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2), vertex_ids(mesh.mesh)
+    own = [
+        np.sort(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
+    ]
+    parts = mesh.comm.allgather(own)
+    pairs = [np.unique(np.concatenate(every), axis=0) for every in zip(*parts, strict=True)]
+    return [
+        whole_line(call, group, [(int(a), int(b)) for a, b in some])
+        for group, some in zip(groups, pairs, strict=True)
+    ]
+
+
+def has_lines(mesh: MembraneMesh, net: Net) -> bool:
+    """Whether a mesh has the lines of a net, by their names; some of them are an error."""
+    lacking = [line.name for line in net.lines if line.name not in mesh.edges]
+    if len(lacking) == len(net.lines) and mesh.comm.rank == 0:
+        logger.info(
+            "lay_net: the cables fold the cells that they cross, as the mesh does not have the "
+            "net's lines; meshes.along(mesh, net.paths) makes one that has them"
+        )
+    if lacking and len(lacking) < len(net.lines):
+        raise InputError(
+            f"lay_net: the mesh has some lines of the net, but not {', '.join(lacking)}; make one "
+            "that has all, meshes.along(mesh, net.paths), or one without lines of these names."
+        )
+    return not lacking
+
+
+@dataclass(frozen=True)
+class Along:
+    """A cable to be laid along a line of the mesh."""
+
+    name: str
+    laid_as: LaidAs
+    # (k, 2) or (k, 3), from its start to its end, perhaps beyond the line to anchors (length)
+    route: Array | None = None
+    of_net: bool = False  # whether the route is that of a net's line, on which it must lie
+
+
+def lay_along(
+    net: CableNet,
+    cable: Cable,
+    lines: Sequence[Along],
+    L0: float | None = None,
+    tension: float | None = None,
+    measured_on: MeasuredOn = "surface",
+) -> tuple[LaidCable, ...]:
+    """Lay cables along lines of the mesh; see `Scene.lay_cable`. Collective."""
+    membrane, taken = net.membrane, {one.name for one in net.cables}
+    for one in lines:
+        checks.new_name("lay_cable", "cable", one.name, taken)
+        taken.add(one.name)
+        check_law(one.name, cable, one.laid_as.hold, L0, tension)
+    groups = [one.laid_as.line or "" for one in lines]
+    rows = rows_of(membrane.mesh, "lay_cable", groups)
+    strip = cells_at(membrane, list(chain.from_iterable(rows)))
+    shape = StripShape.of(membrane, strip)
+    ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]
+    bed = Bed.of(membrane, shape, ways)
+    laid = tuple(
+        put(bed, one.name, cable, way, one.laid_as, L0=L0, tension=tension, measured_on=measured_on)
+        for one, way in zip(lines, ways, strict=True)
+    )
+    _tell_held(net, laid)
     net.add(laid, strip)
     return laid
 
 
-def _held_kind(cable: Cable, hold: Hold) -> Cable:
-    """The cable without friction in directions in which `hold` fixes it."""
-    free = HOLDS[hold]
-    if free.sideways or (cable.sideways is None and free.along):
-        return cable
-    if not free.along or not cable.along:
-        return replace(cable, friction=0.0)
-    assert isinstance(cable.friction, Friction)
-    along = Friction(0.0, along=cable.along, tolerance=cable.friction.tolerance)
-    return replace(cable, friction=along)
+def lay_net(
+    net: CableNet, layout: Net, cable: Cable, tension: float | None, hold: Hold
+) -> tuple[LaidCable, ...]:
+    """Lay cables along the lines of the mesh that are those of a layout. Collective."""
+    lines = [
+        Along(one.name, LaidAs(hold, line=one.name), one.path, of_net=True) for one in layout.lines
+    ]
+    return lay_along(net, cable, lines, tension=tension)
 
 
-def _refuse_joints_on_the_membrane(
-    name: str, joints: tuple[str | None, str | None], path: Path
-) -> None:
-    """Reject a cable that ends at a joint on the membrane."""
-    for joint, anchor in zip(joints, (path.start_anchor, path.end_anchor), strict=True):
-        if joint is not None and anchor is None:
-            raise PathError(
-                f"lay_cable: {name!r} ends at the joint {joint!r}, which lies on the membrane; let "
-                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable "
-                "too."
-            )
-
-
-def _put_in_folds(
-    nodes: Sequence[CableNode],
-    positions: Array,
-    in_fold: Mapping[SurfacePoint, Array],
-    reach: float,
-) -> set[SurfacePoint]:
-    """Move nodes to the folds in `in_fold`, and return the points moved farther than `reach`."""
-    moved = set[SurfacePoint]()
-    for k, node in enumerate(nodes):
-        if node.point is not None and node.point in in_fold:
-            fold = in_fold[node.point]
-            if np.linalg.norm(fold - positions[k]) > reach:
-                moved.add(node.point)
-            positions[k] = fold
-    return moved
-
-
-def _check_length(name: str, L0: float | None, tension: float | None) -> None:
-    """Check the arguments for the length of a new cable."""
-    if L0 is not None and tension is not None:
-        raise InputError(f"lay_cable: {name!r} got both L0 and tension; pass one of them.")
-    for key, value in (("L0", L0), ("tension", tension)):
-        if value is not None:
-            checks.positive(f"lay_cable: {name!r} with {key}", value)
-
-
-def _follows_free_edge(path: Path, strip: Strip) -> bool:
-    """Whether a path runs from vertex to vertex along free boundary edges of the membrane."""
-    vertices = [point.support[0] for point in path.points if len(point.support) == 1]
-    if len(vertices) < max(len(path.points), 2):
-        return False
-    table = EdgeTable.of(strip.cells)
-    edges = np.sort([*pairwise(vertices)], axis=1)
-    at_boundary = np.isin(edge_keys(edges), edge_keys(table.vertices[table.counts == 1]))
-    held = any((int(a), int(b)) in strip.held_edges for a, b in edges)
-    return bool(at_boundary.all()) and not held
-
-
-def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint]) -> float:
-    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it: in
-    a stiff membrane they shorten the path by as much as the cable's elastic strain."""
-    vertices = shape.strip.vertices
-    strip = shape.strip
-    solid = strip.cells[strip.is_outer & (strip.owner != NOBODY)]
-    surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, solid))
-    nodes = cable.contacts()
-    on = np.array([
-        node.point is not None and node.kind != "edge slider" and node.point not in folded
-        for node in (cable.state.nodes[k] for k in nodes)
-    ])  # fmt: skip
-    found = [cable.interpolation(k) for k, is_on in zip(nodes, on, strict=True) if is_on]
-    corners = np.array([(*(shape.strip.row_of[v] for v in ids), 0, 0)[:3] for ids, _ in found])
-    weights = np.array([(*share, 0.0, 0.0)[:3] for _, share in found])
-    points, normals = cable.state.positions[nodes], np.zeros((len(nodes), 3))
-    if on.any():
-        offsets, normals[on] = surface.raised(corners, weights)
-        points[on] += offsets
-    ends_on = on | np.array([cable.state.nodes[k].kind == "edge slider" for k in nodes])
-    straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
-    for i in np.flatnonzero(~straight):
-        straight[i] = strip.over_hole(
-            cell_between(
-                cable.state.nodes[nodes[i]].support, cable.state.nodes[nodes[i + 1]].support
-            )
+def _tell_held(net: CableNet, laid: Sequence[LaidCable]) -> None:
+    """Warn once of cables that the mesh holds sideways though their attachment does not."""
+    held, known = (
+        [c.name for c in some if c.state.laid.line is not None and HOLDS[c.hold].sideways]
+        for some in (laid, net.cables)
+    )
+    if held and not known and net.membrane.comm.rank == 0:
+        text = (
+            f"lay_cable: {held[0]!r}, as all cables along lines of the mesh, is held sideways on "
+            'its line, as in a pocket; hold="outside" lifts off, hold="sleeve" does not.'
         )
-    return float(arc_lengths_on(points, normals, straight).sum())
+        warnings.warn(text, PathWarning, stacklevel=7)
 
 
-def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
-    """Reject a cable that would fold cells whose material has no compiled law. Collective."""
-    edges = {node.point.edge for node in cable.state.nodes if isinstance(node.point, EdgePoint)}
-    rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
-    mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
-    membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")
+def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> Path:
+    """The path of a cable along a row of vertices, in the direction of its route, with its anchors.
+    Collective."""
+    strip, line = shape.strip, one.laid_as.line
+    for a, b in pairwise(row) if strip.hidden else ():
+        if not strip.outer_rows((a, b)):
+            raise PathError(
+                f"lay_cable: {one.name!r} along {line!r} comes to {as_text(shape.at(a))} on a part "
+                "of the membrane behind a seam, where no cable can be laid; lead the line over the "
+                "outer side, or turn that part with the `outside` of the mesh."
+            )
+    points = tuple(VertexPoint(vertex) for vertex in row)
+    if one.route is None:
+        first, last = (np.round(shape.stress_free_at(row[k]) / membrane.size, 9) for k in (0, -1))
+        return Path(points if tuple(first) <= tuple(last) else points[::-1])
+    if one.of_net:
+        _refuse_elsewhere(one, row, shape)
+    given, ends = one.route[[0, -1]], np.array([shape.at(row[k]) for k in (0, -1)])
+    reaches = [norm(shape.at(row[a]) - shape.at(row[b])) for a, b in ((0, 1), (-1, -2))]
+    apart = norm(given[:, None] - ends[None, :, : given.shape[1]])
+    at = apart.argmin(axis=1)
+    if at[0] == at[1]:
+        raise InputError(
+            f"lay_cable: both ends of the path of {one.name!r} are nearer to the same end of the "
+            f"line {line!r}, {as_text(ends[at[0]])}; pass a point at each end, or no path."
+        )
+    anchors = [
+        None if one.of_net else _anchor(membrane, one, given[k], ends[at[k]], reaches[at[k]])
+        for k in (0, 1)
+    ]
+    return Path(points if at[0] == 0 else points[::-1], *anchors)
 
 
-def _ends(membrane: Membrane, strip: Strip, path: Path) -> tuple[End, End]:
-    """How the cable's first and last end are held."""
-    held = {
-        vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support
-    }
-    own = strip.owner == membrane.comm.rank
-    dofs = membrane.V.dofmap.list[strip.local[own]]
-    for vertex, dof in zip(strip.cells[own].ravel(), dofs.ravel(), strict=True):
-        if int(vertex) in held:
-            held[int(vertex)] = bool(membrane.held[dof].all())
-    vertices = {
-        v for part in membrane.comm.allgather(held) for v, is_held in part.items() if is_held
-    }
-
-    def end(anchor: object, point: SurfacePoint) -> End:
-        if anchor is not None:
-            return "off"
-        if isinstance(point, VertexPoint):
-            return "held" if point.vertex in vertices else "tied"
-        on_edge = isinstance(point, EdgePoint) and point.edge in strip.held_edges
-        return "held" if on_edge else "tied"
-
-    return end(path.start_anchor, path.points[0]), end(path.end_anchor, path.points[-1])
+def _anchor(
+    membrane: Membrane, one: Along, given: Array, end: Array, reach: float
+) -> tuple[float, float, float] | None:
+    """The anchor beyond an end (3,) of a line, if the first or last point given is one; `reach` is
+    the length of the line's edge there (length). Collective."""
+    away = norm(given - end[: len(given)])
+    if away <= ON_SURFACE * reach:
+        return None
+    if len(given) == 3:
+        positions, cells = own_surface(membrane)
+        (foot,) = feet_of(positions, cells, given[None], membrane.comm)
+        if foot.distance > ON_SURFACE * foot.size:
+            x, y, z = floats(given)
+            return x, y, z
+    if away <= reach:
+        return None
+    raise InputError(
+        f"lay_cable: the path of {one.name!r} ends at {as_text(given)}, {away:.3g} from the end "
+        f"{as_text(end)} of the line {one.laid_as.line!r}; end it there or at an anchor off the "
+        "membrane, or pass no path."
+    )
 
 
-def _positions(nodes: Sequence[CableNode], path: Path, shape: StripShape) -> Array:
-    """Positions of nodes at laying; an anchor without a place of its own is at the path's end."""
-    ends = {
-        k: (path.points[k], anchor)
-        for k, anchor in ((0, path.start_anchor), (-1, path.end_anchor))
-        if nodes[k].kind == "anchor"
-    }
-    if 0 in ends:
-        nodes = [CableNode("tied", ends[0][0]), *nodes[1:]]
-    if -1 in ends:
-        nodes = [*nodes[:-1], CableNode("tied", ends[-1][0])]
-    found = [node.interpolation() for node in nodes]
-    rows = np.array([[*(shape.strip.row_of[v] for v in ids), 0, 0][:3] for ids, _ in found])
-    weights = np.array([[*share, 0.0, 0.0][:3] for _, share in found])
-    positions = mix(weights, shape.current[rows])
-    for k, (_, anchor) in ends.items():
-        if anchor is not None:
-            positions[k] = anchor
-    return positions
+def _refuse_elsewhere(one: Along, row: list[int], shape: StripShape) -> None:
+    """Refuse a line of a net that does not lie where that of the mesh lies, now or stress-free."""
+    assert one.route is not None
+    some = [shape.strip.row_of[vertex] for vertex in (*row[:: max(len(row) // 8, 1)], row[-1])]
+    start, way = one.route[:-1], np.diff(one.route, axis=0)
+    size = np.maximum(dot(way, way), 1e-300)
+    whole = shape.stress_free[[shape.strip.row_of[vertex] for vertex in row]]
+    reach = float(norm(np.diff(whole, axis=0)).max())
+    away = np.inf
+    for x in (shape.stress_free[some], shape.current[some]):
+        along = np.clip(dot(x[:, None] - start, way) / size, 0.0, 1.0)
+        gaps = norm(x[:, None] - start - along[..., None] * way).min(axis=1)
+        away = min(away, float(gaps.max()))
+    if away > reach:
+        raise InputError(
+            f"lay_net: the line {one.name!r} of the net lies up to {away:.3g} from that of the "
+            "mesh; lay the net that the mesh was made for, or make a mesh for this one, "
+            "meshes.along(mesh, net.paths)."
+        )

@@ -181,7 +181,7 @@ def test_marker_functions(scene: Scene, marker: Any, words: str) -> None:
         ([(0.0, 50.0), (90.0, 50.0, 0.0)], ("list of points",)),
         ([[0.0, 1.0, 2.0, 3.0]] * 2, ("shape (2, 4)",)),
         ("left", ("'left'", "list of points")),
-        (None, ("shape ()",)),
+        (None, ("neither path nor along",)),
         ([(0.0, 50.0, 0.0), (50.0, 50.0, 30.0), (100.0, 50.0, 0.0)], ("point 1", "only the first")),
         ([(0.0, 50.0, 0.0), (50.0, 50.0, -30.0)], ("point 1", "30 inside", "outside")),
     ],
