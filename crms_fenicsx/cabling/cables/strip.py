@@ -195,6 +195,8 @@ class Strip:
 
     def over_hole(self, support: tuple[int, ...]) -> bool:
         """Whether a vertex, an edge or a cell belongs to covers only, where no cable touches."""
+        if not len(self.covers):
+            return False
         rows = self.rows(support)
         return len(rows) > 0 and all(self.owners[row] == NOBODY for row in rows)
 

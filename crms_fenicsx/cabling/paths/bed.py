@@ -228,7 +228,7 @@ def _smooth_length(cable: LaidCable, bed: Bed, folded: Set[SurfacePoint]) -> flo
         points[on] += offsets
     ends_on = on | np.array([cable.state.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
-    for i in np.flatnonzero(~straight):
+    for i in np.flatnonzero(~straight) if len(strip.covers) else ():
         straight[i] = strip.over_hole(
             cell_between(
                 cable.state.nodes[nodes[i]].support, cable.state.nodes[nodes[i + 1]].support
