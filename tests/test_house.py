@@ -17,7 +17,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 
 PACKAGE = Path(crms_fenicsx.__file__).parent
 WINGS = {
-    "foundation": "runtime dofs meshes surface",
+    "foundation": "runtime dofs meshes surface meshes.cutting",
     "model": "",
     "energy": "terms terms.paper minimization",
     "cabling": "cables contact friction paths",

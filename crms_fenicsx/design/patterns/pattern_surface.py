@@ -10,12 +10,12 @@ from heapq import heappop, heappush
 import numba
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, whole_line
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, gathered
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import closest, lists
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, pointers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import TargetSurface
 from crms_fenicsx.foundation.surface.points import (
@@ -32,11 +32,6 @@ from crms_fenicsx.model.tolerances import LEAST_WEIGHT
 
 ON_VERTEX = 1e-3
 """Fraction of an edge within which a line passes through its vertex."""
-
-
-def edges_of(keys: Integers) -> list[Edge]:
-    """Edges from their `edge_keys` (k,)."""
-    return [(key >> 32, key & 0xFFFFFFFF) for key in ints(keys)]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.design.patterns.cutting import cut_along
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, edges_of
+from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
 from crms_fenicsx.design.patterns.seams import Seam
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute
 from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, EMPTY, CheckedSurface

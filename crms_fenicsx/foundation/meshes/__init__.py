@@ -1,5 +1,8 @@
 """Membrane meshes from generators, files and arrays: checked, oriented and distributed."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from crms_fenicsx.foundation.meshes.cell_division import refine
 from crms_fenicsx.foundation.meshes.dolfinx_mesh import from_dolfinx, mesh_tags
 from crms_fenicsx.foundation.meshes.domes import air_hall, spherical_cap
@@ -14,6 +17,7 @@ __all__ = [
     "MembraneMesh",
     "Refinement",
     "air_hall",
+    "along",
     "circle",
     "ellipse",
     "from_arrays",
@@ -27,3 +31,14 @@ __all__ = [
     "refine",
     "spherical_cap",
 ]
+
+
+if TYPE_CHECKING:
+    from crms_fenicsx.foundation.meshes.cutting.along import along
+
+
+def __getattr__(name: str) -> object:
+    """`along`, which needs the packages above this one."""
+    if name == "along":
+        return import_module("crms_fenicsx.foundation.meshes.cutting.along").along
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.runtime.errors import PathError
 
 
@@ -21,6 +21,11 @@ def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     """Return for each vertex pair, shape (k, 2), an integer that does not depend on its order."""
     pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
     return (pairs[:, 0] << 32) | pairs[:, 1]
+
+
+def edges_of(keys: Integers) -> list[tuple[int, int]]:
+    """Edges from their `edge_keys` (k,)."""
+    return [(key >> 32, key & 0xFFFFFFFF) for key in ints(keys)]
 
 
 def line_of(pairs: Iterable[tuple[int, int]]) -> tuple[list[int], int]:

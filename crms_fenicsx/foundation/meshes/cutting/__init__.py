@@ -1,0 +1,1 @@
+"""Cuts of surfaces along lines."""

@@ -1,0 +1,216 @@
+"""Meshes cut along lines, so that cables can be laid on their edges."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.foundation.meshes.cutting.chord_crossings import meet
+from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Row, side_turns, vertex_normals
+from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
+from crms_fenicsx.foundation.meshes.cutting.flipping import flip
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
+from crms_fenicsx.foundation.meshes.cutting.strands import Strands
+from crms_fenicsx.foundation.meshes.cutting.traced_lines import check_apart, traced_lines
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
+from crms_fenicsx.foundation.meshes.surface import EMPTY, CheckedSurface
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
+from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import collective
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
+from crms_fenicsx.foundation.runtime.errors import (
+    InputError,
+    PathError,
+    PathWarning,
+    as_text,
+    raised_together,
+)
+from crms_fenicsx.foundation.surface.closest_point import SNAP
+from crms_fenicsx.foundation.surface.trace import checked_route
+
+TURN = float(np.radians(0.5))
+"""Angle by which a line turns sideways that counts as a bend."""
+RINGS = 2
+"""Edges from a row within which vertices are spread."""
+LEAST = 10.0, 15.0
+"""Smallest angles (degrees), of all cells and of all but a hundredth, below which they are told."""
+
+_log = logging.getLogger(__name__)
+
+
+@collective
+def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
+    """Cut a mesh along lines, which become named groups of its edges. Collective.
+
+    A cable laid along such a line has the mesh's vertices as its points. Where lines cross they
+    share a vertex. Vertices of the mesh near a line are merged with the line's or moved away from
+    it along the surface, so that cells keep their shape; all others stay where they are. The
+    vertices of a line lie on its route, on the facets of the given mesh.
+
+    Parameters
+    ----------
+    mesh
+        Any mesh; it is not changed.
+    lines
+        For each line its name and its route, as the path of a cable: two or more points in space
+        (k, 3), or in plan (k, 2) (length). It must end at a rim or seam, at a named edge or point
+        of the mesh, or at another of the lines; ends that miss these by less than a fifth of a cell
+        are moved there.
+
+    Returns
+    -------
+    MembraneMesh
+        The mesh with a group of edges for each line, and with all groups of the given mesh.
+
+    Raises
+    ------
+    InputError
+        On all ranks: no lines, or names that exist already.
+    PathError
+        On all ranks, with the line's name: a route that is not a list of finite points, that leaves
+        the surface, ends inside it, crosses itself or runs back; or lines side by side, closer than
+        a fiftieth of a cell.
+
+    Warns
+    -----
+    PathWarning
+        Cells with small angles, as near lines closer than three cells.
+
+    Examples
+    --------
+    >>> flat = meshes.rectangle(MPI.COMM_WORLD, 4.0, 3.0, size=0.5)
+    >>> cut = meshes.along(flat, {"A": [(0.0, 1.0), (4.0, 2.0)], "B": [(1.0, 0.0), (2.0, 3.0)]})
+    >>> sorted(cut.edges)
+    ['A', 'B', 'back', 'boundary', 'front', 'left', 'right']
+    """
+    routes = _checked(mesh, lines)
+    surface, _ = gathered(mesh)
+    found = EMPTY
+    turned: list[str] = []
+    poor: list[str] = []
+    with raised_together(mesh.comm):
+        if mesh.comm.rank == 0:
+            work = cut(surface, routes)
+            improve(work)
+            found, turned, poor = work.finished(), _turned(work), _poor(work)
+    turned, poor = mesh.comm.bcast((turned, poor))
+    for text in turned:
+        _log.info(text)
+    for text in poor:
+        warnings.warn(text, PathWarning, stacklevel=3)
+    return distribute(mesh.comm, found, None, mesh.project)
+
+
+def _checked(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """The routes by name."""
+    if not isinstance(lines, Mapping) or not lines:
+        raise InputError(
+            f"along: lines = {lines!r}; pass a mapping of names to routes, with one line or more."
+        )
+    routes = {}
+    for name, route in lines.items():
+        checks.text("along: the name of a line", name)
+        if name in mesh.edges:
+            raise InputError(
+                f"along: the mesh has a group of edges {name!r} already; choose another name for "
+                "the line."
+            )
+        try:
+            routes[name] = checked_route(route)
+        except PathError as error:
+            raise PathError(f"along: the line {name!r}: {error}") from None
+    return routes
+
+
+def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
+    """A surface divided along routes."""
+    strands = Strands(surface)
+    lines = traced_lines(surface, strands, routes)
+    nodes = CutNodes(surface.points, surface.points, SNAP)
+    for line in lines:
+        for point in line.points:
+            nodes.node(point)
+    legs = {line.name: nodes.legs(line.points) for line in lines}
+    check_apart(nodes, legs)
+    chords = chords_of(legs)
+    meet(nodes, chords)
+    cells, parents = divided(surface.cells, nodes, chords)
+    points = np.array(nodes.places)
+    strands.divide(nodes)
+    corners = surface.points[surface.cells]
+    size = norm(corners[:, [1, 2, 0]] - corners).mean(axis=1)[parents]
+    count, total = (
+        np.bincount(cells.ravel(), weights, len(points)) for weights in (None, np.repeat(size, 3))
+    )
+    normals = vertex_normals(points, cells)
+    rows = {}
+    for line in lines:
+        vertices = course(legs[line.name])
+        if len(np.unique(vertices)) < len(vertices):
+            again = np.sort(vertices)
+            place = points[again[:-1][again[1:] == again[:-1]][0]]
+            raise PathError(
+                f"along: the line {line.name!r} comes back to {as_text(place)}; cut along two "
+                "lines that end there."
+            )
+        strands.add(pairwise(ints(vertices)), line.name)
+        places = points[vertices]
+        turns = np.abs(side_turns(places, normals[vertices]))
+        rows[line.name] = Row(vertices, places, turns, arc_lengths(places), turns > TURN)
+    return CutMesh(surface, points, cells, parents, strands, rows, total / count)
+
+
+def improve(mesh: CutMesh) -> None:
+    """Merge, flip and spread what lies near the rows."""
+    collapse(mesh)
+    near = mesh.band(RINGS + 1)
+    flip(mesh, near)
+    for _ in range(3):
+        spreading = Spreading(mesh, RINGS)
+        for _ in range(4):
+            spreading.step()
+        flip(mesh, near)
+
+
+def _turned(mesh: CutMesh) -> list[str]:
+    """Sentences on rows that turn sideways more than their routes."""
+    told = []
+    normals = vertex_normals(mesh.points, mesh.cells)
+    for name, row in mesh.rows.items():
+        own = np.abs(side_turns(mesh.points[row.vertices], normals[row.vertices]))
+        known = arc_lengths(row.places)
+        summed = np.concatenate([[0.0], np.cumsum(row.turns)])
+        margin = 1e-9 * known[-1]
+        first = summed[np.searchsorted(known, row.at[:-2] + margin)]
+        last = summed[np.searchsorted(known, row.at[2:] - margin)]
+        own[1:-1] -= last - first
+        worst = int(np.argmax(own))
+        if own[worst] > TURN:
+            told.append(
+                f"along: the row of {name!r} turns sideways by {np.degrees(own[worst]):.2g} "
+                f"degrees more than its route at {as_text(mesh.points[row.vertices[worst]])}."
+            )
+    return told
+
+
+def _poor(mesh: CutMesh) -> list[str]:
+    """Sentences on small angles, if those of the given mesh are larger."""
+    given = mesh.surface
+    new = np.arcsin(shapes(mesh.points[mesh.cells])[1])
+    old = np.arcsin(shapes(given.points[given.cells])[1])
+    least, most = np.radians(LEAST)
+    low = np.quantile(new, 0.01)
+    if new.min() >= min(least, old.min()) and low >= min(most, np.quantile(old, 0.01)):
+        return []
+    place = mesh.points[mesh.cells[int(np.argmin(new))]].mean(axis=0)
+    return [
+        f"along: the smallest angle of the cells is {np.degrees(new.min()):.2g} degrees, at "
+        f"{as_text(place)}, and one in a hundred has less than {np.degrees(low):.2g}; use cells "
+        "of a third of the distance of lines and of what lies beside them, or move a line."
+    ]

@@ -1,0 +1,167 @@
+"""Short edges of a cut mesh collapsed: vertices near a row go, and rows keep fewer vertices."""
+
+from __future__ import annotations
+
+from heapq import heapify, heappop, heappush
+from math import sqrt
+
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
+from crms_fenicsx.foundation.meshes.triangles import lists, norm
+from crms_fenicsx.foundation.runtime.arrays import floats, ints
+
+SHORT = 0.5
+"""Length, relative to the cells before the cut, below which edges are collapsed."""
+OFF = 0.02
+"""Distance, relative to the cells, by which a row or rim may leave out a bend."""
+
+Point = tuple[float, float, float]
+
+
+def collapse(mesh: CutMesh) -> None:
+    """Collapse the short edges near rows, the shortest first."""
+    _Collapses(mesh).run()
+
+
+class _Collapses:
+    """The cells near rows as Python objects."""
+
+    def __init__(self, mesh: CutMesh) -> None:
+        self.mesh, self.strands = mesh, mesh.strands
+        self.near = mesh.band(1)
+        rows = np.flatnonzero(self.near[mesh.cells].any(axis=1))
+        self.cell = dict(zip(ints(rows), lists(mesh.cells[rows]), strict=True))
+        self.around: dict[int, set[int]] = {}
+        for c, corners in self.cell.items():
+            for v in corners:
+                self.around.setdefault(v, set()).add(c)
+        own = np.unique(mesh.cells[rows])
+        self.x: dict[int, Point] = dict(
+            zip(ints(own), zip(*map(floats, mesh.points[own].T), strict=True), strict=True)
+        )
+        self.size = dict(zip(ints(own), floats(mesh.size[own]), strict=True))
+        self.gone: set[int] = set()
+
+    def run(self) -> None:
+        table = EdgeTable.of(np.array(list(self.cell.values()), dtype=np.int64))
+        pairs = table.vertices[self.near[table.vertices].all(axis=1)]
+        length = norm(self.mesh.points[pairs[:, 1]] - self.mesh.points[pairs[:, 0]])
+        ratio = length / self.mesh.size[pairs].mean(axis=1)
+        heap = [
+            (round(part, 6), p, q)
+            for part, (p, q) in zip(floats(ratio), lists(pairs), strict=True)
+            if part < SHORT
+        ]
+        heapify(heap)
+        while heap:
+            part, p, q = heappop(heap)
+            if p in self.gone or q in self.gone or round(self.ratio(p, q), 6) != part:
+                continue
+            for v, r in self.orders(p, q):
+                if self.may_go(v, r):
+                    self.go(v, r)
+                    for w in sorted(self.beside(r)):
+                        if self.near[w] and (part := self.ratio(r, w)) < SHORT:
+                            heappush(heap, (round(part, 6), min(r, w), max(r, w)))
+                    break
+        self.write()
+
+    def write(self) -> None:
+        """Put the remaining cells into the mesh."""
+        mesh = self.mesh
+        kept = np.ones(len(mesh.cells), dtype=bool)
+        for c, corners in self.cell.items():
+            kept[c] = bool(corners)
+            if corners:
+                mesh.cells[c] = corners
+        mesh.cells, mesh.parents = mesh.cells[kept], mesh.parents[kept]
+        gone = np.zeros(len(mesh.points), dtype=bool)
+        gone[list(self.gone)] = True
+        for row in mesh.rows.values():
+            stays = ~gone[row.vertices]
+            row.vertices, row.at = row.vertices[stays], row.at[stays]
+            row.pinned = row.pinned[stays]
+
+    def ratio(self, p: int, q: int) -> float:
+        """Length of an edge relative to the cells."""
+        (a, b, c), (d, e, f) = self.x[p], self.x[q]
+        length = sqrt((a - d) ** 2 + (b - e) ** 2 + (c - f) ** 2)
+        return length / (0.5 * (self.size[p] + self.size[q]))
+
+    def beside(self, v: int) -> set[int]:
+        """The vertices beside one."""
+        return {w for c in self.around[v] for w in self.cell[c]} - {v}
+
+    def orders(self, p: int, q: int) -> list[tuple[int, int]]:
+        """The vertex that goes, and the one that stays, in order of preference."""
+        free = [not self.strands.beside.get(v) and v not in self.strands.fixed for v in (p, q)]
+        return [(p, q), (q, p)] if free[0] and not free[1] else [(q, p), (p, q)]
+
+    def may_go(self, v: int, r: int) -> bool:
+        """Whether a vertex can be collapsed into another one."""
+        if v in self.strands.fixed:
+            return False
+        if self.strands.beside.get(v):
+            ends = self.strands.neighbours(v)
+            if ends is None or r not in ends or ends[1] in self.strands.beside[ends[0]]:
+                return False
+            if self.bend(v, *ends) > OFF * self.size[v]:
+                return False
+        own = self.around[v]
+        at_edge = [c for c in own if r in self.cell[c]]
+        if len(self.beside(v) & self.beside(r)) != len(at_edge):
+            return False
+        before, after = 1.0, 1.0
+        for c in own:
+            corners = self.cell[c]
+            old = _shape(*(self.x[w] for w in corners))
+            before = min(before, old[1])
+            if c not in at_edge:
+                new = _shape(*(self.x[r if w == v else w] for w in corners))
+                if sum(i * j for i, j in zip(old[0], new[0], strict=True)) <= 0.5:
+                    return False
+                after = min(after, new[1])
+        return after >= before * self.ratio(v, r) / SHORT  # the shorter, the more urgent
+
+    def bend(self, v: int, a: int, b: int) -> float:
+        """Distance of a vertex from the chord between its neighbours along a strand, sideways if it
+        is a row."""
+        x, p, q = (np.array(self.x[w]) for w in (v, a, b))
+        side = q - p
+        away = x - p - (x - p) @ side / (side @ side) * side
+        if not self.mesh.rows.keys().isdisjoint(self.strands.beside[v][a]):
+            corners = np.array([[self.x[w] for w in self.cell[c]] for c in sorted(self.around[v])])
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(0)
+            away -= away @ normal / (normal @ normal) * normal
+        return float(np.linalg.norm(away))
+
+    def go(self, v: int, r: int) -> None:
+        """Collapse a vertex into another one."""
+        self.strands.skip(v)
+        for c in self.around.pop(v):
+            corners = self.cell[c]
+            if r in corners:
+                for w in corners:
+                    if w != v:
+                        self.around[w].discard(c)
+                self.cell[c] = []
+            else:
+                corners[corners.index(v)] = r
+                self.around[r].add(c)
+        self.gone.add(v)
+
+
+def _shape(p: Point, q: Point, r: Point) -> tuple[Point, float]:
+    """Unit normal of a triangle, and the sine of its smallest angle."""
+    ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area = sqrt(nx * nx + ny * ny + nz * nz)
+    one, two = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+    three = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
+    if area == 0.0:
+        return (0.0, 0.0, 0.0), 0.0
+    longest = sqrt(one * two * three / min(one, two, three))
+    return (nx / area, ny / area, nz / area), area / longest

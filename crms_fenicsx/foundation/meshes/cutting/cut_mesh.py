@@ -1,0 +1,95 @@
+"""A surface divided along lines, in work: cells, kept edges, and rows of vertices on the lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.cutting.strands import Strands, labels_of
+from crms_fenicsx.foundation.meshes.surface import CheckedSurface
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+
+
+@dataclass
+class Row:
+    """The vertices along a line."""
+
+    vertices: Integers  # (k,)
+    places: Array  # (n, 3) of the line's points on the given surface
+    turns: Array  # (n,) angles by which the line turns sideways there
+    at: Array  # (k,) arc lengths of the vertices
+    pinned: Booleans  # (k,) vertices at bends of the line
+
+    def on(self, arcs: Array) -> Array:
+        """Places at arc lengths (k,)."""
+        known = arc_lengths(self.places)
+        return np.stack([np.interp(arcs, known, x) for x in self.places.T], axis=1)
+
+
+@dataclass
+class CutMesh:
+    """The divided surface."""
+
+    surface: CheckedSurface  # as given
+    points: Array  # (n, 3)
+    cells: Integers  # (m, 3)
+    parents: Integers  # (m,) a cell of the given surface, of the same parts, for each cell
+    strands: Strands
+    rows: dict[str, Row]
+    size: Array  # (n,) mean length of the edges around each vertex of the given surface
+    label: Integers = field(init=False)  # of the given cells, by their parts
+
+    def __post_init__(self) -> None:
+        self.label = labels_of(self.surface)
+
+    def band(self, rings: int) -> Booleans:
+        """Vertices (n,) within some edges of a row."""
+        near = np.zeros(len(self.points), dtype=bool)
+        for row in self.rows.values():
+            near[row.vertices] = True
+        for _ in range(rings):
+            near[self.cells[near[self.cells].any(axis=1)]] = True
+        return near
+
+    def finished(self) -> CheckedSurface:
+        """The surface without the vertices that were left out, with all groups."""
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.cells] = True
+        number = np.cumsum(used) - 1
+        groups = self.strands.groups()
+        edges = {
+            name: np.unique((number[keys >> 32] << 32) | number[keys & 0xFFFFFFFF])
+            for name, keys in groups.items()
+        }
+        new = self.surface.divided(self.points[used], number[self.cells], self.parents, edges)
+        points = {name: number[ids] for name, ids in self.surface.point_groups.items()}
+        return replace(new, point_groups=points)
+
+
+def vertex_normals(points: Array, cells: Integers) -> Array:
+    """Unit normals (n, 3) at vertices, of the cells around weighted by their angles: so a line over
+    an edge turns by the same angle as when both cells lie in one plane."""
+    corners = points[cells]
+    normals = double_areas(corners)
+    normals /= norm(normals)[:, None]
+    total = np.zeros_like(points)
+    for k in range(3):
+        u, v = (corners[:, (k + i) % 3] - corners[:, k] for i in (1, 2))
+        angle = np.arctan2(norm(cross(u, v)), dot(u, v))
+        for i in range(3):
+            total[:, i] += np.bincount(cells[:, k], angle * normals[:, i], len(points))
+    size = norm(total)
+    return np.asarray(total / np.where(size > 0.0, size, 1.0)[:, None])
+
+
+def side_turns(places: Array, normals: Array) -> Array:
+    """Angles (k,) by which a polyline (k, 3) turns sideways at its points on a surface with unit
+    normals (k, 3); zero at the ends."""
+    steps = np.diff(places, axis=0)
+    turns = np.zeros(len(places))
+    before, after = steps[:-1], steps[1:]
+    flat = [one - dot(one, normals[1:-1])[:, None] * normals[1:-1] for one in (before, after)]
+    turns[1:-1] = np.arctan2(dot(cross(*flat), normals[1:-1]), dot(*flat))
+    return turns

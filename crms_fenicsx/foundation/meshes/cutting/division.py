@@ -1,0 +1,182 @@
+"""Cells divided along chords, so that lines across them become edges of the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.edge_table import edge_keys, edges_of
+from crms_fenicsx.foundation.meshes.triangles import lists, vectors
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
+from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
+    Edge,
+    Support,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
+
+Leg = tuple[Support, list[int]]
+"""A line from one of its points to the next: the vertices of the edge or cell, and the nodes."""
+
+Chords = dict[Support, list[tuple[str, list[int]]]]
+"""Lines through each cell, by its sorted vertices: names, and nodes from side to side."""
+
+
+class CutNodes:
+    """Vertices of the cut surface: mesh vertices, and points of lines, few of them in cells."""
+
+    def __init__(self, corners: Array, points: Array, within: float) -> None:
+        """For lines over a surface with corners (n, 3), whose vertices are at `points` (n, 3) when
+        it has been cut; crossings of an edge `within` a fraction of it are one."""
+        self.corners, self.within = corners, within
+        self.places = vectors(points)
+        self.on: dict[Edge, list[tuple[float, int]]] = {}
+        self.inside: dict[CellPoint, int] = {}
+
+    def node(self, p: SurfacePoint) -> int:
+        """The node at a point of a line, new if it is the first there."""
+        if isinstance(p, VertexPoint):
+            return p.vertex
+        if isinstance(p, CellPoint):
+            if p not in self.inside:
+                self.inside[p] = self.new(np.array(p.weights) @ self.corners[list(p.cell)])
+            return self.inside[p]
+        there, t = self.on.setdefault(p.edge, []), p.fraction
+        for other, node in there:
+            if abs(other - t) <= self.within:
+                return node
+        node = self.new(np.array(p.weights) @ self.corners[list(p.edge)])
+        there.append((t, node))
+        there.sort()
+        return node
+
+    def new(self, place: Array) -> int:
+        """A node at a place (3,)."""
+        self.places.append(place)
+        return len(self.places) - 1
+
+    def legs(self, line: Sequence[SurfacePoint]) -> list[Leg]:
+        """A line from point to point, of which all lines' points must be `node`s."""
+        found: list[Leg] = []
+        for (p, u), (q, v) in pairwise((p, self.node(p)) for p in line):
+            support = tuple(sorted({*p.support, *q.support}))
+            if u != v and len(support) == 2:  # along an edge, through other lines' nodes on it
+                found.append((support, [u, *self.between((support[0], support[1]), u, v)]))
+            elif u != v:
+                found.append((support, [u, v]))
+        return found
+
+    def along(self, a: int, b: int) -> list[int]:
+        """The nodes inside an edge, from a to b."""
+        found = [node for _, node in self.on.get(edge_of(a, b), [])]
+        return found if a < b else found[::-1]
+
+    def between(self, edge: Edge, u: int, v: int) -> list[int]:
+        """The nodes of an edge behind u, up to v."""
+        whole = [edge[0], *self.along(*edge), edge[1]]
+        i, j = whole.index(u), whole.index(v)
+        return whole[i + 1 : j + 1] if i < j else whole[j:i][::-1]
+
+    def divided(self, keys: Integers) -> Integers:
+        """Segments (n,) of divided edges (k,), all as `edge_keys`."""
+        pairs = []
+        for a, b in edges_of(keys):
+            pairs += list(pairwise([a, *self.along(a, b), b]))
+        return np.unique(edge_keys(np.array(pairs, dtype=np.int64).reshape(-1, 2)))
+
+
+def chords_of(lines: Mapping[str, Iterable[Leg]]) -> Chords:
+    """The legs of lines that lead through cells; the lists of nodes are shared."""
+    chords: Chords = {}
+    for name, legs in lines.items():
+        for support, nodes in legs:
+            if len(support) == 3:
+                chords.setdefault(support, []).append((name, nodes))
+    return chords
+
+
+def course(legs: Sequence[Leg]) -> Integers:
+    """The nodes (k,) along a line."""
+    return np.array([*legs[0][1][:1], *(v for _, nodes in legs for v in nodes[1:])], dtype=np.int64)
+
+
+def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers, Integers]:
+    """The triangles (m, 3) after division by chords, and their parent cells (m,)."""
+    sides = edge_keys(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)).reshape(-1, 3)
+    ends = np.array(sorted({v for cell in chords for v in cell}), dtype=np.int64)
+    cut = edge_keys(np.array([*nodes.on], dtype=np.int64))
+    near: Booleans = np.isin(sides, cut).any(axis=1) | np.isin(cells, ends).all(axis=1)
+    rows = np.flatnonzero(near)
+    places = np.array(nodes.places)
+    parts = []
+    for a, b, c in lists(cells[rows]):
+        rim = [a, *nodes.along(a, b), b, *nodes.along(b, c), c, *nodes.along(c, a)]
+        parts.append(_split(rim, chords.get(tuple(sorted((a, b, c))), []), places))
+    counts = np.ones(len(cells), dtype=np.int64)
+    counts[rows] = [len(own) for own in parts]
+    parents = np.repeat(np.arange(len(cells)), counts)
+    children = cells[parents]
+    new = [triangle for own in parts for triangle in own]
+    children[near[parents]] = np.array(new, dtype=np.int64).reshape(-1, 3)
+    return children, parents
+
+
+def _split(
+    rim: list[int], chords: list[tuple[str, list[int]]], places: Array
+) -> list[tuple[int, ...]]:
+    """The triangles of a cell, with nodes around its boundary, divided by chords."""
+    polygons = [rim]
+    for name, chord in chords:
+        known = {v for polygon in polygons for v in polygon}
+        stops = [k for k, v in enumerate(chord) if v in known]
+        for first, last in pairwise(stops):
+            u, v, inner = chord[first], chord[last], chord[first + 1 : last]
+            own = next((p for p in polygons if u in p and v in p), None)
+            if own is None:
+                others = ", ".join(repr(other) for other, _ in chords if other != name)
+                raise PathError(
+                    f"the seam {name!r} crosses another one ({others}) inside a cell, near "
+                    f"{as_text(places[u])}; lead both through one vertex of the mesh, or apart."
+                )
+            i, j = own.index(u), own.index(v)
+            if i > j:
+                i, j, inner = j, i, inner[::-1]
+            if not inner and j - i in (1, len(own) - 1):
+                continue
+            polygons.remove(own)
+            polygons += [own[i : j + 1] + inner[::-1], own[j:] + own[: i + 1] + inner]
+    return [triangle for polygon in polygons for triangle in _triangulated(polygon, places)]
+
+
+def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
+    """Triangulation of a flat convex polygon whose worst triangle is best."""
+    n = len(polygon)
+    if n == 3:
+        return [tuple(polygon)]
+    x = places[polygon]
+
+    @cache
+    def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
+        """Quality and triangles of the part from i to j; of equal ones that of the least k."""
+        found: list[tuple[float, int, list[tuple[int, ...]]]] = []
+        for k in range(i + 1, j):
+            (before, _, left), (after, _, right) = best(i, k), best(k, j)
+            quality = min(_least_sine(x[[i, k, j]]), before, after)
+            found.append((quality, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
+        return max(found, default=(np.inf, 0, []))
+
+    return best(0, n - 1)[2]
+
+
+def _least_sine(corners: Array) -> float:
+    """Squared sine of a triangle's smallest angle, from its area and two longest sides."""
+    p, q, r = corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]
+    area = np.cross(p, q)
+    sides = sorted((p @ p, q @ q, r @ r))
+    return float((area @ area) / max(sides[1] * sides[2], 1e-300))

@@ -1,0 +1,181 @@
+"""Lines traced over a surface, whose ends lie at rims, at groups or on each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
+from crms_fenicsx.foundation.meshes.cutting.strands import Strands
+from crms_fenicsx.foundation.meshes.edge_table import edges_of
+from crms_fenicsx.foundation.meshes.surface import CheckedSurface
+from crms_fenicsx.foundation.meshes.triangles import longest_sides, norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
+from crms_fenicsx.foundation.surface.closest_point import SNAP
+from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
+from crms_fenicsx.foundation.surface.trace import IndirectLeg, near_section, trace
+
+MEETS = 0.2
+"""Distance, relative to the cells, within which an end of a line is moved to where it may end."""
+REACH = 3.0
+"""Length, relative to the cells, over which a line leads to an end that was moved."""
+
+
+APART = 0.02
+"""Least distance of lines that do not meet, relative to the cells."""
+SIDE = 0.3
+"""Length, relative to the cells, over which lines closer than that run side by side."""
+
+
+@dataclass
+class TracedLine:
+    """A line over the surface."""
+
+    name: str
+    route: Array = field(repr=False)  # (k, 2) or (k, 3)
+    points: Sequence[SurfacePoint] = field(repr=False)
+    places: Array = field(repr=False)  # (n, 3) of the points
+    sizes: tuple[float, float]  # of the cells at both ends
+
+
+class Tracer:
+    """Traces lines over the cells of a surface that are not hidden."""
+
+    def __init__(self, surface: CheckedSurface) -> None:
+        self.points = surface.points
+        self.cells = np.delete(surface.cells, surface.hidden, axis=0)
+        self.longest = longest_sides(self.points[self.cells])
+
+    def line(self, name: str, route: Array) -> TracedLine:
+        """The line along a route."""
+        try:
+            try:
+                return self._traced(name, route, along_legs=True)
+            except (IndirectLeg, PathError):
+                return self._traced(name, route, along_legs=False)
+        except PathError as error:
+            raise PathError(f"along: the line {name!r}: {error}") from None
+
+    def _traced(self, name: str, route: Array, *, along_legs: bool) -> TracedLine:
+        mask = near_section(self.points, self.cells, route, along_legs=along_legs)
+        cells = self.cells[mask]
+        ids = np.unique(cells)
+        rows, x = np.searchsorted(ids, cells), self.points[ids]
+        path = trace(ids, x, rows, route, along_legs=along_legs)
+        sizes = []
+        for end in (path.points[0], path.points[-1]):
+            own = np.isin(cells, end.support).sum(axis=1) == len(end.support)
+            sizes.append(float(self.longest[mask][own].mean()))
+        places = path.positions(ids, x)
+        return TracedLine(name, route, path.points, places, (sizes[0], sizes[1]))
+
+
+def traced_lines(
+    surface: CheckedSurface, strands: Strands, routes: Mapping[str, Array]
+) -> list[TracedLine]:
+    """Lines along routes, with ends that nearly meet merged."""
+    tracer = Tracer(surface)
+    lines = [tracer.line(name, route) for name, route in routes.items()]
+    kept = _segments(surface.points, strands.keys())
+    settled: list[Array] = []
+    for k, line in enumerate(lines):
+        for end in (0, -1):
+            others = [other.places for other in lines if other is not line]
+            target = _target(line, end, strands, settled, kept, others)
+            if target is not None:
+                line = lines[k] = tracer.line(line.name, _led_to(line, end, target))
+            settled.append(line.places[end])
+    return lines
+
+
+def _segments(points: Array, keys: Integers) -> Array:
+    """Ends (k, 2, 3) of edges."""
+    return points[np.array(edges_of(keys), dtype=np.int64).reshape(-1, 2)]
+
+
+def _target(
+    line: TracedLine,
+    end: int,
+    strands: Strands,
+    settled: Sequence[Array],
+    kept: Array,
+    others: Sequence[Array],
+) -> Array | None:
+    """The place to which an end of a line moves; None if it stays."""
+    place, reach = line.places[end], MEETS * line.sizes[end]
+    ends = np.array(settled).reshape(-1, 3)
+    gaps = norm(ends - place)
+    if len(ends) and gaps.min() <= reach:
+        found = ends[int(np.argmin(gaps))]
+        return None if gaps.min() <= SNAP * line.sizes[end] else found
+    if strands.on(line.points[end]):
+        return None
+    other_ends = np.array([x[k] for x in others for k in (0, -1)]).reshape(-1, 3)
+    if len(other_ends) and norm(other_ends - place).min() <= reach:
+        return None  # the other one moves here
+    segments = np.concatenate([kept, *(np.stack([x[:-1], x[1:]], axis=1) for x in others)], axis=0)
+    nearest, gap = _closest_on(segments, place)
+    if gap <= reach:
+        return None if gap <= SNAP * line.sizes[end] else nearest
+    raise PathError(
+        f"along: the line {line.name!r} ends inside the surface at {as_text(place)}, {gap:.6g} "
+        f"from the nearest place where it may end, {as_text(nearest)}; lead it to the rim, to a "
+        "named group of edges or points, or to another of the lines."
+    )
+
+
+def _closest_on(segments: Array, place: Array) -> tuple[Array, float]:
+    """The closest point (3,) of segments (k, 2, 3), and its distance."""
+    start, side = segments[:, 0], segments[:, 1] - segments[:, 0]
+    t = np.einsum("ij,ij->i", place - start, side) / np.einsum("ij,ij->i", side, side)
+    on = start + np.clip(t, 0.0, 1.0)[:, None] * side
+    gaps = norm(on - place)
+    nearest = int(np.argmin(gaps))
+    return on[nearest], float(gaps[nearest])
+
+
+def _led_to(line: TracedLine, end: int, target: Array) -> Array:
+    """A line's route that ends elsewhere, straight over the last cells."""
+    size = line.route.shape[1]
+    route = line.route if end == -1 else line.route[::-1]
+    away = norm(np.pad(route - target[:size], ((0, 0), (0, 3 - size))))
+    kept = route[(away > REACH * line.sizes[end]) & (np.arange(len(route)) < len(route) - 1)]
+    if not len(kept):
+        kept = route[:1]
+    led = np.concatenate([kept, target[None, :size]])
+    return led if end == -1 else led[::-1]
+
+
+def check_apart(nodes: CutNodes, legs: Mapping[str, Sequence[Leg]]) -> None:
+    """Refuse lines that run side by side, or back along themselves."""
+    there: dict[Support, list[tuple[str, int, int]]] = {}
+    for name, own in legs.items():
+        for support, way in own:
+            there.setdefault(support, []).append((name, way[0], way[-1]))
+    cells = [support for support in there if len(support) == 3]
+    for cell in cells:  # with lines along their sides
+        for edge in ((cell[0], cell[1]), (cell[0], cell[2]), (cell[1], cell[2])):
+            there[cell] += there.get(edge, ())
+    x = nodes.places
+    for support, ways in there.items():
+        pairs = np.array(list(combinations(support, 2)))
+        size = float(norm(nodes.corners[pairs[:, 1]] - nodes.corners[pairs[:, 0]]).max())
+        for (one, a, b), (other, c, d) in combinations(ways, 2):
+            if norm(x[a] - x[b]) > norm(x[c] - x[d]):
+                one, a, b, other, c, d = other, c, d, one, a, b
+            if norm(x[a] - x[b]) < SIDE * size:
+                continue
+            along = np.array([[x[c], x[d]]])
+            gap = max(_closest_on(along, x[v])[1] for v in (a, b))
+            if gap <= APART * size:
+                what = f"runs back along itself, {gap:.3g} apart,"
+                if one != other:
+                    what = f"and the line {other!r} run side by side, {gap:.3g} apart,"
+                raise PathError(
+                    f"along: the line {one!r} {what} at {as_text(x[a])}, where cells are "
+                    f"{size:.3g} long; leave one out, lead them apart, or refine the mesh."
+                )
