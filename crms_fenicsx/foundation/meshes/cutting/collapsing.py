@@ -9,7 +9,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
-from crms_fenicsx.foundation.meshes.triangles import lists, norm
+from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import floats, ints
 
 SHORT = 0.5
@@ -38,9 +38,8 @@ class _Collapses:
             for v in corners:
                 self.around.setdefault(v, set()).add(c)
         own = np.unique(mesh.cells[rows])
-        self.x: dict[int, Point] = dict(
-            zip(ints(own), zip(*map(floats, mesh.points[own].T), strict=True), strict=True)
-        )
+        places = [(x, y, z) for x, y, z in map(floats, vectors(mesh.points[own]))]
+        self.x: dict[int, Point] = dict(zip(ints(own), places, strict=True))
         self.size = dict(zip(ints(own), floats(mesh.size[own]), strict=True))
         self.gone: set[int] = set()
 

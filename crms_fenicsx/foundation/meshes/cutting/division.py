@@ -10,7 +10,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys, edges_of
 from crms_fenicsx.foundation.meshes.triangles import lists, vectors
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
@@ -111,7 +111,8 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
     sides = edge_keys(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)).reshape(-1, 3)
     ends = np.array(sorted({v for cell in chords for v in cell}), dtype=np.int64)
     cut = edge_keys(np.array([*nodes.on], dtype=np.int64))
-    near: Booleans = np.isin(sides, cut).any(axis=1) | np.isin(cells, ends).all(axis=1)
+    on_sides, of_cells = np.isin(sides, cut), np.isin(cells, ends)
+    near = np.asarray(on_sides.any(axis=1) | of_cells.all(axis=1))
     rows = np.flatnonzero(near)
     places = np.array(nodes.places)
     parts = []

@@ -15,7 +15,7 @@ ROUNDS = 50
 
 def flip(mesh: CutMesh, near: Booleans) -> None:
     """Flip edges of the cells of which all vertices are near (n,), by Lawson's criterion."""
-    inside: Booleans = near[mesh.cells].all(axis=1)
+    inside = np.asarray(near[mesh.cells].all(axis=1))
     rows = np.flatnonzero(near[mesh.cells].any(axis=1))
     cells, own = mesh.cells[rows], inside[rows]
     label, kept = mesh.label[mesh.parents[rows]], mesh.strands.keys()
