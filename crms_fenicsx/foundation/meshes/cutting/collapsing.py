@@ -9,6 +9,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
+from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import floats, ints
 
@@ -126,8 +127,10 @@ class _Collapses:
 
     def bend(self, v: int, a: int, b: int) -> float:
         """Distance of a vertex from the chord between its neighbours along a strand, sideways if it
-        is a row."""
+        is a row; infinite at corners."""
         x, p, q = (np.array(self.x[w]) for w in (v, a, b))
+        if (x - p) @ (q - x) < CREASE * np.linalg.norm(x - p) * np.linalg.norm(q - x):
+            return np.inf
         side = q - p
         away = x - p - (x - p) @ side / (side @ side) * side
         if not self.mesh.rows.keys().isdisjoint(self.strands.beside[v][a]):

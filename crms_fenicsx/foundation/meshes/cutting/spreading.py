@@ -7,6 +7,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.collapsing import OFF
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Row
+from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
@@ -105,7 +106,9 @@ class Spreading:
         start = np.where(forward[:, None], x[a], x[b])
         t = dot(x[v] - start, chord) / dot(chord, chord)
         off = norm(x[v] - start - t[:, None] * chord)
-        fits = off <= OFF * self.mesh.size[v]
+        fits = (off <= OFF * self.mesh.size[v]) & (
+            dot(x[v] - x[a], x[b] - x[v]) >= CREASE * back * ahead
+        )
         new[v[fits]] = place[fits]
 
     def _keep_cells(self, cells: Integers, new: Array) -> None:
