@@ -12,7 +12,7 @@ from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, edge
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, norm
-from crms_fenicsx.foundation.runtime.arrays import Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.surface.points import CellPoint, Edge, SurfacePoint, VertexPoint
 
 KEPT = ""
@@ -94,6 +94,19 @@ class Strands:
             return None
         (a, one), (b, other) = own.items()
         return (a, b) if one == other else None
+
+    def corners(self, points: Array) -> Integers:
+        """Vertices, at points (n, 3), where strands end, join or bend, and named ones."""
+        found = set(self.fixed)
+        for v, others in self.beside.items():
+            ends = self.neighbours(v)
+            if ends is None and others:
+                found.add(v)
+            elif ends is not None:
+                one, other = points[v] - points[ends[0]], points[ends[1]] - points[v]
+                if one @ other < CREASE * np.linalg.norm(one) * np.linalg.norm(other):
+                    found.add(v)
+        return np.array(sorted(found), dtype=np.int64)
 
     def skip(self, v: int) -> None:
         """Take a vertex out of its strand, which leads on from one neighbour to the other."""

@@ -12,7 +12,7 @@ from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
 from crms_fenicsx.foundation.meshes.cutting.strands import Strands
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
-from crms_fenicsx.foundation.meshes.triangles import longest_sides, norm
+from crms_fenicsx.foundation.meshes.triangles import longest_sides, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP
@@ -81,7 +81,7 @@ def traced_lines(
     tracer = Tracer(surface)
     lines = [tracer.line(name, route) for name, route in routes.items()]
     kept = _segments(surface.points, strands.keys())
-    settled: list[Array] = []
+    settled = vectors(surface.points[strands.corners(surface.points)])
     for k, line in enumerate(lines):
         for end in (0, -1):
             others = [other.places for other in lines if other is not line]
