@@ -173,8 +173,8 @@ def improve(mesh: CutMesh) -> None:
     flip(mesh, near)
     for _ in range(3):
         spreading = Spreading(mesh, RINGS)
-        for _ in range(4):
-            spreading.step()
+        for step in range(4):
+            spreading.step(last=step == 3)
         flip(mesh, near)
 
 

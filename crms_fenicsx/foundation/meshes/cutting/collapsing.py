@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from heapq import heapify, heappop, heappush
-from math import sqrt
+from math import fsum, inf, sqrt
 
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
+from crms_fenicsx.foundation.meshes.cutting.division import Point, dot, minus, shape
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
@@ -17,8 +18,6 @@ SHORT = 0.5
 """Length, relative to the cells before the cut, below which edges are collapsed."""
 OFF = 0.02
 """Distance, relative to the cells, by which a row or rim may leave out a bend."""
-
-Point = tuple[float, float, float]
 
 
 def collapse(mesh: CutMesh) -> None:
@@ -116,11 +115,11 @@ class _Collapses:
         before, after = 1.0, 1.0
         for c in own:
             corners = self.cell[c]
-            old = _shape(*(self.x[w] for w in corners))
+            old = shape(*(self.x[w] for w in corners))
             before = min(before, old[1])
             if c not in at_edge:
-                new = _shape(*(self.x[r if w == v else w] for w in corners))
-                if sum(i * j for i, j in zip(old[0], new[0], strict=True)) <= 0.5:
+                new = shape(*(self.x[r if w == v else w] for w in corners))
+                if dot(old[0], new[0]) <= 0.5:
                     return False
                 after = min(after, new[1])
         return after >= before * self.ratio(v, r) / SHORT  # the shorter, the more urgent
@@ -128,16 +127,18 @@ class _Collapses:
     def bend(self, v: int, a: int, b: int) -> float:
         """Distance of a vertex from the chord between its neighbours along a strand, sideways if it
         is a row; infinite at corners."""
-        x, p, q = (np.array(self.x[w]) for w in (v, a, b))
-        if (x - p) @ (q - x) < CREASE * np.linalg.norm(x - p) * np.linalg.norm(q - x):
-            return np.inf
-        side = q - p
-        away = x - p - (x - p) @ side / (side @ side) * side
+        x, p, q = self.x[v], self.x[a], self.x[b]
+        one, other, side = minus(x, p), minus(q, x), minus(q, p)
+        if dot(one, other) < CREASE * sqrt(dot(one, one) * dot(other, other)):
+            return inf
+        part = dot(one, side) / dot(side, side)
+        away = minus(one, (part * side[0], part * side[1], part * side[2]))
+        across = 0.0
         if not self.mesh.rows.keys().isdisjoint(self.strands.beside[v][a]):
-            corners = np.array([[self.x[w] for w in self.cell[c]] for c in sorted(self.around[v])])
-            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(0)
-            away -= away @ normal / (normal @ normal) * normal
-        return float(np.linalg.norm(away))
+            shapes = [shape(*(self.x[w] for w in self.cell[c])) for c in self.around[v]]
+            nx, ny, nz = (fsum(normal[k] for normal, _ in shapes) for k in range(3))
+            across = dot(away, (nx, ny, nz)) / sqrt(dot((nx, ny, nz), (nx, ny, nz)))
+        return sqrt(max(dot(away, away) - across**2, 0.0))
 
     def go(self, v: int, r: int) -> None:
         """Collapse a vertex into another one."""
@@ -153,17 +154,3 @@ class _Collapses:
                 corners[corners.index(v)] = r
                 self.around[r].add(c)
         self.gone.add(v)
-
-
-def _shape(p: Point, q: Point, r: Point) -> tuple[Point, float]:
-    """Unit normal of a triangle, and the sine of its smallest angle."""
-    ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    area = sqrt(nx * nx + ny * ny + nz * nz)
-    one, two = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    three = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
-    if area == 0.0:
-        return (0.0, 0.0, 0.0), 0.0
-    longest = sqrt(one * two * three / min(one, two, three))
-    return (nx / area, ny / area, nz / area), area / longest

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
+
+Point = tuple[float, float, float]
 
 Leg = tuple[Support, list[int]]
 """A line from one of its points to the next: the vertices of the edge or cell, and the nodes."""
@@ -114,11 +117,10 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
     on_sides, of_cells = np.isin(sides, cut), np.isin(cells, ends)
     near = np.asarray(on_sides.any(axis=1) | of_cells.all(axis=1))
     rows = np.flatnonzero(near)
-    places = np.array(nodes.places)
     parts = []
     for a, b, c in lists(cells[rows]):
         rim = [a, *nodes.along(a, b), b, *nodes.along(b, c), c, *nodes.along(c, a)]
-        parts.append(_split(rim, chords.get(tuple(sorted((a, b, c))), []), places))
+        parts.append(_split(rim, chords.get(tuple(sorted((a, b, c))), []), nodes.places))
     counts = np.ones(len(cells), dtype=np.int64)
     counts[rows] = [len(own) for own in parts]
     parents = np.repeat(np.arange(len(cells)), counts)
@@ -129,7 +131,7 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
 
 
 def _split(
-    rim: list[int], chords: list[tuple[str, list[int]]], places: Array
+    rim: list[int], chords: list[tuple[str, list[int]]], places: list[Array]
 ) -> list[tuple[int, ...]]:
     """The triangles of a cell, with nodes around its boundary, divided by chords."""
     polygons = [rim]
@@ -155,12 +157,12 @@ def _split(
     return [triangle for polygon in polygons for triangle in _triangulated(polygon, places)]
 
 
-def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
+def _triangulated(polygon: list[int], places: list[Array]) -> list[tuple[int, ...]]:
     """Triangulation of a flat convex polygon whose worst triangle is best."""
     n = len(polygon)
     if n == 3:
         return [tuple(polygon)]
-    x = places[polygon]
+    x = [(float(x), float(y), float(z)) for x, y, z in (places[v] for v in polygon)]
 
     @cache
     def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
@@ -168,16 +170,31 @@ def _triangulated(polygon: list[int], places: Array) -> list[tuple[int, ...]]:
         found: list[tuple[float, int, list[tuple[int, ...]]]] = []
         for k in range(i + 1, j):
             (before, _, left), (after, _, right) = best(i, k), best(k, j)
-            quality = min(_least_sine(x[[i, k, j]]), before, after)
+            quality = min(shape(x[i], x[k], x[j])[1], before, after)
             found.append((quality, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
         return max(found, default=(np.inf, 0, []))
 
     return best(0, n - 1)[2]
 
 
-def _least_sine(corners: Array) -> float:
-    """Squared sine of a triangle's smallest angle, from its area and two longest sides."""
-    p, q, r = corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]
-    area = np.cross(p, q)
-    sides = sorted((p @ p, q @ q, r @ r))
-    return float((area @ area) / max(sides[1] * sides[2], 1e-300))
+def minus(p: Point, q: Point) -> Point:
+    """The vector from q to p."""
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+def dot(a: Point, b: Point) -> float:
+    """The scalar product, faster than numpy's for one pair of vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def shape(p: Point, q: Point, r: Point) -> tuple[Point, float]:
+    """Unit normal of a triangle, and the sine of its smallest angle."""
+    a, b, c = minus(q, p), minus(r, p), minus(r, q)
+    (ax, ay, az), (bx, by, bz) = a, b
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area = sqrt(nx * nx + ny * ny + nz * nz)
+    one, two, three = dot(a, a), dot(b, b), dot(c, c)
+    if area == 0.0:
+        return (0.0, 0.0, 0.0), 0.0
+    longest = sqrt(one * two * three / min(one, two, three))
+    return (nx / area, ny / area, nz / area), area / longest

@@ -56,8 +56,9 @@ class Spreading:
         ends = [self.mesh.strands.neighbours(int(v)) for v in row.vertices]
         return np.array([pair is not None for pair in ends]) & ~row.pinned
 
-    def step(self) -> None:
-        """Move each vertex half the way to the middle of its neighbours."""
+    def step(self, *, last: bool) -> None:
+        """Move each vertex half the way to the middle of its neighbours; in the `last` step of some
+        those between rows onto the given surface."""
         mesh = self.mesh
         x, new = mesh.points, mesh.points.copy()
         rows = np.flatnonzero(self.near[mesh.cells].any(axis=1))
@@ -69,7 +70,9 @@ class Spreading:
             for k in range(3):
                 total[:, k] += np.bincount(cells[:, a], x[cells[:, b], k], minlength=n)
         f = self.free
-        new[f] = self._on_surface(0.5 * (x[f] + total[f] / count[f, None]))
+        new[f] = 0.5 * (x[f] + total[f] / count[f, None])
+        if last:
+            new[f] = self._on_surface(new[f])
         self._slide(new)
         arcs = []
         for row, may in self.rows:

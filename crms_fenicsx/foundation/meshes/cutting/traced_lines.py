@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -12,12 +13,17 @@ from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
 from crms_fenicsx.foundation.meshes.cutting.strands import Strands
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
-from crms_fenicsx.foundation.meshes.triangles import longest_sides, norm, vectors
+from crms_fenicsx.foundation.meshes.triangles import (
+    flattened,
+    longest_sides,
+    norm,
+    vectors,
+)
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
-from crms_fenicsx.foundation.surface.closest_point import SNAP
+from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
-from crms_fenicsx.foundation.surface.trace import IndirectLeg, near_section, trace
+from crms_fenicsx.foundation.surface.trace import DETOUR, IndirectLeg, near_section, trace
 
 MEETS = 0.2
 """Distance, relative to the cells, within which an end of a line is moved to where it may end."""
@@ -60,16 +66,37 @@ class Tracer:
         except PathError as error:
             raise PathError(f"along: the line {name!r}: {error}") from None
 
+    def _near(self, route: Array, along_legs: bool) -> Integers:
+        """The cells on which the path of a route is found, as `near_section` says, but if legs
+        are direct from a tree that serves all lines."""
+        if not along_legs:
+            return np.flatnonzero(near_section(self.points, self.cells, route))
+        flat = route.shape[1] == 2
+        course = np.pad(route, ((0, 0), (0, 1))) if flat else route
+        balls = self.flat_balls if flat else self.balls
+        reach = 0.5 * norm(course[1:] - course[:-1]) / DETOUR + 2.0 * self.longest.max()
+        return np.unique(balls.within(0.5 * (course[1:] + course[:-1]), reach)[1])
+
+    @cached_property
+    def balls(self) -> Balls:
+        """Around the cells."""
+        return Balls.of(self.points[self.cells])
+
+    @cached_property
+    def flat_balls(self) -> Balls:
+        """Around the cells in plan."""
+        return Balls.of(flattened(self.points[self.cells]))
+
     def _traced(self, name: str, route: Array, *, along_legs: bool) -> TracedLine:
-        mask = near_section(self.points, self.cells, route, along_legs=along_legs)
-        cells = self.cells[mask]
+        near = self._near(route, along_legs)
+        cells, longest = self.cells[near], self.longest[near]
         ids = np.unique(cells)
         rows, x = np.searchsorted(ids, cells), self.points[ids]
         path = trace(ids, x, rows, route, along_legs=along_legs)
         sizes = []
         for end in (path.points[0], path.points[-1]):
             own = np.isin(cells, end.support).sum(axis=1) == len(end.support)
-            sizes.append(float(self.longest[mask][own].mean()))
+            sizes.append(float(longest[own].mean()))
         places = path.positions(ids, x)
         return TracedLine(name, route, path.points, places, (sizes[0], sizes[1]))
 
