@@ -171,10 +171,10 @@ def improve(mesh: CutMesh) -> None:
     collapse(mesh)
     near = mesh.band(RINGS + 1)
     flip(mesh, near)
-    for _ in range(3):
+    for _ in range(2):
         spreading = Spreading(mesh, RINGS)
-        for step in range(4):
-            spreading.step(last=step == 3)
+        for step in range(3):
+            spreading.step(last=step == 2)
         flip(mesh, near)
 
 

@@ -54,17 +54,24 @@ class _Collapses:
             if part < SHORT
         ]
         heapify(heap)
+        refused: dict[int, set[int]] = {}  # edges that a change beside them may free
         while heap:
-            part, p, q = heappop(heap)
-            if p in self.gone or q in self.gone or round(self.ratio(p, q), 6) != part:
+            _, p, q = heappop(heap)
+            if p in self.gone or q in self.gone:
                 continue
             for v, r in self.orders(p, q):
                 if self.may_go(v, r):
+                    new = {(r, w) for w in self.beside(v) - self.beside(r) if w != r}
                     self.go(v, r)
-                    for w in sorted(self.beside(r)):
-                        if self.near[w] and (part := self.ratio(r, w)) < SHORT:
-                            heappush(heap, (round(part, 6), min(r, w), max(r, w)))
+                    new |= {(w, u) for w in (r, *self.beside(r)) for u in refused.pop(w, ())}
+                    for a, b in {(min(edge), max(edge)) for edge in new}:
+                        if {a, b}.isdisjoint(self.gone) and self.near[a] and self.near[b]:
+                            if (part := self.ratio(a, b)) < SHORT:
+                                heappush(heap, (round(part, 6), a, b))
                     break
+            else:
+                refused.setdefault(p, set()).add(q)
+                refused.setdefault(q, set()).add(p)
         self.write()
 
     def write(self) -> None:

@@ -19,11 +19,11 @@ from crms_fenicsx.foundation.meshes.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
-from crms_fenicsx.foundation.surface.trace import DETOUR, IndirectLeg, near_section, trace
+from crms_fenicsx.foundation.surface.trace import IndirectLeg, near_section, trace
 
 MEETS = 0.2
 """Distance, relative to the cells, within which an end of a line is moved to where it may end."""
@@ -74,8 +74,13 @@ class Tracer:
         flat = route.shape[1] == 2
         course = np.pad(route, ((0, 0), (0, 1))) if flat else route
         balls = self.flat_balls if flat else self.balls
-        reach = 0.5 * norm(course[1:] - course[:-1]) / DETOUR + 2.0 * self.longest.max()
-        return np.unique(balls.within(0.5 * (course[1:] + course[:-1]), reach)[1])
+        size = float(self.longest.max())
+        legs = norm(course[1:] - course[:-1])
+        steps = np.ceil(legs / size).astype(np.int64) + 1
+        leg = np.repeat(np.arange(len(legs)), steps)
+        part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
+        at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
+        return np.unique(balls.within(at, np.full(len(at), 1.5 * size))[1])
 
     @cached_property
     def balls(self) -> Balls:
