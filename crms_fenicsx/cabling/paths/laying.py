@@ -235,7 +235,9 @@ def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> P
         _refuse_elsewhere(one, row, shape)
     given, ends = one.route[[0, -1]], np.array([shape.at(row[k]) for k in (0, -1)])
     reaches = [norm(shape.at(row[a]) - shape.at(row[b])) for a, b in ((0, 1), (-1, -2))]
-    apart = norm(given[:, None] - ends[None, :, : given.shape[1]])
+    if given.shape[1] == 2:
+        given, ends = np.pad(given, ((0, 0), (0, 1))), ends * (1.0, 1.0, 0.0)
+    apart = norm(given[:, None] - ends)
     at = apart.argmin(axis=1)
     if at[0] == at[1]:
         raise InputError(
@@ -252,12 +254,13 @@ def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> P
 def _anchor(
     membrane: Membrane, one: Along, given: Array, end: Array, reach: float
 ) -> tuple[float, float, float] | None:
-    """The anchor beyond an end (3,) of a line, if the first or last point given is one; `reach` is
+    """The anchor beyond an end (3,) of a line, if the first or last point (3,) is one; `reach` is
     the length of the line's edge there (length). Collective."""
-    away = norm(given - end[: len(given)])
+    away = norm(given - end)
     if away <= ON_SURFACE * reach:
         return None
-    if len(given) == 3:
+    assert one.route is not None
+    if one.route.shape[1] == 3:
         positions, cells = own_surface(membrane)
         (foot,) = feet_of(positions, cells, given[None], membrane.comm)
         if foot.distance > ON_SURFACE * foot.size:
