@@ -57,10 +57,10 @@ def bare_scene(mesh: MembraneMesh) -> Scene:
 
 
 def lined_scene(
-    comm: MPI.Intracomm, on_lines: bool, cable: Cable = STEEL, **options: Any
+    mesh: MembraneMesh, on_lines: bool, cable: Cable = STEEL, **options: Any
 ) -> tuple[Scene, tuple[LaidCable, ...]]:
     """The roof with a cable on each line, laid along it, or by path."""
-    scene = bare_scene(lined_roof(comm))
+    scene = bare_scene(mesh)
     given: dict[str, Any] = {"hold": "pocket", "tension": 2.0, **options}
     cables = [
         scene.lay_cable(cable, along=name, **given)

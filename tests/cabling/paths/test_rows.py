@@ -59,10 +59,10 @@ def without_lines(scene: Scene) -> None:
 def test_a_cable_along_a_line_is_that_laid_by_path_and_held(
     comm: MPI.Intracomm, hold: Hold
 ) -> None:
-    scenes = []
+    mesh, scenes = lined_roof(comm), []
     for on_lines in (True, False):
         held = hold if on_lines or hold == "bonded" else "pocket"
-        scene, _ = lined_scene(comm, on_lines, hold=held)
+        scene, _ = lined_scene(mesh, on_lines, hold=held)
         solver = Solver(scene)
         solver.advance(pressure=4.0)
         solver.advance(pressure=6.0)
@@ -74,8 +74,9 @@ def test_a_cable_along_a_line_is_that_laid_by_path_and_held(
 
 @pytest.mark.ranks
 def test_all_lines_of_a_net_are_laid_at_once(comm: MPI.Intracomm) -> None:
-    one, single = lined_scene(comm, True)
-    other = bare_scene(lined_roof(comm))
+    mesh = lined_roof(comm)
+    one, single = lined_scene(mesh, True)
+    other = bare_scene(mesh)
     together = other.lay_net(net_of_lines(), STEEL, tension=2.0, hold="pocket")
     assert [cable.name for cable in together] == list(LINES)
     assert_same([a.state for a in single], [b.state for b in together], "cables")
@@ -97,10 +98,10 @@ def test_a_net_on_other_meshes_folds_their_cells(
     assert [*net.paths] == ["C1"] and net.paths["C1"] is path
 
 
-def loaded(comm: MPI.Intracomm, on_lines: bool, folder: Path) -> dict[str, Any]:
+def loaded(mesh: MembraneMesh, on_lines: bool, folder: Path) -> dict[str, Any]:
     """What users ask of a scene with cables that rub along their axes, under many loads."""
     cable = Cable(EA=2e3, friction=Friction(0.3, along=0.2))
-    scene, cables = lined_scene(comm, on_lines, cable)
+    scene, cables = lined_scene(mesh, on_lines, cable)
     scene.put_load((0.0, 0.0, -1.0), name="snow")
     scene.put_line_load((0.0, 0.0, -3.0), "A1", name="gutter")
     solver = Solver(scene, results=folder / f"{on_lines}")
@@ -133,16 +134,17 @@ def verification(solver: Solver) -> Any:
 
 
 def test_all_results_are_those_of_cables_laid_by_path(comm: MPI.Intracomm, folder: Path) -> None:
-    along, by_path = (loaded(comm, on_lines, folder) for on_lines in (True, False))
+    mesh = lined_roof(comm)
+    along, by_path = (loaded(mesh, on_lines, folder) for on_lines in (True, False))
     assert np.ptp(along["tensions"][0]) > 1e-3 * along["tensions"][0].max()  # capstan friction
     for name, value in along.items():
         assert_same(value, by_path[name], name, 1e-10)
 
 
 def test_lengths_are_tuned_by_exact_slopes(comm: MPI.Intracomm) -> None:
-    found = []
+    mesh, found = lined_roof(comm), []
     for on_lines in (True, False):
-        scene, cables = lined_scene(comm, on_lines)
+        scene, cables = lined_scene(mesh, on_lines)
         solver = Solver(scene)
         solver.advance(pressure=4.0)
         slopes = solver.sensitivities([*cables, "energy"], [*cables, "pressure"])
@@ -153,7 +155,7 @@ def test_lengths_are_tuned_by_exact_slopes(comm: MPI.Intracomm) -> None:
 
 
 def test_saved_loaded_and_resumed(comm: MPI.Intracomm, folder: Path) -> None:
-    scene, _ = lined_scene(comm, True, hold="outside")
+    scene, _ = lined_scene(lined_roof(comm), True, hold="outside")
     solver = Solver(scene)
     solver.advance(pressure=4.0)
     solver.save(folder / "checkpoint")
@@ -171,8 +173,10 @@ def test_saved_loaded_and_resumed(comm: MPI.Intracomm, folder: Path) -> None:
 def test_the_script_goes_on_after_a_kill(
     comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    mesh = lined_roof(comm)
+
     def script(name: str, resume: bool) -> Scene:
-        scene = bare_scene(lined_roof(comm))
+        scene = bare_scene(mesh)
         scene.lay_net(net_of_lines(), STEEL, tension=2.0)
         solver = Solver(scene, results=folder / name, resume=resume)
         solver.advance(pressure=3.0)
@@ -241,7 +245,7 @@ def test_cables_along_lines_are_not_searched_for(
         slid.extend(cable.name for cable in cables)
         return slide(self, cables, *arguments, **options)
 
-    scene, _ = lined_scene(comm, True, hold="outside")
+    scene, _ = lined_scene(lined_roof(comm), True, hold="outside")
     with monkeypatch.context() as patch:
         for name in ("traced_over_holes", "shortened", "cells_below"):
             patch.setattr(f"crms_fenicsx.cabling.paths.laying.{name}", refuse)
