@@ -139,17 +139,19 @@ def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[i
 def has_lines(mesh: MembraneMesh, net: Net) -> bool:
     """Whether a mesh has the lines of a net, by their names; some of them are an error."""
     lacking = [line.name for line in net.lines if line.name not in mesh.edges]
-    if len(lacking) == len(net.lines) and mesh.comm.rank == 0:
-        logger.info(
-            "lay_net: the cables fold the cells that they cross, as the mesh does not have the "
-            "net's lines; meshes.along(mesh, net.paths) makes one that has them"
-        )
-    if lacking and len(lacking) < len(net.lines):
+    if len(lacking) == len(net.lines):
+        if mesh.comm.rank == 0:
+            logger.info(
+                "lay_net: the cables fold the cells that they cross, as the mesh does not have the "
+                "net's lines; meshes.along(mesh, net.paths) makes one that has them"
+            )
+        return False
+    if lacking:
         raise InputError(
             f"lay_net: the mesh has some lines of the net, but not {', '.join(lacking)}; make one "
             "that has all, meshes.along(mesh, net.paths), or one without lines of these names."
         )
-    return not lacking
+    return True
 
 
 @dataclass(frozen=True)
@@ -173,12 +175,11 @@ def lay_along(
 ) -> tuple[LaidCable, ...]:
     """Lay cables along lines of the mesh; see `Scene.lay_cable`. Collective."""
     membrane, taken = net.membrane, {one.name for one in net.cables}
+    rows = rows_of(membrane.mesh, "lay_cable", [one.laid_as.line or "" for one in lines])
     for one in lines:
         checks.new_name("lay_cable", "cable", one.name, taken)
         taken.add(one.name)
         check_law(one.name, cable, one.laid_as.hold, L0, tension)
-    groups = [one.laid_as.line or "" for one in lines]
-    rows = rows_of(membrane.mesh, "lay_cable", groups)
     strip = cells_at(membrane, list(chain.from_iterable(rows)))
     shape = StripShape.of(membrane, strip)
     ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]

@@ -337,6 +337,7 @@ def test_lines_that_are_none_are_refused(comm: MPI.Intracomm) -> None:
         return lambda: scene.lay_cable(STEEL, *args, **options)
 
     refused(scene, lay(along="A9"), "'A9'", "'A1'", "'B1'")
+    refused(scene, lay(along=3), "3", "'A1'")
     refused(scene, lay(along="fork"), "'fork'", "branches", "3 ends", "open line")
     refused(scene, lay(along="gap"), "'gap'", "4 ends")
     refused(scene, lay(along="loop"), "'loop'", "closed", "open line")
