@@ -19,8 +19,7 @@ from crms_fenicsx.cabling.cables.strip import StripShape, cells_at, own_surface
 from crms_fenicsx.cabling.paths.bed import Bed, MeasuredOn, check_law, put
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
-from crms_fenicsx.foundation.meshes.edge_table import whole_line
-from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, vertex_ids
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
 from crms_fenicsx.foundation.meshes.triangles import dot, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
@@ -120,20 +119,6 @@ def lay(
     laid = put(bed, name, cable, way, laid_as, L0=L0, tension=tension, measured_on=measured_on)
     net.add([laid], strip)
     return laid
-
-
-def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[int]]:
-    """Vertex ids along groups of edges, which must be open lines. Collective."""
-    ends, ids = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2), vertex_ids(mesh.mesh)
-    own = [
-        np.sort(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
-    ]
-    parts = mesh.comm.allgather(own)
-    pairs = [np.unique(np.concatenate(every), axis=0) for every in zip(*parts, strict=True)]
-    return [
-        whole_line(call, group, [(int(a), int(b)) for a, b in some])
-        for group, some in zip(groups, pairs, strict=True)
-    ]
 
 
 def has_lines(mesh: MembraneMesh, net: Net) -> bool:
