@@ -25,15 +25,20 @@ def rise(x: Floats, y: Floats) -> Floats:
 
 
 def lined_roof(
-    comm: MPI.Intracomm, edges: Mapping[str, Sequence[tuple[int, int]]] | None = None
+    comm: MPI.Intracomm,
+    edges: Mapping[str, Sequence[tuple[int, int]]] | None = None,
+    scale: float = 1.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> MembraneMesh:
-    """The mesh, with `LINES` and other groups of edges."""
+    """The mesh, `scale` times as large and moved to an origin, with `LINES` and other groups."""
     at = np.linspace(0.0, SIDE, CELLS + 1)
     points, cells = grid(at, at, rise, alternating(CELLS, CELLS))
     numbers = numbered(CELLS + 1, CELLS + 1)
     rows = {name: (numbers[k], numbers[:, k])[family] for name, (family, k) in LINES.items()}
     lines = {name: np.stack([row[:-1], row[1:]], axis=1) for name, row in rows.items()}
-    return meshes.from_arrays(comm, points, cells, edges={**lines, **(edges or {})})
+    return meshes.from_arrays(
+        comm, scale * points + origin, cells, edges={**lines, **(edges or {})}
+    )
 
 
 def path_along(name: str) -> Floats:

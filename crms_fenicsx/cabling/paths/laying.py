@@ -215,7 +215,8 @@ def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> P
             )
     points = tuple(VertexPoint(vertex) for vertex in row)
     if one.route is None:
-        first, last = (np.round(shape.stress_free_at(row[k]) / membrane.size, 9) for k in (0, -1))
+        unit = SAME_PLACE * membrane.size
+        first, last = (np.round(shape.stress_free_at(row[k]) / unit) for k in (0, -1))
         return Path(points if tuple(first) <= tuple(last) else points[::-1])
     if one.of_net:
         _refuse_elsewhere(one, row, shape)

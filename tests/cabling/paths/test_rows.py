@@ -306,6 +306,22 @@ def test_ends_directions_and_anchors(comm: MPI.Intracomm) -> None:
     assert_same(found.line[-1], np.array(joint.position), "joint")
 
 
+def test_lines_are_found_far_away_and_in_other_units(comm: MPI.Intracomm) -> None:
+    scale, origin = 1e3, np.array([3e6, -2e6, 1e5])
+    near, far = bare_scene(lined_roof(comm)), bare_scene(lined_roof(comm, {}, scale, origin))
+    lines = [NetLine(one.name, scale * one.path + origin, SIDE) for one in net_of_lines().lines]
+    stay = np.array([[8.0, 2.0, 0.0], [-1.0, 2.0, -0.5]])
+    for scene, layout in ((near, net_of_lines()), (far, Net(tuple(lines), ()))):
+        scene.lay_net(layout, STEEL)
+        scene.lay_cable(STEEL, along="B1", name="plain")
+    near.lay_cable(STEEL, stay, along="B1", name="stayed")
+    far.lay_cable(STEEL, scale * stay + origin, along="B1", name="stayed")
+    for one, other in zip(near.cables, far.cables, strict=True):
+        assert other.L0 == pytest.approx(scale * one.L0, rel=1e-9)
+        assert np.abs((other.line - origin) / scale - one.line).max() < 1e-8
+        assert [node.kind for node in one.state.nodes] == [node.kind for node in other.state.nodes]
+
+
 def test_a_line_along_the_free_rim_is_a_pocket(comm: MPI.Intracomm) -> None:
     rim = [(k, k + 1) for k in range(CELLS)]
     scene = Scene(lined_roof(comm, {"edge": rim}), bare_scene(lined_roof(comm)).materials[0])
