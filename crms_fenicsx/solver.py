@@ -217,9 +217,10 @@ class Solver:
             Displacements (length) during this call, or functions of them (`Rotation`, `Way`), of
             cables (both ends), cable ends (``cable.start``), held joints (``bar.start``) or held
             groups. A vertex of two groups moves by the sum. Groups need supports only in the
-            directions of movement. Ends of bonded cables and of cables in pockets that are held on
-            a moved edge or vertex go with it unless given themselves. Those of other cables are
-            anchored in space and stay, with a `PathWarning` unless they are given.
+            directions of movement. Ends of bonded cables and of cables in pockets or along lines of
+            the mesh that are held on a moved edge or vertex go with it unless given themselves.
+            Those of other cables are anchored in space and stay, with a `PathWarning` unless they
+            are given.
         L0
             Target unstressed lengths of cables and bars (length).
         load

@@ -306,6 +306,25 @@ def test_ends_directions_and_anchors(comm: MPI.Intracomm) -> None:
     assert_same(found.line[-1], np.array(joint.position), "joint")
 
 
+@pytest.mark.ranks
+def test_ends_move_with_their_edge_but_not_along_it(comm: MPI.Intracomm) -> None:
+    mesh, found = lined_roof(comm), []
+    for on_lines in (True, False):
+        scene, cables = lined_scene(mesh, on_lines, hold="sleeve" if on_lines else "pocket")
+        solver = Solver(scene)
+        solver.advance(pressure=4.0)
+        solver.advance(move={"boundary": lambda x, t: 0.02 * t * np.sin(x)})
+        solver.advance(move={cables[0].start: (0.0, -0.2, 0.1)})
+        found.append([(one.tension, one.line) for one in cables])
+    assert_same(*found, "cables", 1e-9)
+    scene, cables = lined_scene(mesh, True)
+    solver = Solver(scene)
+    solver.advance(pressure=4.0)
+    for move in ((0.6, 0.0, 0.0), (1.0, 0.0, 0.0)):
+        moved = {cables[0].start: move}
+        refused(scene, lambda moved=moved: solver.advance(move=moved), "'A1'", "edge", "its path")
+
+
 def test_lines_are_found_far_away_and_in_other_units(comm: MPI.Intracomm) -> None:
     scale, origin = 1e3, np.array([3e6, -2e6, 1e5])
     near, far = bare_scene(lined_roof(comm)), bare_scene(lined_roof(comm, {}, scale, origin))
