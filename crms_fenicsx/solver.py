@@ -100,7 +100,8 @@ class Solver:
         How often an increment is halved before the solver gives up.
     slide
         Whether cables may slide sideways into other cells. If not, they stay in the cells that they
-        cross, and a `PathWarning` reports when they reach a vertex.
+        cross, and a `PathWarning` reports when they reach a vertex. Cables along lines of the mesh
+        stay on them in any case, and nothing is searched for them.
     verify
         Whether to check each solved step independently of the gradient and the forms; see
         ``step.verification``. A state that fails counts as not converged.
@@ -216,9 +217,10 @@ class Solver:
             Displacements (length) during this call, or functions of them (`Rotation`, `Way`), of
             cables (both ends), cable ends (``cable.start``), held joints (``bar.start``) or held
             groups. A vertex of two groups moves by the sum. Groups need supports only in the
-            directions of movement. Ends of bonded cables and of cables in pockets that are held on
-            a moved edge or vertex go with it unless given themselves. Those of other cables are
-            anchored in space and stay, with a `PathWarning` unless they are given.
+            directions of movement. Ends of bonded cables and of cables in pockets or along lines of
+            the mesh that are held on a moved edge or vertex go with it unless given themselves.
+            Those of other cables are anchored in space and stay, with a `PathWarning` unless they
+            are given.
         L0
             Target unstressed lengths of cables and bars (length).
         load

@@ -2,68 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
+from grids import Floats, alternating, grid, numbered
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, meshes
-from crms_fenicsx.model.cable import Hold, Net, NetLine
-from tests.scenes.grids import alternating, grid, numbered
+from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.model.cable import Net, NetLine
 
 SIDE, RISE, CELLS = 8.0, 1.2, 8
 LINES = {"A1": (0, 3), "A2": (0, 5), "B1": (1, 2)}
 """Family along y (0) or x (1) and number of the grid line, by name."""
+STEEL = Cable(EA=2e3)
 
 
-def rise(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+def rise(x: Floats, y: Floats) -> Floats:
     """Height of the roof over its plan."""
-    return RISE * np.sin(np.pi * x / SIDE) * np.sin(np.pi * y / SIDE)
+    return np.asarray(RISE * np.sin(np.pi * x / SIDE) * np.sin(np.pi * y / SIDE))
 
 
 def lined_roof(
-    comm: MPI.Intracomm = MPI.COMM_WORLD, size: float = 1.0, **groups: list[tuple[int, int]]
-) -> meshes.MembraneMesh:
-    """The mesh, `size` times as large, with `LINES` and other groups of edges."""
+    comm: MPI.Intracomm,
+    edges: Mapping[str, Sequence[tuple[int, int]]] | None = None,
+    scale: float = 1.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+) -> MembraneMesh:
+    """The mesh, `scale` times as large and moved to an origin, with `LINES` and other groups."""
     at = np.linspace(0.0, SIDE, CELLS + 1)
     points, cells = grid(at, at, rise, alternating(CELLS, CELLS))
     numbers = numbered(CELLS + 1, CELLS + 1)
-    edges = {
-        name: np.stack([row[:-1], row[1:]], axis=1)
-        for name, (family, k) in LINES.items()
-        for row in [numbers[k] if family == 0 else numbers[:, k]]
-    }
-    return meshes.from_arrays(comm, size * points, cells, edges={**edges, **groups})
+    rows = {name: (numbers[k], numbers[:, k])[family] for name, (family, k) in LINES.items()}
+    lines = {name: np.stack([row[:-1], row[1:]], axis=1) for name, row in rows.items()}
+    return meshes.from_arrays(
+        comm, scale * points + origin, cells, edges={**lines, **(edges or {})}
+    )
 
 
-def path_along(name: str, size: float = 1.0) -> NDArray[np.float64]:
+def path_along(name: str) -> Floats:
     """A path along a line, through its vertices."""
     family, k = LINES[name]
     along, across = np.linspace(0.0, SIDE, CELLS + 1), np.full(CELLS + 1, k * SIDE / CELLS)
     x, y = (across, along) if family == 0 else (along, across)
-    return np.asarray(size * np.stack([x, y, rise(x, y)], axis=1))
+    return np.stack([x, y, rise(x, y)], axis=1)
 
 
-def net_of_lines(size: float = 1.0) -> Net:
+def net_of_lines(names: Sequence[str] = tuple(LINES)) -> Net:
     """The net of the roof's lines."""
-    paths = {name: path_along(name, size) for name in LINES}
-    lengths = {name: np.linalg.norm(np.diff(x, axis=0), axis=1).sum() for name, x in paths.items()}
-    return Net(tuple(NetLine(name, paths[name], float(lengths[name])) for name in LINES), ())
+    return Net(tuple(NetLine(name, path_along(name), SIDE) for name in names), ())
+
+
+def bare_scene(mesh: MembraneMesh) -> Scene:
+    """The roof, held at its rim, without cables."""
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    scene.fix("boundary")
+    return scene
 
 
 def lined_scene(
-    mesh: meshes.MembraneMesh | None = None, *, on_lines: bool, hold: Hold = "pocket",
-    cable: Cable | None = None, tension: float = 2.0,
-) -> tuple[Scene, tuple[LaidCable, ...]]:  # fmt: skip
-    """The roof with a cable on each line, laid along it or by the same path."""
-    scene = Scene(
-        lined_roof() if mesh is None else mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0)
-    )
-    scene.fix("boundary")
-    kind = Cable(EA=2e3) if cable is None else cable
+    mesh: MembraneMesh, on_lines: bool, cable: Cable = STEEL, **options: Any
+) -> tuple[Scene, tuple[LaidCable, ...]]:
+    """The roof with a cable on each line, laid along it, or by path."""
+    scene = bare_scene(mesh)
+    given: dict[str, Any] = {"hold": "pocket", "tension": 2.0, **options}
     cables = [
-        scene.lay_cable(kind, along=name, hold=hold, tension=tension)
+        scene.lay_cable(cable, along=name, **given)
         if on_lines
-        else scene.lay_cable(kind, path_along(name), hold=hold, tension=tension, name=name)
+        else scene.lay_cable(cable, path_along(name), name=name, **given)
         for name in LINES
     ]
     return scene, tuple(cables)

@@ -125,12 +125,13 @@ class EquilibriumSearch:
         """Nest the loops of a load step with cables from a start state."""
         from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
         from crms_fenicsx.cabling.contact.active_set import ActiveSet
+        from crms_fenicsx.cabling.paths.boundary_ends import refuse_ends_along_rim, renew_ends
 
+        refuse_ends_along_rim(self.scene.net)
         if self.tried is None:
             contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
         from crms_fenicsx.analysis.equilibrium.path_loop import PathLoop
-        from crms_fenicsx.cabling.paths.boundary_ends import renew_ends
         from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
         from crms_fenicsx.cabling.paths.path_change import PathChange
 

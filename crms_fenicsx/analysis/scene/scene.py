@@ -490,6 +490,13 @@ class Scene:
         >>> step = solver.advance()
         >>> round(diagonal.tension, 1), guyed.hold
         (3.2, 'sleeve')
+
+        Along a line of the mesh:
+
+        >>> roof = Scene(meshes.along(mesh, {"valley": [(0.0, 1.0), (4.0, 3.0)]}), fabric)
+        >>> valley = roof.lay_cable(steel, along="valley", hold="pocket", tension=4.0)
+        >>> valley.name, valley.line[0]
+        ('valley', array([0., 1., 0.]))
         """
         from crms_fenicsx.cabling.paths.laying import lay
 
@@ -544,6 +551,13 @@ class Scene:
         >>> cables = scene.lay_net(net, Cable(EA=1e3), tension=5.0)
         >>> round(scene.cable("A1").tension, 6)
         5.0
+
+        Along lines of the mesh, which are made on its stress-free shape:
+
+        >>> net = nets.sections(Scene(mesh, fabric), angles=(0.0,), offsets=[1.0, 3.0])
+        >>> roof = Scene(meshes.along(mesh, net.paths), fabric)
+        >>> [cable.name for cable in roof.lay_net(net, Cable(EA=1e3), hold="pocket")]
+        ['A1', 'A2']
         """
         from crms_fenicsx.cabling.paths.laying import has_lines, lay_net
 

@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
+from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.lift_off import size_at
 from crms_fenicsx.cabling.contact.span_projection import project_span
@@ -22,7 +23,7 @@ from crms_fenicsx.cabling.paths.path_change import PathChange
 from crms_fenicsx.foundation.meshes.triangles import cross
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
-from crms_fenicsx.foundation.runtime.errors import PathError
+from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
@@ -53,6 +54,23 @@ def renew_ends(change: PathChange) -> bool:
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.update(path_is_geodesic=False)
     return changed
+
+
+def refuse_ends_along_rim(net: CableNet) -> None:
+    """Refuse anchors of cables on lines of the mesh that have moved to other places of the
+    boundary: the cables' ends stay on their lines. Collective."""
+    for cable in net.cables:
+        for k, beside in ((0, 1), (-1, -2)) if cable.state.laid.line is not None else ():
+            if cable.state.nodes[k].kind != "anchor":
+                continue
+            there = net.strip_shape().mean(*cable.interpolation(beside))
+            place, reach = cable.state.positions[k], SAME_PLACE * cable.length
+            if np.linalg.norm(place - there) > reach and _edge_at(net.membrane, place, reach):
+                raise PathError(
+                    f"the end of {cable.name!r} has moved along the boundary to {as_text(place)}, "
+                    "but a cable along a line of the mesh ends with it; move it off the membrane, "
+                    "or with the edge, or lay the cable by its path."
+                )
 
 
 def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:

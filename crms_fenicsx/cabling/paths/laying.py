@@ -19,8 +19,7 @@ from crms_fenicsx.cabling.cables.strip import StripShape, cells_at, own_surface
 from crms_fenicsx.cabling.paths.bed import Bed, MeasuredOn, check_law, put
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
-from crms_fenicsx.foundation.meshes.edge_table import whole_line
-from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, vertex_ids
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
 from crms_fenicsx.foundation.meshes.triangles import dot, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
@@ -122,34 +121,22 @@ def lay(
     return laid
 
 
-def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[int]]:
-    """Vertex ids along groups of edges, which must be open lines. Collective."""
-    ends, ids = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2), vertex_ids(mesh.mesh)
-    own = [
-        np.sort(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
-    ]
-    parts = mesh.comm.allgather(own)
-    pairs = [np.unique(np.concatenate(every), axis=0) for every in zip(*parts, strict=True)]
-    return [
-        whole_line(call, group, [(int(a), int(b)) for a, b in some])
-        for group, some in zip(groups, pairs, strict=True)
-    ]
-
-
 def has_lines(mesh: MembraneMesh, net: Net) -> bool:
     """Whether a mesh has the lines of a net, by their names; some of them are an error."""
     lacking = [line.name for line in net.lines if line.name not in mesh.edges]
-    if len(lacking) == len(net.lines) and mesh.comm.rank == 0:
-        logger.info(
-            "lay_net: the cables fold the cells that they cross, as the mesh does not have the "
-            "net's lines; meshes.along(mesh, net.paths) makes one that has them"
-        )
-    if lacking and len(lacking) < len(net.lines):
+    if len(lacking) == len(net.lines):
+        if mesh.comm.rank == 0:
+            logger.info(
+                "lay_net: the cables fold the cells that they cross, as the mesh does not have the "
+                "net's lines; meshes.along(mesh, net.paths) makes one that has them"
+            )
+        return False
+    if lacking:
         raise InputError(
             f"lay_net: the mesh has some lines of the net, but not {', '.join(lacking)}; make one "
             "that has all, meshes.along(mesh, net.paths), or one without lines of these names."
         )
-    return not lacking
+    return True
 
 
 @dataclass(frozen=True)
@@ -173,12 +160,11 @@ def lay_along(
 ) -> tuple[LaidCable, ...]:
     """Lay cables along lines of the mesh; see `Scene.lay_cable`. Collective."""
     membrane, taken = net.membrane, {one.name for one in net.cables}
+    rows = rows_of(membrane.mesh, "lay_cable", [one.laid_as.line or "" for one in lines])
     for one in lines:
         checks.new_name("lay_cable", "cable", one.name, taken)
         taken.add(one.name)
         check_law(one.name, cable, one.laid_as.hold, L0, tension)
-    groups = [one.laid_as.line or "" for one in lines]
-    rows = rows_of(membrane.mesh, "lay_cable", groups)
     strip = cells_at(membrane, list(chain.from_iterable(rows)))
     shape = StripShape.of(membrane, strip)
     ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]
@@ -229,13 +215,16 @@ def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> P
             )
     points = tuple(VertexPoint(vertex) for vertex in row)
     if one.route is None:
-        first, last = (np.round(shape.stress_free_at(row[k]) / membrane.size, 9) for k in (0, -1))
+        unit = SAME_PLACE * membrane.size
+        first, last = (np.round(shape.stress_free_at(row[k]) / unit) for k in (0, -1))
         return Path(points if tuple(first) <= tuple(last) else points[::-1])
     if one.of_net:
         _refuse_elsewhere(one, row, shape)
     given, ends = one.route[[0, -1]], np.array([shape.at(row[k]) for k in (0, -1)])
     reaches = [norm(shape.at(row[a]) - shape.at(row[b])) for a, b in ((0, 1), (-1, -2))]
-    apart = norm(given[:, None] - ends[None, :, : given.shape[1]])
+    if given.shape[1] == 2:
+        given, ends = np.pad(given, ((0, 0), (0, 1))), ends * (1.0, 1.0, 0.0)
+    apart = norm(given[:, None] - ends)
     at = apart.argmin(axis=1)
     if at[0] == at[1]:
         raise InputError(
@@ -252,12 +241,13 @@ def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> P
 def _anchor(
     membrane: Membrane, one: Along, given: Array, end: Array, reach: float
 ) -> tuple[float, float, float] | None:
-    """The anchor beyond an end (3,) of a line, if the first or last point given is one; `reach` is
+    """The anchor beyond an end (3,) of a line, if the first or last point (3,) is one; `reach` is
     the length of the line's edge there (length). Collective."""
-    away = norm(given - end[: len(given)])
+    away = norm(given - end)
     if away <= ON_SURFACE * reach:
         return None
-    if len(given) == 3:
+    assert one.route is not None
+    if one.route.shape[1] == 3:
         positions, cells = own_surface(membrane)
         (foot,) = feet_of(positions, cells, given[None], membrane.comm)
         if foot.distance > ON_SURFACE * foot.size:

@@ -10,8 +10,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.paths.routes import traced
 from crms_fenicsx.design.nets.assembly import assembled
 from crms_fenicsx.design.nets.whole_surface import WholeSurface, crossed
-from crms_fenicsx.foundation.dofs.layout import edge_ends
-from crms_fenicsx.foundation.meshes.edge_table import whole_line
+from crms_fenicsx.foundation.meshes.membrane_mesh import rows_of
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, checked, collective
@@ -136,11 +135,7 @@ def geodesics_across(
 
 def _chain(surface: WholeSurface, name: str) -> Array:
     """Vertices of an edge group from end to end, (k, 3). Collective."""
-    membrane = surface.membrane
-    edges = checks.named("group of edges", membrane.mesh.edges, name)
-    ids = membrane.vertex_ids[edge_ends(membrane.V)[edges]]
-    pairs = {(int(a), int(b)) for part in membrane.comm.allgather(np.sort(ids)) for a, b in part}
-    chain = whole_line("geodesics_between", name, sorted(pairs))
+    (chain,) = rows_of(surface.membrane.mesh, "geodesics_between", [name])
     return surface.points[np.searchsorted(surface.strip.vertices, chain)]
 
 

@@ -53,7 +53,8 @@ def whole_line(
     single = len(line) == len(pairs) + 1
     if not single or (ends != 2 and not closed):
         what = "closed" if single else f"not a single line: it branches or has gaps ({ends} ends)"
-        raise PathError(f"{call}: the group of edges {group!r} is {what}.")
+        like = "one line" if closed else "one open line"
+        raise PathError(f"{call}: the group of edges {group!r} is {what}; pass {like}.")
     return line
 
 

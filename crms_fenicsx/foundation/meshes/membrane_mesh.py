@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, whole_line
 from crms_fenicsx.foundation.meshes.orientation import UPWARD, Outside, connected_labels
 from crms_fenicsx.foundation.meshes.surface import (
     EMPTY,
@@ -323,6 +323,20 @@ def vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
 def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
     """`vertex_ids` of each local cell's corners, shape (m, 3)."""
     return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
+
+
+def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[int]]:
+    """Vertex ids along groups of edges, which must be open lines. Collective."""
+    ends, ids = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2), vertex_ids(mesh.mesh)
+    own = [
+        np.sort(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
+    ]
+    parts = mesh.comm.allgather(own)
+    pairs = [np.unique(np.concatenate(every), axis=0) for every in zip(*parts, strict=True)]
+    return [
+        whole_line(call, group, [(int(a), int(b)) for a, b in some])
+        for group, some in zip(groups, pairs, strict=True)
+    ]
 
 
 def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:

@@ -238,6 +238,7 @@ def _cable(cable: LaidCable, strength: float | None) -> Row:
     data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
     free = cable.slides_freely and cable.cable.along == 0.0
     lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
+    lies += "" if cable.state.laid.line is None else ", on a mesh line"
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
