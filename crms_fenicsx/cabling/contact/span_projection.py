@@ -21,6 +21,7 @@ from crms_fenicsx.foundation.surface.points import (
     EdgePoint,
     Support,
     SurfacePoint,
+    VertexPoint,
     edge_of,
 )
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
@@ -162,7 +163,7 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):
-        old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
+        old = [nodes[k].support for k in _between(nodes, a, b)]
         new = _renewed(cable, nodes, a, b, shape) if old or {a, b} & moved else None
         if new is None and {a, b} & moved:
             new = _over_edge(cable, nodes, a, b, shape)
@@ -176,11 +177,10 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
     for a, b in zip(contacts, [*contacts[1:], len(nodes)], strict=True):
-        if _is_on_path(nodes[a]):
+        if _is_on_path(nodes[a]) or _at_vertex(nodes[a]):
             points.append(cable.point(a))
-            lifted.append(False)
-        between = [k for k in range(a + 1, b) if _is_on_path(nodes[k])]
-        points += renewed[a] if a in renewed else cable.points(between)
+            lifted.append(_at_vertex(nodes[a]))
+        points += renewed[a] if a in renewed else cable.points(_between(nodes, a, b))
         lifted += [True] * (len(points) - len(lifted))
     return points, lifted
 
@@ -208,6 +208,17 @@ def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None
 
 def _is_on_path(node: CableNode) -> bool:
     return node.point is not None and node.kind != "crossing"
+
+
+def _at_vertex(node: CableNode) -> bool:
+    """Whether a node is a free crossing above a common vertex, which is on the path for it."""
+    return node.kind == "crossing" and isinstance(node.point, VertexPoint)
+
+
+def _between(nodes: Sequence[CableNode], a: int, b: int) -> list[int]:
+    """Nodes of the path between two contacts, without the vertex of a crossing above it."""
+    last = b - 1 if b < len(nodes) and _at_vertex(nodes[b]) else b
+    return [k for k in range(a + 1, last) if _is_on_path(nodes[k])]
 
 
 def _over_edge(
