@@ -231,12 +231,19 @@ class ActiveSet:
             clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
         return clamped
 
+    def _slide(self, nodes: NodeTable) -> Booleans:
+        """Whether each node's cable slides aside, (n,): it leaves the vertices where it crosses
+        others, and until then those below it stay."""
+        of = [self._memory is not None and not cable.keeps_line for cable in self.net.cables]
+        return np.array(of, dtype=bool)[nodes.cable]
+
     def _pulling_together(
         self, shape: StripShape, lines: Polylines, may: Booleans
     ) -> list[tuple[NodeId, list[NodeId]]]:
         """Nodes at common vertices where the upper cables together pull outward: that of the lowest
         of them, and all."""
         table, sums = lines.pulls_of_stacks(shape, self.net.cables, may)
+        sums[:, 1:][self._slide(lines.nodes)[table[:, 1:]]] = -np.inf
         found = []
         for stack in np.flatnonzero((sums > TOL.contact).any(axis=1)):
             nodes = lines.nodes.ids(table[stack])
@@ -257,9 +264,8 @@ class ActiveSet:
         rows, starts = stacks(nodes, net.cables)
         touching = np.append(np.cumsum(~nodes.lifted[rows]), 0)
         above = np.repeat(touching[starts[1:] - 1], np.diff(starts)) > touching[:-1]
-        return self._touch(
-            nodes.ids(np.append(upper[down], rows[above & nodes.lifted[rows]])), shape
-        )
+        below = rows[above & nodes.lifted[rows] & ~self._slide(nodes)[rows]]
+        return self._touch(nodes.ids(np.append(upper[down], below)), shape)
 
     def _touch(self, at: Iterable[NodeId], shape: StripShape) -> list[str]:
         """Let cables touch down at some of their vertices."""
@@ -276,7 +282,15 @@ class ActiveSet:
         changes, down = list[str](), []
         net, nodes = self.net, lines.nodes
         pulled = parting(net.crossings, lines, shape)
-        joined = joining(net.crossings, lines, shape)
+        slides = self._slide(nodes)
+        joined = {
+            number
+            for number in joining(net.crossings, lines, shape)
+            if len(net.crossings[number].support) > 1
+            or not slides[
+                nodes.starts[[net.crossings[number].lower, net.crossings[number].upper]]
+            ].any()
+        }
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
