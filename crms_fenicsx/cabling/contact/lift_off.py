@@ -112,9 +112,14 @@ class Polylines:
         at = np.arange(table.shape[1]) < counts[:, None]
         table[at] = rows
         pulls = self.pulls(rows, *shape.around(nodes.on(shape.strip.simplices)[rows]))
-        parts = [np.append(cable.part_tensions, 0.0) for cable in cables]  # after each contact
+        # after each contact; slack cables may have been draped since
+        parts = np.zeros(len(self.contacts))
+        for start, cable in zip(self._starts, cables, strict=False):
+            if cable.taut:
+                own = cable.part_tensions
+                parts[start : start + len(own)] = own
         k = np.searchsorted(self.contacts, rows)
-        tension = np.concatenate([np.zeros(0), *parts])[k[:, None] + np.arange(-1, 1)].mean(axis=1)
+        tension = (parts[k - 1] + parts[k]) / 2
         largest, sums = np.zeros(table.shape), np.full(table.shape, -np.inf)
         sums[at] = np.where(may[rows] & (pulls > -1.0), pulls * tension, -np.inf)
         largest[at] = tension

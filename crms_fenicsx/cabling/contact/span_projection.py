@@ -176,13 +176,27 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
         return None
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
+    along_edges: list[tuple[int, SurfacePoint]] = []
     for a, b in zip(contacts, [*contacts[1:], len(nodes)], strict=True):
         if _is_on_path(nodes[a]) or _at_vertex(nodes[a]):
             points.append(cable.point(a))
             lifted.append(_at_vertex(nodes[a]))
+        elif isinstance(crossing := nodes[a].point, EdgePoint):
+            along_edges.append((len(points), crossing))
         points += renewed[a] if a in renewed else cable.points(_between(nodes, a, b))
         lifted += [True] * (len(points) - len(lifted))
+    for n, crossing in reversed(along_edges):  # of an edge that the path followed and now crosses
+        if not _share_cell(shape, points[n - 1 : n + 1]):
+            points.insert(n, crossing)
+            lifted.insert(n, False)
+    if not all(_share_cell(shape, pair) for pair in pairwise(points)):
+        return None
     return points, lifted
+
+
+def _share_cell(shape: StripShape, points: Sequence[SurfacePoint]) -> bool:
+    """Whether some cell has all the points."""
+    return len(shape.strip.rows(tuple(v for point in points for v in point.support))) > 0
 
 
 def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None:
