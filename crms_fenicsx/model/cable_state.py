@@ -15,12 +15,15 @@ from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """A crossing of two cables: one free point that both share, identified by its number."""
+    """A crossing of two cables: one free point that both share, identified by its number; at a
+    vertex of both only where both are lifted."""
 
     lower: int  # number of the lower cable
     upper: int  # number of the upper cable
-    support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) it lies in
-    links: tuple[int, int]  # preceding node of each cable, crossings not counted
+    support: tuple[
+        int, ...
+    ]  # ids of the vertices of the cell (3) or edge (2) it lies in, or at (1)
+    links: tuple[int, int]  # preceding node of each cable, or that there; crossings not counted
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
     between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first
     separated: bool = False  # whether the upper cable has lifted off: no shared point

@@ -154,8 +154,12 @@ class LaidCable(Handle[CableState]):
     def free_spans(self) -> Booleans:
         """Which of the n - 1 segments of its `line` are off the membrane."""
         nodes = self.line_nodes()
-        anchors = [self.state.nodes[k].kind == "anchor" for k in nodes]
-        return (np.diff(nodes) > 1) | np.logical_or(anchors[1:], anchors[:-1])
+        points = [self.state.nodes[k] for k in nodes]
+        off = [
+            one.kind == "anchor" or (one.kind == "crossing" and len(one.support) == 1)
+            for one in points
+        ]
+        return (np.diff(nodes) > 1) | np.logical_or(off[1:], off[:-1])
 
     @property
     def tensions(self) -> Array:

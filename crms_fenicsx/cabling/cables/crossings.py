@@ -2,7 +2,8 @@
 
 Two cables that cross inside a cell share one free point there, or the folds of one would cut the
 other. The cells follow from the order of the cables' points around each cell: a crossing that
-slides over an edge is found in the next cell, one that slides off vanishes.
+slides over an edge is found in the next cell, one that slides off vanishes. Cables that cross at a
+vertex move with it; they share a free point where both have lifted off and touch each other.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import chain, pairwise
+from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cabling.cables.points_on_edges import (
+    ANCHOR,
     CROSSING,
     VERTEX,
     NodeTable,
@@ -36,23 +38,30 @@ from crms_fenicsx.foundation.runtime.arrays import (
     pointers,
     runs,
 )
-from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint, Support
+from crms_fenicsx.foundation.surface.points import (
+    CellPoint,
+    EdgePoint,
+    Support,
+    SurfacePoint,
+    VertexPoint,
+)
 from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
 class _Meeting(NamedTuple):
-    """Two crossing links: rows of their first nodes, fractions along each, place in the cell."""
+    """Two crossing links: rows of their first nodes, fractions along each, place in the cell; at a
+    vertex of both, rows of their nodes there."""
 
     first: int
     second: int
     along: tuple[float, float]
-    point: CellPoint | EdgePoint
+    point: SurfacePoint
 
 
 class Meetings:
-    """Crossings of links in the same cell, or of a link along an edge with points on that edge. The
-    node table must contain no crossings."""
+    """Crossings of links in the same cell, of a link along an edge with points on that edge, and at
+    common vertices. The node table must contain no crossings."""
 
     def __init__(self, nodes: NodeTable, fractions: Array, strip: Strip) -> None:
         self.strip, self.nodes, self.fractions = strip, nodes, fractions
@@ -106,6 +115,26 @@ class Meetings:
             for one, other, (s, r), cell, share in zip(*map(np.ndarray.tolist, parts), strict=True)
         ]
 
+    def at_vertices(self, cables: Sequence[LaidCable]) -> list[_Meeting]:
+        """Common vertices of two cables, one of which may lift off: without their ends, and where
+        they run along one line."""
+        nodes = self.nodes
+        rows, starts = stacks(nodes, cables)
+        one = np.arange(len(rows))
+        after = np.repeat(starts[1:], np.diff(starts)) - one - 1
+        one, other = np.repeat(one, after), runs(one + 1, after)
+        ends = np.append(nodes.starts[:-1], nodes.starts[1:] - 1)
+        beside = ends + np.repeat((1, -1), len(cables))
+        ends = np.append(ends, beside[nodes.kind[ends] == ANCHOR])
+        inner = ~np.isin(rows, ends)
+        first, second = (rows[k[inner[one] & inner[other]]] for k in (one, other))
+        lifts = np.array([cable.lifts_off for cable in cables], dtype=bool)[nodes.cable]
+        cross = (nodes.cable[first] != nodes.cable[second]) & (lifts[first] | lifts[second])
+        for a, b in product((-1, 1), repeat=2):
+            cross &= self.on[first + a] != self.on[second + b]
+        pairs = zip(ints(first[cross]), ints(second[cross]), strict=True)
+        return [_Meeting(a, b, (0.0, 0.0), VertexPoint(int(nodes.support[a, 0]))) for a, b in pairs]
+
     def _pairs(self) -> tuple[Integers, Integers, Integers]:
         """Pairs of links of two cables in one cell: their first nodes, and the cell's row."""
         link, row = self._inside
@@ -155,6 +184,27 @@ def _intersections(ends: Array) -> Array:
     return t
 
 
+def stacks(nodes: NodeTable, cables: Sequence[LaidCable]) -> tuple[Integers, Integers]:
+    """Nodes of cables in tension at vertices that they share: rows (n,), vertex by vertex and from
+    the lowest cable to the uppermost, and the first of each vertex, (m + 1,)."""
+    rows = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut)
+    layer = np.array([cable.layer for cable in cables], dtype=np.int64)[nodes.cable[rows]]
+    order = np.lexsort((rows, layer, nodes.support[rows, 0]))
+    rows = rows[order]
+    _, counts = np.unique(nodes.support[rows, 0], return_counts=True)
+    shared = counts > 1
+    return rows[np.repeat(shared, counts)], pointers(counts[shared])
+
+
+def at_crossings(crossings: Sequence[Crossing], nodes: NodeTable) -> Integers:
+    """Rows (m, 2) of the lower and upper cables' nodes before crossings, or at their vertices."""
+    cables = np.array([(one.lower, one.upper) for one in crossings], dtype=np.int64).reshape(-1, 2)
+    links = np.array([one.links for one in crossings], dtype=np.int64).reshape(-1, 2)
+    own = np.flatnonzero(nodes.kind != CROSSING)
+    found: Integers = own[np.searchsorted(own, nodes.starts[cables]) + links]
+    return found
+
+
 def arrange(
     before: NodeTable, cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
 ) -> tuple[tuple[Crossing, ...], NodeTable]:
@@ -168,20 +218,24 @@ def arrange(
     plain, nodes = _without_crossings(before, kept, strip.simplices)
     positions, fractions, lifted = positions[kept], fractions[kept], before.lifted[kept]
     meetings = Meetings(plain, fractions, strip)
-    found = meetings.on_edges() + meetings.in_cells()
+    found = meetings.on_edges() + meetings.in_cells() + meetings.at_vertices(cables)
     found.sort(key=lambda meeting: (meeting.first, meeting.along[0]))
     links, ends, along = _lower_first(found, plain, cables)
     at = positions[links] + along[..., None] * (positions[ends] - positions[links])
+    at_vertex = np.array([len(one.point.support) == 1 for one in found], dtype=bool)
+    in_air = lifted[links].all(axis=1)
     crossings = _continued(
         zip(
             map(tuple, lists(plain.cable[links])), (one.point.support for one in found),
             map(tuple, lists(plain.place[links])), vectors((at[:, 0] + at[:, 1]) / 2),
             _between(nodes, links, ends),
-            flags(lifted[links[:, 1]] & lifted[ends[:, 1]]), strict=True,
+            flags(lifted[links[:, 1]] & (lifted[ends[:, 1]] | at_vertex)),
+            flags(at_vertex & ~in_air), strict=True,
         ),
-        zip(known, places, strict=True),
+        zip(known, places, _has_point(known, before.crossing[shared]), strict=True),
     )  # fmt: skip
-    shares = np.array([not one.separated for one in crossings], dtype=bool)[:, None]
+    separated = np.array([one.separated for one in crossings], dtype=bool)
+    shares = (~separated & (in_air | ~at_vertex))[:, None]
     # a fold point on an edge along which another cable runs is the crossing's point
     on_edge = np.array([len(one.support) == 2 for one in crossings], dtype=bool)[:, None]
     fold = shares & on_edge & (plain.kind[links] != VERTEX)
@@ -219,23 +273,31 @@ def arrange(
     return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
 
 
+def _has_point(known: Sequence[Crossing], shared: Integers) -> list[bool]:
+    """Whether the place of each crossing is of use: not at vertices, unless it has a free point, as
+    those numbered `shared`."""
+    free = set(ints(shared))
+    return [len(one.support) != 1 or number in free for number, one in enumerate(known)]
+
+
 def _continued(
-    found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array]]
+    found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array, bool]]
 ) -> list[Crossing]:
-    """Crossings, continuing the nearest known ones of the same cables at their given places, or
-    new. `found`: both cables, support, links, place, between, and whether separated."""
-    left: dict[tuple[int, int], list[tuple[Crossing, Array]]] = defaultdict(list)
-    for one, at in known:
-        left[one.lower, one.upper].append((one, at))
+    """Crossings, continuing the nearest known ones of the same cables at their given places, where
+    these are of use, or new. `found`: both cables, support, links, place, between, whether
+    separated, and whether that is certain."""
+    left: dict[tuple[int, int], list[tuple[Crossing, Array, bool]]] = defaultdict(list)
+    for one in known:
+        left[one[0].lower, one[0].upper].append(one)
     crossings = []
-    for (lower, upper), support, links, place, between, separated in found:
+    for (lower, upper), support, links, place, between, separated, certain in found:
         before, clamp = left[lower, upper], None
         if before:
-            away = [float(np.linalg.norm(at - place)) for _, at in before]
-            old, at = before.pop(away.index(min(away)))
-            separated, clamp = old.separated, old.clamp
+            away = [float(np.linalg.norm(at - place)) for _, at, _ in before]
+            old, at, placed = before.pop(away.index(min(away)))
+            separated, clamp = separated if certain else old.separated, old.clamp
             # with other neighbouring edges the old place would pull these aside
-            place = at if old.between == between else place
+            place = at if old.between == between and placed else place
         crossings.append(Crossing(lower, upper, support, links, place, between, separated, clamp))
     return crossings
 
@@ -282,8 +344,8 @@ def _between(
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
-    """Numbers of upper cables that cross a lower one back and forth."""
-    times = Counter((one.lower, one.upper) for one in crossings)
+    """Numbers of upper cables that cross a lower one back and forth, not only at vertices."""
+    times = Counter((one.lower, one.upper) for one in crossings if len(one.support) > 1)
     return {upper for (_, upper), crossed in times.items() if crossed > 1}
 
 

@@ -115,6 +115,7 @@ class CableNumbering:
         first, second = first[same], second[same]
         on = simplices.spanned(self.on[first], self.on[second])
         on[np.append(self._open, False)[on]] = -1
+        on[nodes.in_air[first] | nodes.in_air[second]] = -1
         around = on.copy()
         off = np.flatnonzero(on < 0)
         around[off] = self._places(first[off])

@@ -58,6 +58,7 @@ class NodeTable:
         for name in NODE.names or ():
             setattr(self, name, np.ascontiguousarray(rows[name]))
         self.slides = (self.kind == FOLD) | (self.kind == EDGE_SLIDER)
+        self.in_air = (self.kind == CROSSING) & (self.size == 1)  # above a common vertex
         self._on = on  # simplices of a strip, and the number of each node's
         self._set_flags(taut, lifted)
 

@@ -7,23 +7,24 @@ change back and forth only a few times in a solve, so that it terminates.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable, fractions_of, positions_of
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact import lift_off as contact
-from crms_fenicsx.cabling.contact.free_spans import FreeSpans
+from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap
 from crms_fenicsx.cabling.contact.lift_off import Polylines
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Booleans, flags, floats, ints
+from crms_fenicsx.foundation.runtime.arrays import Booleans, floats, ints
 from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
-from crms_fenicsx.model.cable_state import Crossing
+from crms_fenicsx.model.cable_state import Crossing, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BUDGET, TOL, UNSTRAINED
 
@@ -43,14 +44,19 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
 
 def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
     """Numbers of the separated crossings whose cables would penetrate each other."""
-    apart = [number for number, crossing in enumerate(crossings) if crossing.separated]
+    joined = set[int]()
+    apart = [n for n, one in enumerate(crossings) if one.separated and len(one.support) == 1]
+    if apart:
+        found, sizes = lines.gaps(shape, [crossings[n] for n in apart], 1)
+        joined = {apart[n] for n in np.flatnonzero(found < -TOL.contact * sizes)}
+    apart = [n for n, one in enumerate(crossings) if one.separated and len(one.support) > 1]
     pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]
     cables = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
     lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
     normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
     deep = gaps(lower, upper, normals) < -TOL.contact * norm(lower[:, 1] - lower[:, 0])
-    return {apart[n] for n in np.flatnonzero(deep)}
+    return joined | {apart[n] for n in np.flatnonzero(deep)}
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
@@ -161,11 +167,16 @@ class ActiveSet:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
         net, nodes = self.net, lines.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
-        may = held[nodes.cable] & ~self._covered(nodes) & ~self._clamped(nodes)
-        pulling = lines.released(shape, may)
+        may = held[nodes.cable] & ~self._clamped(nodes)
+        alone = nodes.ids(lines.released(shape, may & ~lines.shared))
+        pulling = [(id, [id]) for id in alone] + self._pulling_together(shape, lines, may)
         released: dict[int, list[int]] = defaultdict(list)
-        for c, k in nodes.ids(pulling):
-            released[c].append(k)
+        for lowest, together in pulling:
+            key = self._key(*lowest)
+            if key not in self._settled:
+                self._released.add(key)
+                for c, k in together:
+                    released[c].append(k)
         # Cables in sleeves span holes of the membrane.
         spanning = np.array(
             [cable.taut and cable.state.lifted.any() for cable in net.cables], dtype=bool
@@ -179,22 +190,22 @@ class ActiveSet:
             if new:  # the cable folds other edges now, perhaps below other spans
                 free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
             changes += new
-        return changes
+        return changes + self._pressed_down(shape, nodes)
+
+    def _key(self, c: int, k: int) -> ContactKey:
+        """Key of the contact of a cable with what is below it."""
+        cable = self.net.cables[c]
+        return cable.name, cable.state.nodes[k].support
 
     def _change(self, c: int, released: Sequence[int], free: FreeSpans) -> list[str]:
         """Release a cable at some nodes, and let it touch down under its spans."""
         cable = self.net.cables[c]
-
-        def key(k: int) -> ContactKey:
-            return cable.name, cable.state.nodes[k].support
-
-        loose = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.state.lifted.any():
             free.move(c)
             places = free.captured(c, -TOL.contact)
             unclear = cable.slides_freely and not self._rested(cable)
-            if unclear and not loose and not places:
+            if unclear and not released and not places:
                 nearly = free.captured(c, TOL.touching)
                 # The folds around a vertex do not bulge up to the span where one was released.
                 keys = [key for key in self._released if key[0] == cable.name]
@@ -202,14 +213,13 @@ class ActiveSet:
                 places = {
                     k: nearly[k] for k in nearly if parted.isdisjoint(cable.state.nodes[k].support)
                 }
-        if loose:
-            contact.lift(cable, loose)
+        if released:
+            contact.lift(cable, released)
         if places:
             contact.touch(cable, places)
             self.only_lifted = False
-        self._settled |= {key(k) for k in places} & self._released
-        self._released |= {key(k) for k in loose}
-        texts = [f"{cable.name} lifts off at {cable.state.nodes[k].point}" for k in loose]
+        self._settled |= {self._key(c, k) for k in places} & self._released
+        texts = [f"{cable.name} lifts off at {cable.state.nodes[k].point}" for k in released]
         return texts + [
             f"{cable.name} touches down at {cable.state.nodes[k].point}" for k in places
         ]
@@ -221,25 +231,66 @@ class ActiveSet:
             clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
         return clamped
 
-    def _covered(self, nodes: NodeTable) -> Booleans:
-        """Whether each node lies on a vertex that a higher cable touches too, (n,)."""
-        covered = np.zeros(len(nodes.kind), dtype=bool)
-        rows = np.flatnonzero((nodes.size == 1) & nodes.taut)
-        layers = [(self.net.cables[c].layer, c) for c in ints(nodes.cable[rows])]
-        vertices, touches = ints(nodes.support[rows, 0]), flags(~nodes.lifted[rows])
-        tops: dict[int, tuple[int, int]] = {}
-        for vertex, layer, touch in zip(vertices, layers, touches, strict=True):
-            if touch:
-                tops[vertex] = max(layer, tops.get(vertex, layer))
-        above = [tops.get(v, layer) > layer for v, layer in zip(vertices, layers, strict=True)]
-        covered[rows] = above
-        return covered
+    def _slide(self, nodes: NodeTable) -> Booleans:
+        """Whether each node's cable slides aside, (n,): it leaves the vertices where it crosses
+        others, and until then those below it stay."""
+        of = [self._memory is not None and not cable.keeps_line for cable in self.net.cables]
+        return np.array(of, dtype=bool)[nodes.cable]
+
+    def _pulling_together(
+        self, shape: StripShape, lines: Polylines, may: Booleans
+    ) -> list[tuple[NodeId, list[NodeId]]]:
+        """Nodes at common vertices where the upper cables together pull outward: that of the lowest
+        of them, and all."""
+        table, sums = lines.pulls_of_stacks(shape, self.net.cables, may)
+        sums[:, 1:][self._slide(lines.nodes)[table[:, 1:]]] = -np.inf
+        found = []
+        for stack in np.flatnonzero((sums > TOL.contact).any(axis=1)):
+            nodes = lines.nodes.ids(table[stack])
+            # of several sums the largest, of those that may open
+            for n in np.argsort(-sums[stack], kind="stable"):
+                if sums[stack, n] > TOL.contact and self._key(*nodes[n]) not in self._settled:
+                    found.append((nodes[n], nodes[: n + 1]))
+                    break
+        return found
+
+    def _pressed_down(self, shape: StripShape, before: NodeTable) -> list[str]:
+        """Close the contacts of cables below others that touch the membrane, and of those that lie
+        on a cable which has come down at a vertex."""
+        net, nodes = self.net, self.net.nodes
+        pairs = [one for one in net.crossings if len(one.support) == 1 and not one.separated]
+        lower, upper = at_crossings(pairs, before).T
+        down = nodes.lifted[upper] & before.lifted[lower] & ~nodes.lifted[lower]
+        rows, starts = stacks(nodes, net.cables)
+        touching = np.append(np.cumsum(~nodes.lifted[rows]), 0)
+        above = np.repeat(touching[starts[1:] - 1], np.diff(starts)) > touching[:-1]
+        below = rows[above & nodes.lifted[rows] & ~self._slide(nodes)[rows]]
+        return self._touch(nodes.ids(np.append(upper[down], below)), shape)
+
+    def _touch(self, at: Iterable[NodeId], shape: StripShape) -> list[str]:
+        """Let cables touch down at some of their vertices."""
+        changes = []
+        for c, k in sorted({*at}):
+            cable = self.net.cables[c]
+            place = shape.at(cable.state.nodes[k].support[0])
+            contact.touch(cable, {k: Gap(0.0, np.nan, place, place, True)})
+            changes.append(f"{cable.name} touches down at {cable.state.nodes[k].point}")
+        self.only_lifted &= not changes
+        return changes
 
     def _crossings(self, shape: StripShape, lines: Polylines) -> list[str]:
-        changes = []
-        net = self.net
+        changes, down = list[str](), []
+        net, nodes = self.net, lines.nodes
         pulled = parting(net.crossings, lines, shape)
-        joined = joining(net.crossings, lines, shape)
+        slides = self._slide(nodes)
+        joined = {
+            number
+            for number in joining(net.crossings, lines, shape)
+            if len(net.crossings[number].support) > 1
+            or not slides[
+                nodes.starts[[net.crossings[number].lower, net.crossings[number].upper]]
+            ].any()
+        }
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
@@ -254,5 +305,7 @@ class ActiveSet:
                 if names in self._released:
                     self._settled.add(names)
                 changes.append("{} touches {}".format(*names))
+                down += [crossing] if len(crossing.support) == 1 else []
         net.crossings = tuple(crossings)
-        return changes
+        lower, upper = at_crossings(down, nodes).T
+        return changes + self._touch(nodes.ids(upper[~nodes.lifted[lower]]), shape)

@@ -19,6 +19,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
     positions_of,
 )
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
+from crms_fenicsx.foundation.meshes.triangles import dot
 from crms_fenicsx.foundation.runtime.arrays import (
     Array,
     Booleans,
@@ -90,21 +91,32 @@ class FreeSpans:
         x[off] = x[ends[:, 0]] + share[:, None] * (x[ends[:, 1]] - x[ends[:, 0]])
         beside = (nodes.kind[off - 1] == ANCHOR) | (nodes.kind[off + 1] == ANCHOR)
         below = (nodes.kind[off] != CROSSING) & ~((nodes.size[off] == 3) & beside)
-        self.rows, self.ends = off[below], x[ends[below]]  # (m,) of the nodes; (m, 2, 3) of spans
+        self.rows, span = off[below], after[below]  # (m,) of the nodes
         simplices = shape.strip.simplices
         on = nodes.on(simplices)
+        corners = simplices.corners[on[self.rows]]
+        # Cables slide aside where they cross in the air, and lift over vertices of another span.
+        spans = contacts[span[:, None] + np.arange(-1, 1)]
+        fractions, in_air = _fractions(shape.current[corners[:, 0]], x[spans]), nodes.in_air[spans]
+        at_vertex = nodes.size[self.rows] == 1
+        beyond = np.stack([fractions <= 0.0, fractions >= 1.0], axis=1) & in_air
+        span += np.where(at_vertex, beyond @ np.array((-1, 1)), 0)
+        spans = contacts[span[:, None] + np.arange(-1, 1)]
+        self.ends = x[spans]  # (m, 2, 3) of spans
         normals, self.sizes = shape.around(on[self.rows])
         counts, folds = self._folds(on) if folded else (0 * self.rows, self.rows[:0])
         is_line = nodes.size[self.rows] > 1
         first = pointers(counts + 1 + is_line)
         points = np.empty((first[-1], 3))
-        corners = simplices.corners[on[self.rows]]
         points[runs(first[:-1] + 1, counts)] = x[folds]
         points[first[:-1]] = shape.current[corners[:, 0]]
         last = corners[np.arange(len(corners)), nodes.size[self.rows] - 1]
         points[first[1:] - 1] = shape.current[last]
         self.found = lines.passed_by_spans(points, first, self.ends, normals, TOL.inside, reach)
         gaps, along, _, above, self.inside, end = self.found
+        fractions, in_air = _fractions(points[first[:-1]], self.ends), nodes.in_air[spans]
+        corner = (fractions <= 0.0) & in_air[:, 0] | (fractions >= 1.0) & in_air[:, 1]
+        self.inside |= at_vertex & corner
         over_hole = simplices.owner[on[self.rows]] == NOBODY
         self.heights = np.where(over_hole, np.inf, gaps)  # (m,), along the normals
         self.inside, end = self.inside & ~over_hole, np.where(over_hole, -1, end)
@@ -163,6 +175,13 @@ class FreeSpans:
         gaps, fractions, places, above = (values[some] for values in self.found[:4])
         rest = list(places), list(above), flags(self.inside[some]), ints(self.past[some])
         return list(map(Gap, floats(gaps), floats(fractions), *rest))
+
+
+def _fractions(places: Array, spans: Array) -> Array:
+    """Fractions along spans (n, 2, 3) of their lines' points nearest to places (n, 3)."""
+    start, way = spans[:, 0], spans[:, 1] - spans[:, 0]
+    found: Array = dot(places - start, way) / np.maximum(dot(way, way), 1e-300)
+    return found
 
 
 def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:

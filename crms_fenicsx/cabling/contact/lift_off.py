@@ -2,7 +2,8 @@
 
 A cable lies on the outside of the membrane and can push, but not pull it. Where its tensions at a
 contact have an outward resultant, the contact is released and the cable passes straight above;
-where it would penetrate the membrane, it touches down again. No upper cable pulls a lower one up.
+where it would penetrate the membrane, it touches down again. No upper cable pulls a lower one up;
+where cables cross at a vertex, the upper ones lift off together if their pulls have an outward sum.
 
 Contacts released and restored in one solve stay closed, which prevents chattering.
 """
@@ -13,13 +14,21 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from crms_fenicsx.cabling.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
+from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
+from crms_fenicsx.cabling.cables.points_on_edges import (
+    ANCHOR,
+    CROSSING,
+    VERTEX,
+    NodeTable,
+    positions_of,
+)
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap, under
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.surface import lines
 from crms_fenicsx.foundation.surface.points import CellPoint
+from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
@@ -52,6 +61,11 @@ class Polylines:
         self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
         self._x = positions[self.contacts]
         self._arc = lines.arc_lengths(self._x, self._starts)
+        # (n,) contacts on which another cable lies, or that lie on one
+        self.shared = np.zeros(len(nodes.kind), dtype=bool)
+        at = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut & ~nodes.lifted)
+        _, of, counts = np.unique(nodes.support[at, 0], return_inverse=True, return_counts=True)
+        self.shared[at] = counts[of] > 1
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable]) -> Polylines:
@@ -66,7 +80,7 @@ class Polylines:
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
         """`outward_pulls` of contacts given by their rows."""
         nodes = self.nodes
-        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0))[self.contacts]
+        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0) | self.shared)[self.contacts]
         ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
         at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
         return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))
@@ -81,6 +95,52 @@ class Polylines:
         beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
         feet = (nodes.size[on] == 3) & beside
         return on[(self.pulls(on, *around) > TOL.contact) | feet]
+
+    def pulls_of_stacks(
+        self, shape: StripShape, cables: Sequence[LaidCable], may: Booleans
+    ) -> tuple[Integers, Array]:
+        """Contacts of cables at vertices that they share: rows (m, k) from the uppermost cable to
+        the lowest, padded with -1, and the outward sums (m, k) of the pulls of each and those above
+        it, relative to their largest tension; -inf for those that not all `may` (n,) lift off."""
+        nodes = self.nodes
+        rows, starts = stacks(nodes, cables)
+        rows, counts = rows[::-1], np.diff(starts)[::-1]
+        touches = ~nodes.lifted[rows]
+        of = np.repeat(np.arange(len(counts)), counts)[touches]
+        rows, counts = rows[touches], np.bincount(of, minlength=len(counts))
+        table = np.full((len(counts), int(counts.max(initial=0))), -1)
+        at = np.arange(table.shape[1]) < counts[:, None]
+        table[at] = rows
+        pulls = self.pulls(rows, *shape.around(nodes.on(shape.strip.simplices)[rows]))
+        # after each contact; slack cables may have been draped since
+        parts = np.zeros(len(self.contacts))
+        for start, cable in zip(self._starts, cables, strict=False):
+            if cable.taut:
+                own = cable.part_tensions
+                parts[start : start + len(own)] = own
+        k = np.searchsorted(self.contacts, rows)
+        tension = (parts[k - 1] + parts[k]) / 2
+        largest, sums = np.zeros(table.shape), np.full(table.shape, -np.inf)
+        sums[at] = np.where(may[rows] & (pulls > -1.0), pulls * tension, -np.inf)
+        largest[at] = tension
+        largest = np.maximum(np.maximum.accumulate(largest, axis=1), 1e-300)
+        return table, np.cumsum(sums, axis=1) / largest
+
+    def gaps(
+        self, shape: StripShape, crossings: Sequence[Crossing], reach: int
+    ) -> tuple[Array, Array]:
+        """Gaps (m,) between the cables of crossings where they cross, up to `reach` contacts beside
+        their nodes there, of the upper above the lower one, and cell sizes (m,); inf if they do
+        not cross there (length)."""
+        nodes, contacts = self.nodes, self.contacts
+        cables = np.array([(k.lower, k.upper) for k in crossings], dtype=np.int64).reshape(-1, 2)
+        at = at_crossings(crossings, nodes)
+        first = np.searchsorted(contacts, at) - reach
+        last = np.searchsorted(contacts, at, side="right") + reach - 1
+        first = np.maximum(first, self._starts[cables])
+        last = np.minimum(last, self._starts[cables + 1] - 1)
+        normals, sizes = shape.normals_and_sizes([one.support for one in crossings])
+        return np.asarray(lines.gaps_of_polylines(self._x, first, last, normals)), sizes
 
     def straight_parts(self, cables: Integers, links: Integers) -> Array:
         """Ends (m, 2, 3) of segments of `cables` (m,) after `links` (m,), crossings not counted."""

@@ -21,6 +21,7 @@ from crms_fenicsx.foundation.surface.points import (
     EdgePoint,
     Support,
     SurfacePoint,
+    VertexPoint,
     edge_of,
 )
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
@@ -162,7 +163,7 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
     renewed: dict[int, list[SurfacePoint]] = {}  # by the preceding contact
     changed = False
     for a, b in pairwise(contacts):
-        old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
+        old = [nodes[k].support for k in _between(nodes, a, b)]
         new = _renewed(cable, nodes, a, b, shape) if old or {a, b} & moved else None
         if new is None and {a, b} & moved:
             new = _over_edge(cable, nodes, a, b, shape)
@@ -175,14 +176,27 @@ def with_span_projections(cable: LaidCable, shape: StripShape, loose: Set[int]) 
         return None
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
+    along_edges: list[tuple[int, SurfacePoint]] = []
     for a, b in zip(contacts, [*contacts[1:], len(nodes)], strict=True):
-        if _is_on_path(nodes[a]):
+        if _is_on_path(nodes[a]) or _at_vertex(nodes[a]):
             points.append(cable.point(a))
-            lifted.append(False)
-        between = [k for k in range(a + 1, b) if _is_on_path(nodes[k])]
-        points += renewed[a] if a in renewed else cable.points(between)
+            lifted.append(_at_vertex(nodes[a]))
+        elif isinstance(crossing := nodes[a].point, EdgePoint):
+            along_edges.append((len(points), crossing))
+        points += renewed[a] if a in renewed else cable.points(_between(nodes, a, b))
         lifted += [True] * (len(points) - len(lifted))
+    for n, crossing in reversed(along_edges):  # of an edge that the path followed and now crosses
+        if not _share_cell(shape, points[n - 1 : n + 1]):
+            points.insert(n, crossing)
+            lifted.insert(n, False)
+    if not all(_share_cell(shape, pair) for pair in pairwise(points)):
+        return None
     return points, lifted
+
+
+def _share_cell(shape: StripShape, points: Sequence[SurfacePoint]) -> bool:
+    """Whether some cell has all the points."""
+    return len(shape.strip.rows(tuple(v for point in points for v in point.support))) > 0
 
 
 def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None:
@@ -208,6 +222,17 @@ def cell_under(shape: StripShape, support: Support, place: Array) -> Cell | None
 
 def _is_on_path(node: CableNode) -> bool:
     return node.point is not None and node.kind != "crossing"
+
+
+def _at_vertex(node: CableNode) -> bool:
+    """Whether a node is a free crossing above a common vertex, which is on the path for it."""
+    return node.kind == "crossing" and isinstance(node.point, VertexPoint)
+
+
+def _between(nodes: Sequence[CableNode], a: int, b: int) -> list[int]:
+    """Nodes of the path between two contacts, without the vertex of a crossing above it."""
+    last = b - 1 if b < len(nodes) and _at_vertex(nodes[b]) else b
+    return [k for k in range(a + 1, last) if _is_on_path(nodes[k])]
 
 
 def _over_edge(

@@ -73,6 +73,23 @@ def gaps(lower, upper, normals):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def gaps_of_polylines(x, first, last, normals):  # type: ignore[no-untyped-def]
+    """Smallest gaps (n,) of n pairs of polylines where these cross in the projection along normals
+    (n, 3), of the second one above the first; inf where they do not cross. Shapes: x (m, 3): all
+    points; first, last (n, 2): of each polyline."""
+    found = np.full(len(first), np.inf)
+    for n in range(len(first)):
+        for i in range(first[n, 0], last[n, 0]):
+            for k in range(first[n, 1], last[n, 1]):
+                a, b, c, d = x[i], x[i + 1], x[k], x[k + 1]
+                s, t = _apparent_crossing(a, b, c, d, normals[n])
+                if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+                    gap = _dot(c + t * (d - c) - a - s * (b - a), normals[n])
+                    found[n] = min(found[n], gap)
+    return found
+
+
+@numba.njit(cache=True)
 def _apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
     """Parameters of the crossing of lines ab and cd in the projection along the normal."""
     u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
