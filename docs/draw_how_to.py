@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from PIL import Image
 
-from crms_fenicsx.results.output import draw_history, join_pictures
+from crms_fenicsx.results.output import Line, draw_history, draw_paths, join_pictures
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "how_to" / "pictures"
@@ -125,6 +125,16 @@ def scene_of(name: str, **look: Any) -> Draw:
 def state(**look: Any) -> Draw:
     """Draw the solver's state."""
     return lambda names, file: names["solver"].draw(file, **(KN | look))
+
+
+def plan(name: str, title: str) -> Draw:
+    """Draw the mesh of a scene in plan, with its cables as they are."""
+
+    def draw(names: Names, file: str) -> None:
+        cables = [Line(cable.line, f"cables {cable.name[0]}") for cable in names[name].cables]
+        draw_paths(names[name], file, cables, unit="m", title=title, width=4.6, dpi=110)
+
+    return draw
 
 
 def beside(*pictures: Draw) -> Draw:
@@ -246,6 +256,19 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
                 ),
             ),
         )
+    },
+    "lines": {
+        "lines": (
+            0,
+            beside(plan("folded", "across the cells"), plan("scene", "along lines of the mesh")),
+        ),
+        "lines_dome": (
+            2,
+            beside(
+                plan("roof", "lines of the mesh"),
+                scene_of("roof", **HALF | {"title": "0.5 kPa", "view": (-60.0, 40.0)}),
+            ),
+        ),
     },
     "patterns": {
         "roll": (3, roll),
