@@ -185,7 +185,7 @@ class Hall:
 HALLS = [
     Hall("36 x 36", 36.0, 3.78, 0.3, np.arange(-15.0, 16.0, 6.0) / np.sqrt(2),
          OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)),
-    Hall("36 x 54", 54.0, 4.36, 0.3, np.arange(-27.0, 28.0, 6.0),
+    Hall("36 x 54", 54.0, 4.55, 0.3, np.arange(-27.0, 28.0, 6.0),
          OrthotropicMembrane(E1=1100.0, E2=900.0, G12=40.0, nu21=0.2, thickness=1.0),
          (1.0, 0.0, 0.0)),
 ]  # fmt: skip
