@@ -20,6 +20,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, NamedTuple
 
+from matplotlib.figure import Figure
 from PIL import Image
 
 from crms_fenicsx.results.output import draw_history, join_pictures
@@ -112,6 +113,7 @@ def write_output(page: str, said: dict[int, str]) -> None:
 # ---------------------------------------------------------------------------------------------
 # Pictures
 
+FAMILIES = {"A": "#0072b2", "B": "#d55e00"}
 KN: dict[str, Any] = {"unit": "m", "force": "kN", "dpi": 110, "width": 6.0}
 HALF = KN | {"width": 4.4}  # two of them side by side
 LOAD = HALF | {"tensions": False}
@@ -125,6 +127,28 @@ def scene_of(name: str, **look: Any) -> Draw:
 def state(**look: Any) -> Draw:
     """Draw the solver's state."""
     return lambda names, file: names["solver"].draw(file, **(KN | look))
+
+
+def closeup(box: tuple[float, float, float, float], **titles: str) -> Draw:
+    """Draw meshes of scenes in plan, side by side, with their cables as they are; in a box (least
+    and largest x, least and largest y)."""
+
+    def draw(names: Names, file: str) -> None:
+        width, height = box[1] - box[0], box[3] - box[2]
+        size = 4.1 * len(titles), 4.1 * height / width + 0.9
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
+        for ax, (name, title) in zip(axes, titles.items(), strict=True):
+            mesh = names[name].mesh.mesh
+            ax.triplot(*mesh.geometry.x[:, :2].T, mesh.geometry.dofmap, color="0.6", lw=0.6)
+            for cable in names[name].cables:
+                ax.plot(*cable.line[:, :2].T, color=FAMILIES[cable.name[0]], lw=1.8)
+            ax.set(aspect="equal", xlim=box[:2], ylim=box[2:], xlabel="x [m]")
+            ax.set_title(title, fontsize=11)
+        axes[0].set_ylabel("y [m]")
+        figure.savefig(file, dpi=110)
+
+    return draw
 
 
 def beside(*pictures: Draw) -> Draw:
@@ -246,6 +270,15 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
                 ),
             ),
         )
+    },
+    "lines": {
+        "lines": (
+            0,
+            closeup(
+                (0.0, 12.3, -8.3, 0.0), folded="across the cells", scene="along lines of the mesh"
+            ),
+        ),
+        "lines_dome": (2, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
     },
     "patterns": {
         "roll": (3, roll),

@@ -5,17 +5,36 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.foundation.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
+from crms_fenicsx.foundation.meshes.edge_table import line_of
+from crms_fenicsx.foundation.meshes.gmsh_model import (
+    add_rows,
+    embed_rows,
+    mesh_with_sizes,
+    own_model,
+    read_model,
+)
 from crms_fenicsx.foundation.meshes.membrane_mesh import Ranks, mesh_generator
+from crms_fenicsx.foundation.meshes.plan_lines import (
+    SAMPLES,
+    Lines,
+    Outline,
+    Plan,
+    Rows,
+    flat,
+    rows_in,
+    tell_turns,
+)
 from crms_fenicsx.foundation.meshes.plane import (
     RECTANGLE_CORNERS,
     RECTANGLE_SIDES,
     ellipse_arrays,
+    ellipse_outline,
     rectangle_corners,
 )
 from crms_fenicsx.foundation.meshes.refinement import (
@@ -27,6 +46,7 @@ from crms_fenicsx.foundation.meshes.refinement import (
 )
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.errors import MeshError
 
 
 @mesh_generator
@@ -38,6 +58,7 @@ def spherical_cap(
     *,
     center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh a spherical cap with its rim in the plane z = 0.
@@ -55,13 +76,18 @@ def spherical_cap(
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of the rim's centre.
+    lines
+        As for `rectangle`, but along great circles between their points: (x, y) on the part of the
+        cap that faces up, or (x, y, z), projected from the sphere's centre. The rows of vertices
+        lie on the great circles.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is larger than `radius`.
+        On all ranks, if an argument is not finite or positive, `size` is larger than `radius`, or
+        lines are refused as by `rectangle`.
 
     Examples
     --------
@@ -85,13 +111,50 @@ def spherical_cap(
     def flat_size(flat: Array) -> float:
         return target(lifted(flat)) * (1.0 + float(flat[:2] @ flat[:2]) / diameter**2)
 
+    def flattened(given: Array) -> Array:
+        """Put a line (k, 2) or (k, 3) into the plane, along great circles."""
+        ball, middle = diameter / 2, height - diameter / 2
+        way = given[:, :2] - origin[:2]
+        if given.shape[1] == 2:
+            aside = np.minimum(np.hypot(*way.T) / ball, 1.0)
+            up = ball * np.sqrt(1.0 - aside**2)
+        else:
+            up = given[:, 2] - middle
+        way = _great_circles(np.column_stack([way, up]), ball, target.least / SAMPLES)
+        return way[:, :2] / (0.5 + way[:, 2:] / diameter)
+
     rim = diameter * height / radius
-    arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size)
+    plan = Plan("spherical_cap", ellipse_outline(0.0, 0.0, rim, rim), flat_size, flat)
+    rows = rows_in(plan, lines, flattened)
+    arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size, rows)
     points = lifted(np.asarray(arrays.points))
     points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
 
     project = functools.partial(_onto_sphere, (x, y), radius, height)
-    return SurfaceArrays(points, arrays.cells, project=project)
+    return SurfaceArrays(points, arrays.cells, arrays.edges, project=project)
+
+
+def _great_circles(points: Array, radius: float, step: float) -> Array:
+    """Points at most a `step` apart on great circles between points (k, 3), whatever their
+    distances from the sphere's centre, the origin."""
+    far = np.abs(points).max(axis=1)
+    if not np.all((far > 0.0) & (far < 1e6 * radius)):
+        raise MeshError(
+            "spherical_cap: a line has a point in the sphere's centre, or much too far away; pass "
+            "points near the cap."
+        )
+    points = points / np.linalg.norm(points, axis=1)[:, None]
+    found = [points[:1]]
+    for start, end in pairwise(points):
+        angle = 2.0 * math.atan2(*np.linalg.norm([end - start, end + start], axis=1))
+        if math.sin(angle) < 1e-6 and angle > 1.0:
+            raise MeshError(
+                "spherical_cap: a line has two points in a row on opposite sides of the sphere; "
+                "pass a point between them."
+            )
+        t = np.linspace(0.0, angle, math.ceil(radius * angle / step) + 1)[1:, None]
+        found.append((np.sin(angle - t) * start + np.sin(t) * end) / math.sin(angle))
+    return radius * np.concatenate(found)
 
 
 def _onto_sphere(
@@ -115,6 +178,7 @@ def air_hall(
     *,
     corner: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh an air hall: a half-cylinder with rounded ends over a rectangle in z = 0.
@@ -141,13 +205,18 @@ def air_hall(
         Edge length of the triangles (length).
     corner
         Coordinates (x, y) of the corner of the plan with the smallest x and y.
+    lines
+        As for `rectangle`: straight in plan between their points. The rows of vertices lie on the
+        surface above. They turn sideways on it where a straight line in plan does, unless it runs
+        along a ridge or across it at right angles; turns of more than 0.5 degrees are logged.
     comm, refinements, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is larger than a side.
+        On all ranks, if an argument is not finite or positive, `size` is larger than a side, or
+        lines are refused as by `rectangle`.
 
     Examples
     --------
@@ -158,15 +227,34 @@ def air_hall(
     area = width * depth + 2.0 * height * (width + depth)
     check_size("the air hall", size, min(width, depth), area)
     x, y = map(float, corner)
+    target, corners = TargetSize(size, refinements), rectangle_corners(x, y, width, depth)
+
+    def lifted(plan: Array) -> Array:
+        """Points (n, 3) of the hall above points (n, 2)."""
+        aside = np.minimum(plan - corners[0], corners[2] - plan).clip(min=0.0)
+        end = min(width, depth) / 2
+        rise = np.sqrt(1.0 - (1.0 - np.minimum(aside, end) / end) ** 2)
+        return np.column_stack([plan, height * rise[:, 0] * rise[:, 1]])
+
+    outline = Outline(corners, np.arange(4))
+    rows = rows_in(Plan("air_hall", outline, target, lifted, RECTANGLE_SIDES), lines)
     with own_model() as gmsh:
-        _add_hall(gmsh, x, y, width, depth, height)
-        mesh_with_sizes(gmsh, TargetSize(size, refinements))
+        surface = _add_hall(gmsh, x, y, width, depth, height)
+        if rows.rows:
+            _add_lines(gmsh, surface, rows, lifted(rows.points))
+        _name_hall(gmsh, corners)
+        mesh_with_sizes(gmsh, target)
         arrays = read_model(gmsh)
     points = np.array(arrays.points)
     # the kernel's parametric curves miss the plan's sides by rounding
-    lines = {"left": (0, x), "right": (0, x + width), "front": (1, y), "back": (1, y + depth)}
-    for name, (axis, value) in lines.items():
+    sides = {"left": (0, x), "right": (0, x + width), "front": (1, y), "back": (1, y + depth)}
+    for name, (axis, value) in sides.items():
         points[np.unique(np.asarray(arrays.edges[name])), axis] = value
+    found = {
+        name: line_of([(int(a), int(b)) for a, b in np.asarray(arrays.edges[name])])[0]
+        for name in rows.rows
+    }
+    tell_turns("air_hall", points, np.asarray(arrays.cells), found)
     project = functools.partial(_onto_hall, (x, y), (width, depth), height)
     return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups, project)
 
@@ -195,8 +283,8 @@ def _onto_hall(
     return onto
 
 
-def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:
-    """Add the hall as one rational B-spline surface, which is exact, with its groups."""
+def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> int:
+    """Add the hall as one rational B-spline surface, which is exact."""
     end = min(width, depth) / 2
     along_x, rise_x, weight_x, knots_x, multiplicity_x = _profile(width, end)
     along_y, rise_y, weight_y, knots_y, multiplicity_y = _profile(depth, end)
@@ -206,21 +294,47 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
         for v, q in zip(along_y, rise_y, strict=True)
         for u, p in zip(along_x, rise_x, strict=True)
     ]
-    surface = kernel.addBSplineSurface(
+    surface: int = kernel.addBSplineSurface(
         control, len(along_x), degreeU=2, degreeV=2, knotsU=knots_x, knotsV=knots_y,
         weights=np.outer(weight_y, weight_x).ravel().tolist(),
         multiplicitiesU=multiplicity_x, multiplicitiesV=multiplicity_y,
     )  # fmt: skip
     kernel.remove([(0, point) for point in control])
     kernel.synchronize()
-    corners = rectangle_corners(x, y, width, depth)
-    middles = (corners + np.roll(corners, -1, axis=0)) / 2
-    for dim, places, names in ((1, middles, RECTANGLE_SIDES), (0, corners, RECTANGLE_CORNERS)):
-        for _, tag in gmsh.model.getBoundary([(2, surface)], recursive=dim == 0):
-            low, high = np.array(gmsh.model.getBoundingBox(dim, abs(tag))).reshape(2, 3)
-            offset = places - (low + high)[:2] / 2
-            nearest = int(np.argmin(np.einsum("ij,ij->i", offset, offset)))
-            gmsh.model.addPhysicalGroup(dim, [abs(tag)], name=names[nearest])
+    return surface
+
+
+def _add_lines(gmsh: Any, surface: int, rows: Rows, points: Array) -> None:
+    """Divide the hall's rim at the ends of lines, and embed these."""
+    kernel = gmsh.model.occ
+    tags = [(0, kernel.addPoint(*points[vertex])) for vertex in rows.places]
+    _, (whole, *parts) = kernel.fragment([(2, surface)], tags)
+    rim = {place: part[0][1] for place, part in zip(rows.places.values(), parts, strict=True)}
+    edges = add_rows(kernel, rows, points, rim)
+    kernel.synchronize()
+    embed_rows(gmsh, edges, whole[0][1])
+
+
+def _name_hall(gmsh: Any, corners: Array) -> None:
+    """Name the sides and the corners of the hall's rim."""
+    (surface,) = gmsh.model.getEntities(2)
+
+    def middles(dim: int) -> tuple[list[int], Array]:
+        """The parts of the rim, and where their middles are in the plan."""
+        tags = [abs(tag) for _, tag in gmsh.model.getBoundary([surface], recursive=dim == 0)]
+        boxes = np.array([gmsh.model.getBoundingBox(dim, tag) for tag in tags])
+        return tags, (boxes[:, :2] + boxes[:, 3:5]) / 2
+
+    tags, places = middles(1)
+    gaps = np.abs(places[:, [1, 0, 1, 0]] - corners[range(4), [1, 0, 1, 0]])  # from the side's line
+    nearest = gaps.argmin(axis=1)
+    for k in dict.fromkeys(nearest.tolist()):
+        members = [tag for tag, own in zip(tags, nearest, strict=True) if own == k]
+        gmsh.model.addPhysicalGroup(1, members, name=RECTANGLE_SIDES[k])
+    tags, places = middles(0)
+    for name, corner in zip(RECTANGLE_CORNERS, corners, strict=True):
+        nearest = np.linalg.norm(places - corner, axis=1).argmin()
+        gmsh.model.addPhysicalGroup(0, [tags[nearest]], name=name)
 
 
 def _profile(

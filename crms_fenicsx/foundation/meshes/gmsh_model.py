@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.foundation.meshes.plan_lines import Rows
 from crms_fenicsx.foundation.meshes.reader_process import gmsh_arrays
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -79,6 +81,37 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
 
     gmsh.model.mesh.setSizeCallback(size_at)
     gmsh.model.mesh.generate(2)
+
+
+def add_rim_points(geometry: Any, rows: Rows, points: Array, rim: dict[float, int]) -> None:
+    """Add to a gmsh model's points `rim`, by their places, those of rows, at `points` (n, 3)."""
+    for vertex, place in rows.places.items():
+        if place not in rim:
+            rim[place] = geometry.addPoint(*points[vertex])
+
+
+def add_rows(
+    geometry: Any, rows: Rows, points: Array, rim: Mapping[float, int]
+) -> dict[str, list[int]]:
+    """Add the edges of rows, with vertices at `points` (n, 3), to a gmsh model with points `rim`,
+    by their places; returns those of each line."""
+    tags = [
+        rim[rows.places[vertex]] if vertex in rows.places else geometry.addPoint(*point)
+        for vertex, point in enumerate(points)
+    ]
+    return {
+        name: [geometry.addLine(tags[a], tags[b]) for a, b in pairwise(row)]
+        for name, row in rows.rows.items()
+    }
+
+
+def embed_rows(gmsh: Any, edges: Mapping[str, list[int]], surface: int) -> None:
+    """Let the mesh of a surface have the edges of rows, as named groups."""
+    for name, members in edges.items():
+        for edge in members:
+            gmsh.model.mesh.setTransfiniteCurve(edge, 2)  # one edge of the mesh
+        gmsh.model.mesh.embed(1, members, 2, surface)
+        gmsh.model.addPhysicalGroup(1, members, name=name)
 
 
 def read_model(gmsh: Any) -> SurfaceArrays:

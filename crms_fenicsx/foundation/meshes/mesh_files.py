@@ -104,7 +104,8 @@ def from_gmsh(
     """Make a membrane from the current gmsh model of rank 0, meshed by the user.
 
     All its triangles are used. Physical groups become groups: surfaces `parts`, curves `edges`,
-    points `points`, under their names or, if unnamed, their tags ("1").
+    points `points`, under their names or, if unnamed, their tags ("1"). Curves that are embedded in
+    a surface or divide it are lines of the mesh, along which `Scene.lay_cable` lays cables.
 
     Parameters
     ----------
@@ -206,9 +207,9 @@ def from_step(
 ) -> MembraneMesh:
     """Mesh the faces of a STEP file, read by gmsh's OpenCASCADE.
 
-    Each face is a part, "face 1" and so on in the file's order, and each curve that bounds one face
-    an edge group, "edge 1" and so on. Touching faces share vertices. The file is read in a limited
-    process, as in `from_file`.
+    Each face is a part, "face 1" and so on in the file's order, each curve that bounds one face an
+    edge group, "edge 1" and so on, and each curve between faces "line 1" and so on. Touching
+    faces share vertices. The file is read in a limited process, as in `from_file`.
 
     Parameters
     ----------

@@ -10,8 +10,23 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.foundation.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
+from crms_fenicsx.foundation.meshes.gmsh_model import (
+    add_rim_points,
+    add_rows,
+    embed_rows,
+    mesh_with_sizes,
+    own_model,
+    read_model,
+)
 from crms_fenicsx.foundation.meshes.membrane_mesh import Ranks, mesh_generator
+from crms_fenicsx.foundation.meshes.plan_lines import (
+    Lines,
+    Outline,
+    Plan,
+    Rows,
+    flat,
+    rows_in,
+)
 from crms_fenicsx.foundation.meshes.refinement import (
     Length,
     PlanPoint,
@@ -65,6 +80,8 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Booleans:
     return ~apart.any(axis=1) & (c_d_sides <= 0) & (a_b_sides <= 0)
 
 
+_CHORDS = 256  # of an ellipse, where lines end on it
+
 RECTANGLE_SIDES = ("front", "right", "back", "left")
 RECTANGLE_CORNERS = ("front left", "front right", "back right", "back left")
 
@@ -79,6 +96,7 @@ def rectangle(
     corner: PlanPoint = (0.0, 0.0),
     structured: bool = False,
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh a rectangle in the plane z = 0.
@@ -101,14 +119,21 @@ def rectangle(
         from lower left to upper right, instead of meshing freely.
     refinements
         Where to refine an unstructured mesh.
+    lines
+        Lines that an unstructured mesh follows, by name: points (x, y) of a polyline each, which
+        may be (x, y, z). Each becomes an edge group, along which `Scene.lay_cable` lays a cable.
+        Lines may cross, and end on the rim or on each other; ends up to 0.2 `size` away are moved
+        there, as are ends on the rim to each other and to corners, and each move is logged.
     ranks
         Rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, `size` is larger than a side, or a
-        structured mesh is given refinements.
+        On all ranks, if an argument is not finite or positive, `size` is larger than a side, a
+        structured mesh is given refinements or lines, or a line leaves the plan, ends inside, runs
+        back, crosses itself, runs along the rim or within 0.02 of a cell beside another line, or
+        has the name of another group.
 
     Examples
     --------
@@ -117,6 +142,10 @@ def rectangle(
     ['back', 'boundary', 'front', 'left', 'right']
     >>> below = meshes.Refinement([(0.0, 1.5), (4.0, 1.5)], size=0.2, distance=1.0)
     >>> fine = meshes.rectangle(MPI.COMM_WORLD, 4.0, 3.0, size=0.5, refinements=[below])
+    >>> cross = {"A1": [(0.0, 0.0), (4.0, 3.0)], "B1": [(0.0, 2.0), (4.0, 1.0)]}
+    >>> mesh = meshes.rectangle(MPI.COMM_WORLD, 4.0, 3.0, size=0.5, lines=cross)
+    >>> sorted(mesh.edges)
+    ['A1', 'B1', 'back', 'boundary', 'front', 'left', 'right']
     """
     check_size("the rectangle", size, min(width, depth), width * depth)
     x, y = map(float, corner)
@@ -126,10 +155,15 @@ def rectangle(
                 f"a structured rectangle cannot take {len(refinements)} refinement(s); "
                 "use structured=False."
             )
+        if lines:
+            raise InputError(
+                f"a structured rectangle cannot take {len(lines)} line(s); use structured=False."
+            )
         return _structured(x, y, width, depth, size)
     corners = rectangle_corners(x, y, width, depth)
     target = TargetSize(size, refinements)
-    return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
+    rows = _rows_in_polygon("rectangle", corners, target, RECTANGLE_SIDES, lines)
+    return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS, rows)
 
 
 @mesh_generator
@@ -141,6 +175,7 @@ def ellipse(
     *,
     center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh an ellipse in the plane z = 0; the ends of its axes are vertices.
@@ -153,14 +188,14 @@ def ellipse(
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of the centre.
-    comm, refinements, ranks
+    comm, refinements, lines, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is larger than a
-        semi-axis.
+        On all ranks, if an argument is not finite or positive, `size` is larger than a semi-axis,
+        or lines are refused as by `rectangle`.
 
     Examples
     --------
@@ -170,7 +205,9 @@ def ellipse(
     """
     check_size("the ellipse", size, min(a, b), math.pi * a * b)
     x, y = map(float, center)
-    return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
+    target = TargetSize(size, refinements)
+    plan = Plan("ellipse", ellipse_outline(x, y, a, b), target, flat)
+    return ellipse_arrays(x, y, a, b, target, rows_in(plan, lines))
 
 
 @mesh_generator
@@ -181,6 +218,7 @@ def circle(
     *,
     center: PlanPoint = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh a circle in the plane z = 0; its points on the axes are vertices.
@@ -193,13 +231,14 @@ def circle(
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of the centre.
-    comm, refinements, ranks
+    comm, refinements, lines, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
-        On all ranks, if an argument is not finite or positive, or `size` is larger than the radius.
+        On all ranks, if an argument is not finite or positive, `size` is larger than the radius, or
+        lines are refused as by `rectangle`.
 
     Examples
     --------
@@ -209,7 +248,9 @@ def circle(
     """
     check_size("the circle", size, radius, math.pi * radius**2)
     x, y = map(float, center)
-    return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
+    target = TargetSize(size, refinements)
+    plan = Plan("circle", ellipse_outline(x, y, radius, radius), target, flat)
+    return ellipse_arrays(x, y, radius, radius, target, rows_in(plan, lines))
 
 
 @mesh_generator
@@ -220,6 +261,7 @@ def polygon(
     *,
     names: Sequence[str] | None = None,
     refinements: Sequence[Refinement] = (),
+    lines: Lines | None = None,
     ranks: Ranks | None = None,
 ) -> SurfaceArrays:
     """Mesh a polygon in the plane z = 0.
@@ -235,15 +277,15 @@ def polygon(
     names
         Names of the sides' edge groups, the first for the side from corner 1 to corner 2. Names may
         repeat; by default "side 1", "side 2", and so on.
-    comm, refinements, ranks
+    comm, refinements, lines, ranks
         As for `rectangle`.
 
     Raises
     ------
     InputError
         On all ranks, if there are fewer than three corners, a side has no length, sides intersect
-        or touch, the numbers of names and sides differ, or `size` is not positive or larger than
-        the polygon's extent.
+        or touch, the numbers of names and sides differ, `size` is not positive or larger than the
+        polygon's extent, or lines are refused as by `rectangle`.
 
     Examples
     --------
@@ -271,13 +313,27 @@ def polygon(
     area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)
     corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
-    return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
+    target = TargetSize(size, refinements)
+    rows = _rows_in_polygon("polygon", outline, target, sides, lines)
+    return _polygon_arrays(outline, target, sides, corner_names, rows)
+
+
+def ellipse_outline(x: float, y: float, a: float, b: float) -> Outline:
+    """The rim of an ellipse, whose axes end at vertices."""
+    angle = np.arange(_CHORDS) * (2.0 * np.pi / _CHORDS)
+    corners = np.column_stack([x + a * np.cos(angle), y + b * np.sin(angle)])
+
+    def exact(points: Array) -> Array:
+        return _to_the_rim((x, y), (a, b), points.T, np.ones(len(points), dtype=bool)).T
+
+    return Outline(corners, np.arange(0, _CHORDS, _CHORDS // 4), exact)
 
 
 def ellipse_arrays(
-    x: float, y: float, a: float, b: float, target: Callable[[Array], float]
+    x: float, y: float, a: float, b: float, target: Callable[[Array], float], rows: Rows
 ) -> SurfaceArrays:
-    """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`."""
+    """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`, and `rows` by the
+    places of `ellipse_outline`."""
     with own_model() as gmsh:
         geometry = gmsh.model.geo
         middle = geometry.addPoint(x, y, 0.0)
@@ -285,10 +341,18 @@ def ellipse_arrays(
             geometry.addPoint(x + u * a, y + v * b, 0.0)
             for u, v in ((1, 0), (0, 1), (-1, 0), (0, -1))
         ]
+        rim = {k * _CHORDS / 4: ends[k] for k in range(4)}
+        add_rim_points(geometry, rows, flat(rows.points), rim)
+        around = [rim[place] for place in sorted(rim)]
         major = ends[0] if a >= b else ends[1]
-        arcs = [geometry.addEllipseArc(ends[k], middle, major, ends[(k + 1) % 4]) for k in range(4)]
-        geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
+        arcs = [
+            geometry.addEllipseArc(one, middle, major, other)
+            for one, other in zip(around, around[1:] + around[:1], strict=True)
+        ]
+        surface = geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
+        edges = add_rows(geometry, rows, flat(rows.points), rim)
         geometry.synchronize()
+        embed_rows(gmsh, edges, surface)
         mesh_with_sizes(gmsh, target)
         arrays = read_model(gmsh)
 
@@ -326,24 +390,40 @@ def _structured(x: float, y: float, width: float, depth: float, size: float) -> 
     )
 
 
+def _rows_in_polygon(
+    call: str, corners: Array, target: TargetSize, sides: Sequence[str], lines: Lines | None
+) -> Rows:
+    outline = Outline(corners, np.arange(len(corners)))
+    return rows_in(Plan(call, outline, target, flat, sides), lines)
+
+
 def _polygon_arrays(
     outline: Array,
     target: TargetSize,
     sides: Sequence[str],
     corner_names: Sequence[str],
+    rows: Rows,
 ) -> SurfaceArrays:
     with own_model() as gmsh:
         geometry = gmsh.model.geo
         corners = [geometry.addPoint(x, y, 0.0) for x, y in outline]
+        rim = {float(k): corner for k, corner in enumerate(corners)}
+        add_rim_points(geometry, rows, flat(rows.points), rim)
+        places = sorted(rim)
+        around = [rim[place] for place in places]
         lines = [
-            geometry.addLine(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+            geometry.addLine(a, b) for a, b in zip(around, around[1:] + around[:1], strict=True)
         ]
-        geometry.addPlaneSurface([geometry.addCurveLoop(lines)])
+        surface = geometry.addPlaneSurface([geometry.addCurveLoop(lines)])
+        edges = add_rows(geometry, rows, flat(rows.points), rim)
         geometry.synchronize()
         for name in dict.fromkeys(sides):
-            members = [line for line, side in zip(lines, sides, strict=True) if side == name]
+            members = [
+                line for line, place in zip(lines, places, strict=True) if sides[int(place)] == name
+            ]
             gmsh.model.addPhysicalGroup(1, members, name=name)
         for name, point in zip(corner_names, corners, strict=True):
             gmsh.model.addPhysicalGroup(0, [point], name=name)
+        embed_rows(gmsh, edges, surface)
         mesh_with_sizes(gmsh, target)
         return read_model(gmsh)

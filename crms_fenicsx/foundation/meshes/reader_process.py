@@ -49,7 +49,8 @@ def _read_by_gmsh(file: Path) -> Arrays:
 
 def read_step(file: Path, size: str, unit: str) -> Arrays:
     """Read a STEP file with OpenCASCADE and mesh its faces. Groups are "face 1" ... and, for curves
-    with one face, "edge 1" ...; `size` is the edge length in `unit`."""
+    with one face, "edge 1" ..., for those between faces "line 1" ...; `size` is the edge length in
+    `unit`."""
     import gmsh
 
     gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
@@ -64,13 +65,15 @@ def read_step(file: Path, size: str, unit: str) -> Arrays:
     faces = [tag for _, tag in gmsh.model.getEntities(2)]
     if not faces:
         raise ValueError("it has no faces")
-    number = 0
     for k, face in enumerate(faces, 1):
         gmsh.model.addPhysicalGroup(2, [face], name=f"face {k}")
+    numbers = {"edge": 0, "line": 0}
     for _, curve in gmsh.model.getEntities(1):
-        if len(gmsh.model.getAdjacencies(1, curve)[0]) == 1:
-            number += 1
-            gmsh.model.addPhysicalGroup(1, [curve], name=f"edge {number}")
+        count = len(gmsh.model.getAdjacencies(1, curve)[0])
+        if count > 0:
+            kind = "edge" if count == 1 else "line"
+            numbers[kind] += 1
+            gmsh.model.addPhysicalGroup(1, [curve], name=f"{kind} {numbers[kind]}")
     gmsh.model.mesh.generate(2)
     return gmsh_arrays(gmsh)
 

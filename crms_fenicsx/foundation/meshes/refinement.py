@@ -119,6 +119,7 @@ class TargetSize:
             for start, end in zip(line, ends, strict=False):
                 rows.append(np.concatenate([start, end - start, counts, [one.size, slope]]))
         self.general, self.refined = general, len(rows) > 0
+        self.least = min([general, *(one.size for one in refinements)])
         columns = np.array(rows).reshape(-1, 11)
         self._start, self._along, self._weight = np.split(columns[:, :9], 3, axis=1)
         self._size, self._slope = columns[:, 9:].T

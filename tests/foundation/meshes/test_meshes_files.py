@@ -13,7 +13,7 @@ import pytest
 from mesh_measures import area, cell_corners, edge_ends, length, point_places, total_area_vector
 from scipy.integrate import dblquad
 
-from crms_fenicsx import MeshError, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, MeshError, PathWarning, Scene, meshes
 from crms_fenicsx.foundation.meshes import AwayFrom
 
 ROOT = Path(__file__).parents[3]
@@ -91,6 +91,65 @@ def test_msh_round_trip(comm, session, folder, version):
         session.write(str(folder / "halves.msh"))
     assert_two_rectangles(meshes.from_file(comm, folder / "halves.msh"))
     assert_two_rectangles(meshes.from_file(comm, str(folder / "halves.msh")))
+
+
+def crossed_rectangle(session):
+    """A rectangle with two lines inside, the shorter of which ends on the other one."""
+    kernel = session.model.occ
+    whole = kernel.addRectangle(0.0, 0.0, 0.0, 4.0, 3.0)
+    ends = [(0.0, 1.0, 4.0, 2.0), (1.0, 0.0, 2.0, 1.5)]
+    lines = [kernel.addLine(kernel.addPoint(x, y, 0.0), kernel.addPoint(u, v, 0.0))
+             for x, y, u, v in ends]  # fmt: skip
+    _, parts = kernel.fragment([(2, whole)], [(1, line) for line in lines])
+    kernel.synchronize()
+    for name, members in zip(("long", "short"), parts[1:], strict=True):
+        session.model.addPhysicalGroup(1, [tag for dim, tag in members if dim == 1], name=name)
+    session.model.addPhysicalGroup(2, [tag for _, tag in parts[0]], name="roof")
+    session.option.setNumber("Mesh.MeshSizeMax", 0.4)
+    session.model.mesh.generate(2)
+
+
+def assert_lines(mesh, names, lengths):
+    """The groups are open lines of edges; a cable can be laid along each."""
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PathWarning)
+        for name, expected in zip(names, lengths, strict=True):
+            assert length(mesh, name) == pytest.approx(expected)
+            assert scene.lay_cable(Cable(EA=1e3), along=name).length == pytest.approx(expected)
+
+
+def test_curves_in_a_surface_are_lines(comm, session, folder):
+    """Those that divide it, and those that end inside; from the model and from files."""
+    crossed_rectangle(session)
+    lengths = np.hypot(4.0, 1.0), np.hypot(1.0, 1.5)
+    assert_lines(meshes.from_gmsh(comm), ("long", "short"), lengths)
+    for name, version in (("old.msh", 2.2), ("new.msh", 4.1), ("abaqus.inp", 4.1)):
+        session.option.setNumber("Mesh.MshFileVersion", version)
+        session.write(str(folder / name))
+        assert_lines(meshes.from_file(comm, folder / name), ("long", "short"), lengths)
+    session.write(str(folder / "roof.step"))  # without names, in millimetres
+    mesh = meshes.from_step(comm, folder / "roof.step", size=0.4, unit="mm")
+    lines = [name for name in mesh.edges if name.startswith("line")]
+    assert len(lines) == 3 and lines[-1] == "line 3"
+    assert_lines(mesh, lines, [length(mesh, name) for name in lines])
+    assert sum(length(mesh, name) for name in lines) == pytest.approx(sum(lengths))
+
+
+def test_embedded_curves_are_lines(comm, session):
+    """Of gmsh's own kernel: embedded in the surface, not dividing it."""
+    kernel = session.model.geo
+    corners = [kernel.addPoint(x, y, 0.0, 0.5) for x, y in ((0, 0), (4, 0), (4, 3), (0, 3))]
+    rim = [kernel.addLine(corners[k], corners[(k + 1) % 4]) for k in range(4)]
+    surface = kernel.addPlaneSurface([kernel.addCurveLoop(rim)])
+    inner = kernel.addPoint(2.0, 1.0, 0.0, 0.5)
+    pieces = [kernel.addLine(corners[0], inner), kernel.addLine(inner, corners[2])]
+    kernel.synchronize()
+    session.model.mesh.embed(1, pieces, 2, surface)
+    session.model.addPhysicalGroup(1, pieces, name="kinked")
+    session.model.mesh.generate(2)
+    lengths = [np.hypot(2.0, 1.0) + np.hypot(2.0, 2.0)]
+    assert_lines(meshes.from_gmsh(comm), ("kinked",), lengths)
 
 
 def test_generators_leave_the_session_of_the_user_alone(comm, session):

@@ -1,0 +1,437 @@
+"""Cables along lines of the mesh: cost and results beside the bare roof and beside folded cables.
+
+    ./run python benchmarks/lines.py [dome] [halls] [angles] [processes] [--repeats N] [--scale S]
+
+dome
+    The cap of `demos/air_dome.py` with 28 cables along great circles, cut along them, with 16 000,
+    40 000 and 119 000 unknowns: load steps to 0.3 and 0.5 kPa with and without the cables on one
+    mesh, and what cutting and laying take.
+halls
+    Air halls of 36 m by 36 and by 54 with nets of diagonals, in operation and in a diagonal storm:
+    cables that fold the cells of a mesh of their own, and cables along lines of a mesh with as many
+    unknowns; time, and tensions.
+angles
+    The smallest angles of six roofs cut along their lines, and what is told.
+processes
+    Cutting, laying and a load step of the dome with 100 000 unknowns on one and on two processes.
+
+Seconds are CPU time of this process, but for the wall times of `processes`; medians of N runs,
+which take turns. --scale multiplies all numbers of unknowns, for a quick look.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import statistics
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import (
+    Cable,
+    InputError,
+    IsotropicMembrane,
+    OrthotropicMembrane,
+    PathWarning,
+    Scene,
+    Solver,
+    meshes,
+    nets,
+)
+from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
+from crms_fenicsx.design.patterns import plane_section
+
+COMM = MPI.COMM_WORLD
+RADIUS, HEIGHT, SPACING, CABLES = 100.0, 28.0, 8.5, 14
+PRESSURES = (0.3, 0.5)
+UNKNOWNS = (16_000, 40_000, 119_000)
+CALM, STORM, TIGHTENED = 0.3, 0.4, 0.99
+
+Result = TypeVar("Result")
+
+
+def timed(function: Callable[[], Result]) -> tuple[float, Result]:
+    """CPU seconds of a call, and its result."""
+    begin = time.process_time()
+    found = function()
+    return time.process_time() - begin, found
+
+
+# --- dome ------------------------------------------------------------------------------------
+
+
+def great_circles() -> dict[str, Any]:
+    """The lines of the dome's cables, in plan."""
+    offsets = SPACING * (np.arange(CABLES) - (CABLES - 1) / 2)
+    return {
+        f"{family}{k + 1}": nets.great_circle(RADIUS, HEIGHT, angle, offset)
+        for family, angle in (("A", np.pi / 4), ("B", -np.pi / 4))
+        for k, offset in enumerate(offsets)
+    }
+
+
+def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
+    """The dome's net."""
+    lines = great_circles()
+    families = [[line for name, line in lines.items() if name[0] == one] for one in "AB"]
+    return nets.from_paths(covered(mesh), families)
+
+
+def covered(mesh: meshes.MembraneMesh) -> Scene:
+    """The dome without cables."""
+    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene.fix("boundary")
+    return scene
+
+
+def cap(unknowns: float) -> meshes.MembraneMesh:
+    """The dome's mesh before it is cut."""
+    area = np.pi * (RADIUS**2 + HEIGHT**2)
+    size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
+    return meshes.spherical_cap(COMM, radius=RADIUS, height=HEIGHT, size=size)
+
+
+@dataclass
+class Steps:
+    """Load steps of a dome: CPU seconds of laying and of each step, counts, tensions."""
+
+    laying: float
+    seconds: list[float]
+    counts: list[tuple[int, int]]
+    tensions: list[float]
+    unknowns: int
+
+
+def inflated(mesh: meshes.MembraneMesh, net: nets.Net | None) -> Steps:
+    """Lay a net along lines of a dome's mesh, if there is one, and inflate it."""
+    scene = covered(mesh)
+    solver = Solver(scene)
+    laying, _ = timed(lambda: scene.lay_net(net, Cable(EA=600e3)) if net else None)
+    found = Steps(laying, [], [], [], 0)
+    for pressure in PRESSURES:
+        spent, step = timed(lambda p=pressure: solver.advance(pressure=p))  # type: ignore[misc]
+        found.seconds.append(spent)
+        found.counts.append((step.outcome.factorizations, step.outcome.evaluations))
+    found.tensions = [cable.tension for cable in scene.cables]
+    found.unknowns = 3 * solver.system.unknowns.n_global
+    return found
+
+
+def dome(unknowns: float, repeats: int) -> None:
+    """Cables along lines against the bare roof of the same mesh."""
+    first = cap(unknowns)
+    net = net_on(first)
+    cutting, runs = [], {"bare roof": list[Steps](), "28 cables": list[Steps]()}
+    for _ in range(repeats):
+        spent, mesh = timed(lambda: meshes.along(first, net.paths))
+        cutting.append(spent)
+        for name, own in runs.items():
+            own.append(inflated(mesh, None if name == "bare roof" else net))
+    print(f"\ndome, {runs['28 cables'][0].unknowns} unknowns"
+          f"{'s CPU at .3':>16}{'.5':>8}{'fact.':>9}{'eval.':>9}{'mean T':>10}")  # fmt: skip
+    both = {}
+    for name, own in runs.items():
+        seconds = [statistics.median(one.seconds[k] for one in own) for k in (0, 1)]
+        both[name] = sum(seconds)
+        factorizations, evaluations = zip(*own[0].counts, strict=True)
+        mean = f"{np.mean(own[0].tensions):10.2f}" if own[0].tensions else ""
+        print(f"{name:25}{seconds[0]:16.2f}{seconds[1]:8.2f}{'+'.join(map(str, factorizations)):>9}"
+              f"{'+'.join(map(str, evaluations)):>9}{mean}", flush=True)  # fmt: skip
+    laying = statistics.median(one.laying for one in runs["28 cables"])
+    ratio, share = both["28 cables"] / both["bare roof"], laying / both["28 cables"]
+    print(f"ratio {ratio:.2f}; laying {laying:.3f} s, {share:.3f} of the two steps; cutting and "
+          f"spreading {statistics.median(cutting):.2f} s", flush=True)  # fmt: skip
+
+
+# --- halls -----------------------------------------------------------------------------------
+
+
+@dataclass
+class Hall:
+    """An air hall with a net of diagonals."""
+
+    name: str
+    depth: float
+    stress: float
+    pressure: float
+    offsets: Any
+    material: OrthotropicMembrane
+    warp: tuple[float, float, float] | None = None
+
+    def form(self, size: float) -> FoundForm:
+        """Its found form."""
+        corner = (-18.0, -self.depth / 2)
+        plan = meshes.rectangle(COMM, 36.0, self.depth, size, corner=corner)
+        return find_form(
+            plan, stress=self.stress, fixed=["boundary"], pressure=self.pressure, warp=self.warp
+        )
+
+    def net(self, form: FoundForm) -> nets.Net:
+        """Diagonals, straight in plan at first and then pulled taut."""
+        scene = form.scene(self.material)
+        return nets.sections(scene, (np.pi / 4, -np.pi / 4), self.offsets, shortest=True)
+
+
+HALLS = [
+    Hall("36 x 36", 36.0, 3.78, 0.3, np.arange(-15.0, 16.0, 6.0) / np.sqrt(2),
+         OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)),
+    Hall("36 x 54", 54.0, 4.55, 0.3, np.arange(-27.0, 28.0, 6.0),
+         OrthotropicMembrane(E1=1100.0, E2=900.0, G12=40.0, nu21=0.2, thickness=1.0),
+         (1.0, 0.0, 0.0)),
+]  # fmt: skip
+SIZES = {"36 x 36": (1.2, 0.8), "36 x 54": (2.0, 1.4)}
+
+
+def diagonal_wind(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Pressure coefficients of a wind from the south west."""
+    away = (normals[0] + normals[1]) / np.sqrt(2.0)
+    return np.interp(away, [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4])
+
+
+@dataclass
+class Storm:
+    """A hall in operation and in the storm: CPU seconds, tensions of both."""
+
+    seconds: tuple[float, float, float]  # laying, calm, storm
+    calm: np.ndarray
+    storm: np.ndarray
+    unknowns: int
+    doubts: int
+
+
+def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
+    """Lay the net on a form, and advance to operation and to the storm."""
+    scene = form.scene(hall.material)
+    laying, cables = timed(lambda: scene.lay_net(net, Cable(EA=20e3)))
+    scene.put_load((0.0, 0.0, -0.0105), name="weight", per="material")
+    solver = Solver(scene)
+    lengths = {cable: TIGHTENED * cable.L0 for cable in cables}
+    calm, _ = timed(lambda: solver.advance(pressure=CALM, load={"weight": 1.0}, L0=lengths))
+    at_calm = np.array([cable.tension for cable in cables])
+    scene.put_wind(0.5, diagonal_wind, name="wind")
+    storm, step = timed(lambda: solver.advance(pressure=STORM, load={"wind": 1.5}))
+    at_storm = np.array([cable.tension for cable in cables])
+    unknowns = 3 * solver.system.unknowns.n_global
+    return Storm(
+        (laying, calm, storm), at_calm, at_storm, unknowns, len(step.verification.doubtful)
+    )
+
+
+def halls(hall: Hall, size: float, repeats: int) -> None:
+    """Folded cables and cables along lines, with as many unknowns."""
+    form = hall.form(size)
+    net = hall.net(form)
+    folded = [in_the_storm(hall, form, net)]
+    # the size at which a mesh with lines has as many unknowns as the folded cables
+    plain = 3 * form.mesh.mesh.topology.index_map(0).size_global
+    finer = size * float(np.sqrt(1.05 * plain / folded[0].unknowns))
+    other = hall.form(finer)
+    own = hall.net(other)
+    cutting, lined = timed(lambda: other.along(own))
+    held = [in_the_storm(hall, lined, own)]
+    for _ in range(repeats - 1):
+        folded.append(in_the_storm(hall, form, net))
+        held.append(in_the_storm(hall, lined, own))
+    head = "unknowns   laying   calm  storm   T calm    min    max   storm    min    max  doubts"
+    print(f"\nhall {hall.name}, {size:.3g} m".ljust(25) + head)
+    spent = {}
+    for name, runs in (("folded", folded), ("along lines", held)):
+        seconds = [statistics.median(one.seconds[k] for one in runs) for k in range(3)]
+        spent[name] = seconds
+        tensions = "".join(f"{T.mean():{w}.2f}{T.min():7.2f}{T.max():7.2f}"
+                           for w, T in ((9, runs[0].calm), (8, runs[0].storm)))  # fmt: skip
+        print(f"{name:19}{runs[0].unknowns:14}{seconds[0]:9.2f}{seconds[1]:7.2f}{seconds[2]:7.2f}"
+              f"{tensions}{runs[0].doubts:8}", flush=True)  # fmt: skip
+    ratios = [a / b for a, b in zip(spent["folded"], spent["along lines"], strict=True)]
+    print(f"folded / along lines: calm {ratios[1]:.2f}, storm {ratios[2]:.2f}, laying "
+          f"{ratios[0]:.1f}; form cut along the net in {cutting:.2f} s", flush=True)  # fmt: skip
+
+
+# --- angles ----------------------------------------------------------------------------------
+
+
+def roofs(scale: float) -> Iterator[tuple[str, meshes.MembraneMesh, dict[str, Any]]]:
+    """Six roofs with their lines; sizes grow with a smaller scale."""
+    wider = float(1 / np.sqrt(scale))
+    for hall, size in ((HALLS[0], 2.4), (HALLS[0], 1.2), (HALLS[1], 2.0)):
+        form = hall.form(size * wider)
+        net = hall.net(form)
+        yield (
+            f"hall {hall.name}, {len(net.lines)} cables, {size * wider:.2g} m",
+            form.mesh,
+            net.paths,
+        )
+    form = HALLS[0].form(1.5 * wider)
+    scene, ways = form.scene(HALLS[0].material), [(1.0, 1.0), (-1.0, 1.0)]
+    net = nets.equidistant(scene, 6.0, origin=(0.0, 0.0), directions=ways)
+    yield f"hall 36 x 36, equal meshes, {1.5 * wider:.2g} m", form.mesh, net.paths
+    mesh, lines = tent(0.6 * wider)
+    yield f"tent, {len(lines)} lines, {0.6 * wider:.2g} m", mesh, lines
+    yield f"dome, 28 cables, {1e5 * scale:.0f} unknowns", cap(1e5 * scale), great_circles()
+
+
+def tent(size: float) -> tuple[meshes.MembraneMesh, dict[str, Any]]:
+    """The tent of `demos/tent.py` with a ridge, a valley and three cables askew."""
+    sides = ["south east", "north east", "north west", "south west"]
+    heights = {"corner 1": 1.2, "corner 2": 6.0, "corner 3": 1.2, "corner 4": 6.0}
+    plan = meshes.polygon(
+        COMM, [(0.0, -7.0), (8.0, 0.0), (0.0, 7.0), (-8.0, 0.0)], size, names=sides
+    )
+    cables = [FormCable(side, tension=45.0) for side in sides]
+    lifted = {corner: (0.0, 0.0, z) for corner, z in heights.items()}
+    form = find_form(plan, stress=2.5, fixed=list(heights), cables=cables, lifted=lifted)
+    planes = {
+        "ridge": ((0.0, 0.0, 3.0), (0.0, 1.0, 0.0)),
+        "valley": ((0.0, 0.0, 3.0), (1.0, 0.0, 0.0)),
+        "north": ((0.0, 1.5, 3.0), (0.1, 1.0, 0.0)),
+        "south": ((0.0, -1.5, 3.0), (-0.1, 1.0, 0.0)),
+        "across": ((2.5, 0.0, 3.0), (1.0, 0.2, 0.0)),
+    }
+    return form.mesh, {
+        name: plane_section(form.mesh, place, normal, name=name).path
+        for name, (place, normal) in planes.items()
+    }
+
+
+def smallest_angles(mesh: meshes.MembraneMesh) -> np.ndarray:
+    """The smallest angle of each cell (degrees), on one process."""
+    corners = mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap]
+    ways = np.roll(corners, -1, axis=1) - corners
+    ways /= np.linalg.norm(ways, axis=2)[..., None]
+    cosines = -(ways * np.roll(ways, 1, axis=1)).sum(axis=2)
+    found: np.ndarray = np.degrees(np.arccos(cosines.clip(-1.0, 1.0))).min(axis=1)
+    return found
+
+
+def angles(scale: float) -> None:
+    """The smallest angles before and after cutting."""
+    print(
+        f"\n{'smallest angle, degrees':44}{'before':>9}{'1 %':>7}{'cut':>8}{'1 %':>7}{'s CPU':>8}"
+    )
+    for name, mesh, lines in roofs(scale):
+        told = Told()
+        logging.getLogger("crms_fenicsx").addHandler(told)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", PathWarning)
+            try:
+                spent, cut = timed(lambda m=mesh, way=lines: meshes.along(m, way))  # type: ignore[misc]
+            except InputError as error:
+                print(f"{name:44} refused: {error}", flush=True)
+                continue
+            finally:
+                logging.getLogger("crms_fenicsx").removeHandler(told)
+        before, after = smallest_angles(mesh), smallest_angles(cut)
+        print(f"{name:44}{before.min():9.1f}{np.percentile(before, 1):7.1f}{after.min():8.1f}"
+              f"{np.percentile(after, 1):7.1f}{spent:8.2f}", flush=True)  # fmt: skip
+        for one in caught:
+            print(f"    {one.message}")
+        if told.texts:
+            print(f"    {len(told.texts)} rows turn sideways by more than 0.5 degrees")
+
+
+class Told(logging.Handler):
+    """Collects what is logged."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a text."""
+        self.texts.append(record.getMessage())
+
+
+# --- processes -------------------------------------------------------------------------------
+
+
+def work(unknowns: float) -> None:
+    """One run on all processes: prints its figures on rank 0."""
+    first = cap(unknowns)
+    net = net_on(first)
+    figures: dict[str, Any] = {}
+
+    def wall(name: str, function: Callable[[], Result]) -> Result:
+        COMM.Barrier()
+        begin = time.perf_counter()
+        found = function()
+        COMM.Barrier()
+        figures[name] = time.perf_counter() - begin
+        return found
+
+    mesh = wall("cut", lambda: meshes.along(first, net.paths))
+    for bare in (True, False):
+        scene = covered(mesh)
+        solver = Solver(scene)
+        kind = "bare" if bare else "28 cables"
+        if not bare:
+            wall("lay", lambda s=scene: s.lay_net(net, Cable(EA=600e3)))  # type: ignore[misc]
+        for pressure in PRESSURES:
+            wall(f"{kind}, {pressure}", lambda p=pressure, s=solver: s.advance(pressure=p))  # type: ignore[misc]
+    tensions = [cable.tension for cable in scene.cables]
+    if COMM.rank == 0:
+        print("FIGURES " + json.dumps([figures, scene.energy, tensions]), flush=True)
+
+
+def processes(unknowns: float) -> None:
+    """One process and two: wall times, and the same digits."""
+    runs = []
+    for count in (1, 2):
+        command = ["mpirun", "-n", str(count), sys.executable, str(Path(__file__).resolve())]
+        out = subprocess.run([*command, "--work", str(unknowns)], capture_output=True, text=True)
+        lines = [line for line in out.stdout.splitlines() if line.startswith("FIGURES ")]
+        if not lines:
+            sys.exit(out.stdout + out.stderr)
+        runs.append(json.loads(lines[0].removeprefix("FIGURES ")))
+    print(f"\nwall time, s, dome of {unknowns:.0f} unknowns{'1 process':>12}{'2':>9}{'ratio':>9}")
+    for name, seconds in runs[0][0].items():
+        other = runs[1][0][name]
+        print(f"{name:34}{seconds:18.2f}{other:9.2f}{seconds / other:9.2f}")
+    energies, tensions = (np.array([run[k] for run in runs]) for k in (1, 2))
+    worst = np.abs(tensions[1] / tensions[0] - 1).max()
+    print(f"two processes against one: energy {abs(energies[1] / energies[0] - 1):.0e}, tensions "
+          f"{worst:.0e}", flush=True)  # fmt: skip
+
+
+def main(given: list[str]) -> None:
+    """Print the tables asked for."""
+    tables = ("dome", "halls", "angles", "processes")
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    options.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
+    options.add_argument("--repeats", type=int, default=3)
+    options.add_argument("--scale", type=float, default=1.0, help="of the numbers of unknowns")
+    chosen = options.parse_args(given)
+    if set(chosen.tables) - set(tables):
+        options.error(f"there are no such tables: {', '.join(set(chosen.tables) - set(tables))}")
+    wanted, scale = chosen.tables or tables, chosen.scale
+    logging.getLogger("crms_fenicsx").setLevel(logging.INFO)
+    warnings.simplefilter("ignore", PathWarning)
+    if "dome" in wanted:
+        dome(min(UNKNOWNS) * min(scale, 0.1), 1)  # compile and load
+        for unknowns in UNKNOWNS:
+            dome(unknowns * scale, chosen.repeats)
+    if "halls" in wanted:
+        for hall in HALLS:
+            for size in SIZES[hall.name]:
+                halls(hall, size / float(np.sqrt(scale)), chosen.repeats)
+    if "angles" in wanted:
+        angles(scale)
+    if "processes" in wanted:
+        processes(1e5 * scale)
+
+
+if __name__ == "__main__":
+    if "--work" in sys.argv:
+        warnings.simplefilter("ignore", PathWarning)
+        work(float(sys.argv[2]))
+    else:
+        main(sys.argv[1:])
