@@ -135,7 +135,7 @@ def find_form(
     finally:
         search.system.destroy()
     shape = moved(mesh, membrane.V, membrane.positions())
-    residual = film.section_forces(search.holding) - prescribed.tensors(shape)
+    residual = film.section_forces() - prescribed.tensors(shape)
     largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
     deviation = largest / film.largest
     found = tuple(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
+from crms_fenicsx.design.form_finding.film import Film, Inflation
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
 from crms_fenicsx.design.form_finding.linear_system import Border, Directions, LinearSystem
 from crms_fenicsx.foundation.meshes.triangles import double_areas, longest_sides, norm
@@ -23,9 +23,8 @@ UPDATES, MOST = 2, 200
 """Reference updates before Newton's method is tried, and the most iterations of either."""
 FALLEN, FALLING = 0.5, 0.9
 """Largest residual ratio of a useful Newton iteration, undamped and damped by an elasticity."""
-MUCH = 0.05
-"""Section forces of the holding elasticity, relative to those prescribed, above which vertices are
-released once more."""
+NEAR = 0.1
+"""Largest first step, relative to the cells' sides, from a start mesh whose vertices stay."""
 WEAKEST, STRONGEST = 1.0, 10.0
 """Range of the modulus that damps Newton's method, relative to the section forces."""
 THINNEST = 1e-3
@@ -33,9 +32,8 @@ THINNEST = 1e-3
 JUMP = 5.0
 """Largest factor of change of a tension in an iteration."""
 
-State = tuple[Array, list[float], float]
-"""Displacements, tensions and the pressure."""
-
+State = tuple[Array, Array, list[float], float]
+"""Displacements of film and sheet, tensions and the pressure."""
 
 Figures = tuple[Array, Array]
 """Area, cable lengths and tensions, and pressure of a form; forces (n, 3) of supports."""
@@ -65,20 +63,20 @@ class FormSearch:
             line.tension = line.cable.tension or line.length * density
         self.iterations = 0
         self.holding = False
-        """Whether the equilibrium includes the elasticity that holds vertices."""
+        """Whether the elastic sheet holds the vertices within the form."""
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
         self.freely: Figures | None = None
         """Figures of the form before its vertices were held."""
         self._damping = 0.0
-        self._held_at = self._state()
-        self._share = np.inf
 
     def run(self, lift: Array) -> None:
         """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
         updates = wait = UPDATES
         best, error = 1.0, self._measure()
         with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
+            if not self.comm.allreduce(bool(lift.any()), op=MPI.LOR) and self._stays():
+                updates, error = 0, self._measure()
             while self._unbalanced > TOLERANCE or self.iterations == 0:
                 if self.iterations == MOST:
                     raise ConvergenceError(
@@ -86,9 +84,10 @@ class FormSearch:
                         f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
                     )
                 before, newton = self._state(), updates == 0
-                self._step(newton, lift if self.iterations == 0 else None)
-                self.iterations += 1
+                kind = "hold" if self.holding else "across" if newton else "update"
+                self._step(kind, lift if self.iterations == 0 else None)
                 found = self._measure() if self._check_cells(newton) else np.inf
+                if __import__("os").environ.get("DBG"): print(kind, self.iterations, f"error {error:.2e} found {found:.2e} damping {self._damping} z", self.film.positions().max(0), np.hypot(*self.film.positions().T[:2]).min())
                 if not newton:
                     updates -= 1
                 elif found < (FALLING if self._damping else FALLEN) * error:
@@ -97,12 +96,13 @@ class FormSearch:
                     updates = self._stiffen(before, wait)
                     wait = max(wait, updates)
                     found = self._measure()
-                if self.holding and found <= TOLERANCE and self._can_release():
-                    self.holding, self.film.modulus = False, SOFTEST
-                    found = self._measure()
                 within = newton and updates == 0 and not self.holding  # the rest is found
                 within = within and self._across < max(BALANCED, SMALL * self._within)
-                error = self._hold() if within else found
+                if within:
+                    self._settle()
+                    error = self._hold()
+                else:
+                    error = found
                 if error < best:
                     bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
                     best = max(error, TOLERANCE)
@@ -113,44 +113,59 @@ class FormSearch:
                     f"find_form: the cable {group!r} would be slack; prescribe a smaller length."
                 )
 
-    def _can_release(self) -> bool:
-        """Whether releasing the held vertices once more would improve the form. Collective."""
-        film = self.film
-        share = film.section_forces(True) - film.section_forces(False)
-        own = float(np.abs(share).max(initial=0.0)) / film.largest
-        before, self._share = self._share, self.comm.allreduce(own, op=MPI.MAX)
-        return film.isotropic and MUCH < self._share < FALLING * before
+    def _stays(self) -> bool:
+        """Whether the start mesh is near a form, so that its vertices are held there. Collective.
+        """
+        start = self._state()
+        self._hold()
+        self._step("hold")
+        by = norm(self.film.u.x.array.reshape(-1, 3) - start[0].reshape(-1, 3))
+        cells = self.membrane.V.dofmap.list
+        sides = longest_sides(self.film.start[cells])
+        with np.errstate(invalid="ignore"):
+            stays = bool((by[cells].max(axis=1) < NEAR * sides).all())
+        if self.comm.allreduce(stays, op=MPI.LAND):
+            return True
+        self.holding = False
+        self._go_back(start)
+        self._measure()
+        return False
+
+    def _settle(self) -> None:
+        """Let a soft sheet move the vertices within the form, unless cells collapse. Collective."""
+        self.freely, before = self.figures(), self._state()
+        self._step("settle")
+        if not self._check_cells(True):
+            self._go_back(before)
+        self._measure()
 
     def _hold(self) -> float:
         """Hold the vertices within the form at their places; return the residual. Collective."""
-        self.freely = self.figures()
-        self._held_at, self.holding, self._damping = self._state(), True, 0.0
-        self.film.reference.x.array[:] = self.film.u.x.array
+        self.holding, self._damping = True, 0.0
         return self._measure()
 
     def _stiffen(self, before: State, wait: int) -> int:
-        """Go back and stiffen the elasticity; once it is stiffest, return a number of updates to
-        make."""
-        self._go_back(self._held_at if self.holding else before)
-        if self.holding and self.film.modulus < STIFFEST:
-            self.film.modulus *= 10.0
-            return 0
+        """Go back and damp more strongly; once it is most, return a number of updates to make."""
+        self._go_back(before)
         if not self.holding and not self.film.isotropic:
             self._measure()
             self._hold()  # with forces balanced across only, a form may not exist
             return 0
-        if not self.holding and self._damping < STRONGEST:
+        if self._damping < STRONGEST:
             self._damping = max(10.0 * self._damping, WEAKEST)
             return 0
-        self.holding, self.film.modulus, self._damping = False, SOFTEST, 0.0
+        self.holding, self._damping = False, 0.0
+        self.film.sheet.x.array[:] = 0.0
         return 2 * wait
 
     def _state(self) -> State:
         tensions = [line.tension for line in self.lines]
-        return self.film.u.x.array.copy(), tensions, self.inflation.pressure
+        film = self.film
+        return film.u.x.array.copy(), film.sheet.x.array.copy(), tensions, self.inflation.pressure
 
     def _go_back(self, state: State) -> None:
-        self.film.u.x.array[:], tensions, self.inflation.pressure = state
+        film = self.film
+        film.u.x.array[:], film.sheet.x.array[:], tensions, self.inflation.pressure = state
         for line, tension in zip(self.lines, tensions, strict=True):
             line.tension = tension
 
@@ -158,12 +173,17 @@ class FormSearch:
         """Update forces and equation errors; return the residual to reduce. Collective."""
         # Until vertices are held, only the residual across the form counts.
         film, x = self.film, self.film.positions()
-        self._slopes: list[Array] = []
-        forces = film.forces(self.holding)
         for line in self.lines:
             line.measure(x, self.comm)
-            self._slopes.append(film.gathered(line.slope(len(x))))
-            forces += line.tension * self._slopes[-1]
+        self.directions.take()
+        if self.holding:
+            own = film.sheet.x.array[: self.directions.free.size].reshape(-1, 3)
+            own -= _projected(self.directions.counted, own)
+            film.sheet.x.scatter_forward()
+        self._slopes = [film.gathered(line.slope(len(x))) for line in self.lines]
+        forces = film.forces()
+        for line, slope in zip(self.lines, self._slopes, strict=True):
+            forces += line.tension * slope
         if self.inflation.acts:
             self.inflation.measure(x)
             forces -= self.inflation.pressure * self.inflation.growth
@@ -178,7 +198,6 @@ class FormSearch:
         self._unbalanced = max(self._size(self._forces), error)
         if self.holding:
             return self._unbalanced
-        self.directions.take()
         across = _projected(self.directions.across, self._forces)
         self._across = max(self._size(across), error)
         self._within = self._size(self._forces - across)
@@ -196,22 +215,23 @@ class FormSearch:
         numbers += [line.tension for line in lines] + [self.inflation.pressure]
         return np.array(numbers), self.support_forces
 
-    def _step(self, newton: bool, lift: Array | None) -> None:
+    def _step(self, kind: str, lift: Array | None = None) -> None:
         """Move by the solution of the linear system. Collective."""
         film, inflation, lines = self.film, self.inflation, self.lines
         n, pulls = len(film.start), self._slopes
         forces, growth = self._forces, inflation.growth
-        if not newton or not self.holding:
+        if kind in ("update", "across"):
             evens = [film.gathered(line.slope(n, even=True)) for line in lines]
-        if not newton:
+        if kind == "update":
             self.system.assemble(exact=False)
             for line, even, slope in zip(lines, evens, pulls, strict=True):
                 forces = forces + line.tension * (even - slope)
             pulls = evens
-        elif self.holding:
-            self.system.assemble(exact=True, modulus=film.modulus, pressure=inflation.pressure)
+        elif kind == "settle":
+            self.system.settle(inflation.pressure)
+        elif kind == "hold":
+            self.system.hold(inflation.pressure, self._damping)
         else:
-            film.reference.x.array[:] = film.u.x.array
             self.system.balance_across(inflation.pressure, self._damping)
             counted = self.directions.counted
             forces = _projected(counted, forces)
@@ -233,8 +253,11 @@ class FormSearch:
             way -= by * one
         if inflation.is_found:
             inflation.pressure += float(change[-1])
-        film.u.x.array[: way.size] += way.ravel()
-        film.u.x.scatter_forward()
+        across = _projected(self.directions.counted, way) if self.holding else way
+        for function, by in ((film.u, across), (film.sheet, way - across)):
+            function.x.array[: by.size] += by.ravel()
+            function.x.scatter_forward()
+        self.iterations += 1
 
     def _border(self, pulls: list[Array], growth: Array) -> Border:
         """Forces of the unknown tensions and pressure, and derivatives of their equations."""
@@ -246,6 +269,9 @@ class FormSearch:
                 border.append((pull, slope, 0.0))
         if self.inflation.is_found:
             border.append((-growth, self.inflation.gap_slope, 0.0))
+        if self.holding:  # displacements of the sheet move nothing
+            counted = self.directions.counted
+            border = [(pull, _projected(counted, row), own) for pull, row, own in border]
         return border
 
     def _shapes(self) -> Array:

@@ -8,11 +8,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.design.form_finding.film import SOFTEST, Film
+from crms_fenicsx.design.form_finding.film import Film
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.membrane import Membrane
 
+SOFT = 0.1
+"""Stiffness of the sheet that moves vertices within a form, relative to that of film's sheet."""
 LYING = 0.1
 """Part of a direction left free by supports up to which the direction counts as held."""
 
@@ -103,40 +105,62 @@ class LinearSystem:
         for own in (self._pc, self._vector, self._way, self.film.matrix, self.film.elastic):
             own.destroy()
 
-    def assemble(self, *, exact: bool, modulus: float = 0.0, pressure: float = 0.0) -> None:
-        """Assemble the exact stiffness, elasticity included, or that of the updated reference
-        strategy, with cables as force densities."""
-        self.film.assemble(self.film.matrix, exact=exact, modulus=modulus, pressure=pressure)
+    def assemble(self, *, exact: bool, pressure: float = 0.0) -> None:
+        """Assemble the exact stiffness, or that of the updated reference strategy, with cables as
+        force densities."""
+        self.film.assemble(exact=exact, pressure=pressure)
         for line in self.lines:
             line.add_stiffness(self.film.matrix, even=not exact)
         self.film.matrix.assemble()
 
     def balance_across(self, pressure: float, damping: float) -> None:
-        """Assemble the exact stiffness across the form, and an elasticity within it."""
+        """Assemble the exact stiffness across the form, damped by that of the elastic sheet, which
+        places the vertices within it."""
         film, directions = self.film, self.directions
-        self.assemble(exact=True, modulus=damping, pressure=pressure)
-        film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
-        film.elastic.assemble()
+        self.assemble(exact=True, pressure=pressure)
+        film.assemble_elastic()
+        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        film.matrix.axpy(damping, film.elastic, same)
         film.elastic.zeroRows(self._on_cable, diag=0.0)
         for line in self.lines:
             line.add_stiffness(film.elastic, even=True)
         film.elastic.assemble()
-        sum_of = self._times(directions.counted, film.matrix)
-        within = self._times(directions.within, film.elastic)
-        sum_of.axpy(1.0, within, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        sum_of.copy(film.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        for own in (sum_of, within):
+        left = self._diagonal(directions.counted), self._diagonal(directions.within)
+        self._replace(left[0].matMult(film.matrix), left[1].matMult(film.elastic), *left)
+
+    def settle(self, pressure: float) -> None:
+        """Assemble the exact stiffness, and that of a soft elastic sheet."""
+        self.assemble(exact=True, pressure=pressure)
+        self.film.assemble_elastic()
+        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        self.film.matrix.axpy(SOFT, self.film.elastic, same)
+
+    def hold(self, pressure: float, damping: float) -> None:
+        """Assemble the exact stiffness by the displacements across the form, and that of the
+        elastic sheet by its own within it."""
+        self.assemble(exact=True, pressure=pressure)
+        self.film.assemble_elastic()
+        self.film.matrix.axpy(damping, self.film.elastic, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        counted = self.directions.counted
+        right = self._diagonal(counted), self._diagonal(np.eye(3) - counted)
+        self._replace(
+            self.film.matrix.matMult(right[0]), self.film.elastic.matMult(right[1]), *right
+        )
+
+    def _replace(self, one: PETSc.Mat, other: PETSc.Mat, *spent: PETSc.Mat) -> None:
+        """Replace the matrix by a sum."""
+        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+        one.axpy(1.0, other, same)
+        one.copy(self.film.matrix, same)
+        for own in (one, other, *spent):
             own.destroy()
 
-    def _times(self, blocks: Array, matrix: PETSc.Mat) -> PETSc.Mat:
-        """A matrix whose rows are multiplied by a block per vertex, (n, 3, 3)."""
-        left = PETSc.Mat().createAIJ(
-            matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
+    def _diagonal(self, blocks: Array) -> PETSc.Mat:
+        """The matrix of blocks of the vertices, (n, 3, 3), on its diagonal."""
+        return PETSc.Mat().createAIJ(
+            self.film.matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
             comm=self.film.comm,
         )  # fmt: skip
-        product = left.matMult(matrix)
-        left.destroy()
-        return product
 
     def times(self, way: Array) -> Array:
         """Forces (n, 3) due to displacements (n, 3), before `factorise`. Collective."""
