@@ -25,6 +25,8 @@ FALLEN, FALLING = 0.5, 0.9
 """Largest residual ratio of a useful Newton iteration, undamped and damped by an elasticity."""
 NEAR = 0.1
 """Largest first step, relative to the cells' sides, from a start mesh whose vertices stay."""
+SOFT = 0.1
+"""Share of the elastic sheet's stiffness with which vertices settle within the form."""
 WEAKEST, STRONGEST = 1.0, 10.0
 """Range of the modulus that damps Newton's method, relative to the section forces."""
 THINNEST = 1e-3
@@ -69,43 +71,14 @@ class FormSearch:
         self.freely: Figures | None = None
         """Figures of the form before its vertices were held."""
         self._damping = 0.0
+        self._brace = 0.0  # share of displacements across the form that strain the sheet as well
 
     def run(self, lift: Array) -> None:
         """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
-        updates = wait = UPDATES
-        best, error = 1.0, self._measure()
-        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
-            if not self.comm.allreduce(bool(lift.any()), op=MPI.LOR) and self._stays():
-                updates, error = 0, self._measure()
-            while self._unbalanced > TOLERANCE or self.iterations == 0:
-                if self.iterations == MOST:
-                    raise ConvergenceError(
-                        f"find_form: after {MOST} iterations the unbalanced force is still "
-                        f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
-                    )
-                before, newton = self._state(), updates == 0
-                kind = "hold" if self.holding else "across" if newton else "update"
-                self._step(kind, lift if self.iterations == 0 else None)
-                found = self._measure() if self._check_cells(newton) else np.inf
-                if __import__("os").environ.get("DBG"): print(kind, self.iterations, f"error {error:.2e} found {found:.2e} damping {self._damping} z", self.film.positions().max(0), np.hypot(*self.film.positions().T[:2]).min())
-                if not newton:
-                    updates -= 1
-                elif found < (FALLING if self._damping else FALLEN) * error:
-                    self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
-                else:
-                    updates = self._stiffen(before, wait)
-                    wait = max(wait, updates)
-                    found = self._measure()
-                within = newton and updates == 0 and not self.holding  # the rest is found
-                within = within and self._across < max(BALANCED, SMALL * self._within)
-                if within:
-                    self._settle()
-                    error = self._hold()
-                else:
-                    error = found
-                if error < best:
-                    bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
-                    best = max(error, TOLERANCE)
+        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as self._bar:
+            self._best = 1.0
+            if self.comm.allreduce(bool(lift.any()), op=MPI.LOR) or not self._stays():
+                self._search(lift)
         for line in self._found:
             if line.tension <= 1e-9 * self._force:
                 group = line.cable.group
@@ -113,22 +86,68 @@ class FormSearch:
                     f"find_form: the cable {group!r} would be slack; prescribe a smaller length."
                 )
 
+    def _search(self, lift: Array) -> None:
+        """Find a form from afar, and hold its vertices. Collective."""
+        updates, wait, error = UPDATES, UPDATES, self._measure()
+        while True:
+            if self.iterations >= MOST:
+                raise ConvergenceError(
+                    f"find_form: after {MOST} iterations the unbalanced force is still "
+                    f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
+                )
+            before, newton = self._state(), updates == 0
+            self._step("across" if newton else "update", lift)
+            lift = 0.0 * lift
+            found = self._measure() if self._check_cells(newton) else np.inf
+            if not newton:
+                updates -= 1
+            elif found < (FALLING if self._damping else FALLEN) * error:
+                self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
+            else:
+                self._go_back(before)
+                found = self._measure()
+                if not self.film.isotropic:  # balanced across only, forms may not exist
+                    self.freely, self._damping = self.figures(), STRONGEST
+                    if self._hold():
+                        return
+                updates = self._stiffen(wait)
+                wait = max(wait, updates)
+            self._tell(found)
+            error = found
+            if newton and updates == 0 and self._across < max(BALANCED, SMALL * self._within):
+                self._settle()
+                if self._hold():
+                    return
+                updates = wait = 2 * wait
+
+    def _stiffen(self, wait: int) -> int:
+        """Damp more strongly; once it is most, return a number of updates to make."""
+        if self._damping < STRONGEST:
+            self._damping = max(10.0 * self._damping, WEAKEST)
+            return 0
+        self._damping = 0.0
+        return 2 * wait
+
     def _stays(self) -> bool:
-        """Whether the start mesh is near a form, so that its vertices are held there. Collective.
-        """
-        start = self._state()
-        self._hold()
-        self._step("hold")
-        by = norm(self.film.u.x.array.reshape(-1, 3) - start[0].reshape(-1, 3))
-        cells = self.membrane.V.dofmap.list
-        sides = longest_sides(self.film.start[cells])
-        with np.errstate(invalid="ignore"):
-            stays = bool((by[cells].max(axis=1) < NEAR * sides).all())
-        if self.comm.allreduce(stays, op=MPI.LAND):
-            return True
-        self.holding = False
-        self._go_back(start)
+        """Whether a form is so near the start mesh that its vertices are held there. Collective."""
+        start, cells = self._state(), self.membrane.V.dofmap.list
+        self.holding = True
         self._measure()
+        self._step("hold")
+        by = norm((self.film.u.x.array - start[0]).reshape(-1, 3))[cells].max(axis=1)
+        near = bool((by <= NEAR * longest_sides(self.film.start[cells])).all())
+        if self.comm.allreduce(near, op=MPI.LAND) and self._balance():
+            held = self._state()
+            self._let_go()
+            self._step("across")
+            self._measure()
+            self.freely = self.figures()
+            self._go_back(held)
+            self.holding = True
+            self._measure()
+            return True
+        self._go_back(start)
+        self._let_go()
         return False
 
     def _settle(self) -> None:
@@ -137,26 +156,51 @@ class FormSearch:
         self._step("settle")
         if not self._check_cells(True):
             self._go_back(before)
+
+    def _hold(self) -> bool:
+        """Hold the vertices within the form, and balance all forces if possible. Collective."""
+        start = self._state()
+        self.holding = True
+        for self._brace in (0.0, 1.0):
+            if self._balance():
+                break
+            self._go_back(start)
+        else:
+            self._let_go()
+            return False
+        if self._brace:  # from here also without
+            start, self._brace = self._state(), 0.0
+            self.film.sheet.x.array[:] = 0.0
+            if not self._balance():
+                self._go_back(start)
+                self._brace = 1.0
+                self._measure()
+        return True
+
+    def _balance(self) -> bool:
+        """Balance all forces by Newton's method; whether it converges. Collective."""
+        error = self._measure()
+        while self._unbalanced > TOLERANCE:
+            self._step("hold")
+            found = self._measure() if self._check_cells(True) else np.inf
+            if not found < FALLEN * error:
+                return False
+            self._tell(found)
+            error = found
+        return True
+
+    def _let_go(self) -> None:
+        """Remove the sheet. Collective."""
+        self.holding, self._brace = False, 0.0
+        self.film.sheet.x.array[:] = 0.0
         self._measure()
 
-    def _hold(self) -> float:
-        """Hold the vertices within the form at their places; return the residual. Collective."""
-        self.holding, self._damping = True, 0.0
-        return self._measure()
-
-    def _stiffen(self, before: State, wait: int) -> int:
-        """Go back and damp more strongly; once it is most, return a number of updates to make."""
-        self._go_back(before)
-        if not self.holding and not self.film.isotropic:
-            self._measure()
-            self._hold()  # with forces balanced across only, a form may not exist
-            return 0
-        if self._damping < STRONGEST:
-            self._damping = max(10.0 * self._damping, WEAKEST)
-            return 0
-        self.holding, self._damping = False, 0.0
-        self.film.sheet.x.array[:] = 0.0
-        return 2 * wait
+    def _tell(self, error: float) -> None:
+        """Report progress."""
+        if error < self._best:
+            least = max(error, TOLERANCE)
+            self._bar.advance(np.log10(self._best / least), f"residual {error:.1e}")
+            self._best = least
 
     def _state(self) -> State:
         tensions = [line.tension for line in self.lines]
@@ -178,7 +222,7 @@ class FormSearch:
         self.directions.take()
         if self.holding:
             own = film.sheet.x.array[: self.directions.free.size].reshape(-1, 3)
-            own -= _projected(self.directions.counted, own)
+            own -= _projected((1.0 - self._brace) * self.directions.counted, own)
             film.sheet.x.scatter_forward()
         self._slopes = [film.gathered(line.slope(len(x))) for line in self.lines]
         forces = film.forces()
@@ -220,23 +264,24 @@ class FormSearch:
         film, inflation, lines = self.film, self.inflation, self.lines
         n, pulls = len(film.start), self._slopes
         forces, growth = self._forces, inflation.growth
-        if kind in ("update", "across"):
+        if kind == "hold":
+            self.system.hold(inflation.pressure, self._brace)
+        else:
             evens = [film.gathered(line.slope(n, even=True)) for line in lines]
         if kind == "update":
             self.system.assemble(exact=False)
             for line, even, slope in zip(lines, evens, pulls, strict=True):
                 forces = forces + line.tension * (even - slope)
             pulls = evens
-        elif kind == "settle":
-            self.system.settle(inflation.pressure)
-        elif kind == "hold":
-            self.system.hold(inflation.pressure, self._damping)
-        else:
-            self.system.balance_across(inflation.pressure, self._damping)
-            counted = self.directions.counted
+        elif kind != "hold":
+            at = self.directions
+            counted, placed, share = at.counted, at.within, self._damping
+            if kind == "settle":
+                counted, placed, share = np.eye(3) - at.along, at.along, SOFT
+            self.system.balance(counted, placed, inflation.pressure, share)
             forces = _projected(counted, forces)
             for line, even in zip(lines, evens, strict=True):
-                forces += line.tension * _projected(self.directions.along, even)
+                forces += line.tension * _projected(at.along, even)
             pulls = [_projected(counted, slope) for slope in pulls]
             growth = _projected(counted, growth) if inflation.acts else growth
         start = np.zeros_like(forces)
@@ -254,7 +299,8 @@ class FormSearch:
         if inflation.is_found:
             inflation.pressure += float(change[-1])
         across = _projected(self.directions.counted, way) if self.holding else way
-        for function, by in ((film.u, across), (film.sheet, way - across)):
+        within = way - across + self._brace * across
+        for function, by in ((film.u, across), (film.sheet, within)):
             function.x.array[: by.size] += by.ravel()
             function.x.scatter_forward()
         self.iterations += 1

@@ -13,8 +13,7 @@ from crms_fenicsx.design.form_finding.form_cables import EdgeLine
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.membrane import Membrane
 
-SOFT = 0.1
-"""Stiffness of the sheet that moves vertices within a form, relative to that of film's sheet."""
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 LYING = 0.1
 """Part of a direction left free by supports up to which the direction counts as held."""
 
@@ -113,45 +112,39 @@ class LinearSystem:
             line.add_stiffness(self.film.matrix, even=not exact)
         self.film.matrix.assemble()
 
-    def balance_across(self, pressure: float, damping: float) -> None:
-        """Assemble the exact stiffness across the form, damped by that of the elastic sheet, which
-        places the vertices within it."""
-        film, directions = self.film, self.directions
-        self.assemble(exact=True, pressure=pressure)
-        film.assemble_elastic()
-        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
-        film.matrix.axpy(damping, film.elastic, same)
+    def balance(self, counted: Array, placed: Array, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the elastic sheet, in the
+        directions `counted`, and what places the vertices in the others: the sheet, at cables
+        their lengths."""
+        film = self.film
+        self._assemble_both(pressure, share)
         film.elastic.zeroRows(self._on_cable, diag=0.0)
         for line in self.lines:
             line.add_stiffness(film.elastic, even=True)
         film.elastic.assemble()
-        left = self._diagonal(directions.counted), self._diagonal(directions.within)
+        left = self._diagonal(counted), self._diagonal(placed)
         self._replace(left[0].matMult(film.matrix), left[1].matMult(film.elastic), *left)
 
-    def settle(self, pressure: float) -> None:
-        """Assemble the exact stiffness, and that of a soft elastic sheet."""
-        self.assemble(exact=True, pressure=pressure)
-        self.film.assemble_elastic()
-        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
-        self.film.matrix.axpy(SOFT, self.film.elastic, same)
-
-    def hold(self, pressure: float, damping: float) -> None:
-        """Assemble the exact stiffness by the displacements across the form, and that of the
-        elastic sheet by its own within it."""
-        self.assemble(exact=True, pressure=pressure)
-        self.film.assemble_elastic()
-        self.film.matrix.axpy(damping, self.film.elastic, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    def hold(self, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the elastic sheet, by displacements
+        across the form, and that of the sheet by its own within the form."""
+        self._assemble_both(pressure, share)
         counted = self.directions.counted
         right = self._diagonal(counted), self._diagonal(np.eye(3) - counted)
         self._replace(
             self.film.matrix.matMult(right[0]), self.film.elastic.matMult(right[1]), *right
         )
 
+    def _assemble_both(self, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the sheet, and the sheet's."""
+        self.assemble(exact=True, pressure=pressure)
+        self.film.assemble_elastic()
+        self.film.matrix.axpy(share, self.film.elastic, SAME)
+
     def _replace(self, one: PETSc.Mat, other: PETSc.Mat, *spent: PETSc.Mat) -> None:
         """Replace the matrix by a sum."""
-        same = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
-        one.axpy(1.0, other, same)
-        one.copy(self.film.matrix, same)
+        one.axpy(1.0, other, SAME)
+        one.copy(self.film.matrix, SAME)
         for own in (one, other, *spent):
             own.destroy()
 
