@@ -11,7 +11,6 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from crms_fenicsx.energy.terms.integral import FormInputs, compiled_form, one_point
 from crms_fenicsx.energy.terms.kinematics import Kinematics, tangent_basis

@@ -66,6 +66,7 @@ class FormSearch:
         self.iterations = 0
         self.holding = False
         """Whether the elastic sheet holds the vertices within the form."""
+        self._best = 1.0  # smallest residual
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
         self.freely: Figures | None = None
@@ -73,11 +74,17 @@ class FormSearch:
         self._damping = 0.0
         self._brace = 0.0  # share of displacements across the form that strain the sheet as well
 
-    def run(self, lift: Array) -> None:
-        """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
+    def run(self, lift: Array | None) -> None:
+        """Find the form, near the start mesh if no lift is given. Collective. Shapes and units:
+        lift (n, 3) (length)."""
         with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as self._bar:
-            self._best = 1.0
-            if self.comm.allreduce(bool(lift.any()), op=MPI.LOR) or not self._stays():
+            if lift is None:
+                if not self._stays(np.inf):
+                    raise ConvergenceError(
+                        "FoundForm.along: there is no form near this one on the mesh cut along the "
+                        "lines; find it on smaller cells first."
+                    )
+            elif self.comm.allreduce(bool(lift.any()), op=MPI.LOR) or not self._stays(NEAR):
                 self._search(lift)
         for line in self._found:
             if line.tension <= 1e-9 * self._force:
@@ -128,27 +135,20 @@ class FormSearch:
         self._damping = 0.0
         return 2 * wait
 
-    def _stays(self) -> bool:
-        """Whether a form is so near the start mesh that its vertices are held there. Collective."""
-        start, cells = self._state(), self.membrane.V.dofmap.list
-        self.holding = True
-        self._measure()
-        self._step("hold")
-        by = norm((self.film.u.x.array - start[0]).reshape(-1, 3))[cells].max(axis=1)
-        near = bool((by <= NEAR * longest_sides(self.film.start[cells])).all())
-        if self.comm.allreduce(near, op=MPI.LAND) and self._balance():
-            held = self._state()
-            self._let_go()
-            self._step("across")
-            self._measure()
-            self.freely = self.figures()
-            self._go_back(held)
-            self.holding = True
-            self._measure()
-            return True
-        self._go_back(start)
+    def _stays(self, reach: float) -> bool:
+        """Hold the vertices of the start mesh at once; whether there is such a form, not further
+        than `reach` in cells' sides. Collective."""
+        if not self._hold(reach):
+            return False
+        held, brace = self._state(), self._brace
         self._let_go()
-        return False
+        self._step("across")
+        self._measure()
+        self.freely = self.figures()
+        self._go_back(held)
+        self.holding, self._brace = True, brace
+        self._measure()
+        return True
 
     def _settle(self) -> None:
         """Let a soft sheet move the vertices within the form, unless cells collapse. Collective."""
@@ -157,12 +157,12 @@ class FormSearch:
         if not self._check_cells(True):
             self._go_back(before)
 
-    def _hold(self) -> bool:
+    def _hold(self, reach: float = np.inf) -> bool:
         """Hold the vertices within the form, and balance all forces if possible. Collective."""
         start = self._state()
         self.holding = True
-        for self._brace in (0.0, 1.0):
-            if self._balance():
+        for self._brace in (0.0, 1.0)[: 1 if np.isfinite(reach) else 2]:
+            if self._balance(reach):
                 break
             self._go_back(start)
         else:
@@ -177,11 +177,17 @@ class FormSearch:
                 self._measure()
         return True
 
-    def _balance(self) -> bool:
-        """Balance all forces by Newton's method; whether it converges. Collective."""
-        error = self._measure()
+    def _balance(self, reach: float = np.inf) -> bool:
+        """Balance all forces by Newton's method; whether it converges, by a first step not longer
+        than `reach` in cells' sides. Collective."""
+        error, before, cells = self._measure(), self.film.positions(), self.membrane.V.dofmap.list
         while self._unbalanced > TOLERANCE:
             self._step("hold")
+            ways = norm(self.film.positions() - before)
+            near = bool((ways[cells].max(axis=1) <= reach * longest_sides(before[cells])).all())
+            if not self.comm.allreduce(near, op=MPI.LAND):
+                return False
+            reach = np.inf
             found = self._measure() if self._check_cells(True) else np.inf
             if not found < FALLEN * error:
                 return False
@@ -300,8 +306,8 @@ class FormSearch:
             inflation.pressure += float(change[-1])
         across = _projected(self.directions.counted, way) if self.holding else way
         within = way - across + self._brace * across
-        for function, by in ((film.u, across), (film.sheet, within)):
-            function.x.array[: by.size] += by.ravel()
+        for function, moved in ((film.u, across), (film.sheet, within)):
+            function.x.array[: moved.size] += moved.ravel()
             function.x.scatter_forward()
         self.iterations += 1
 
