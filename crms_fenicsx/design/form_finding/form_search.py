@@ -228,7 +228,7 @@ class FormSearch:
         self.directions.take()
         if self.holding:
             own = film.sheet.x.array[: self.directions.free.size].reshape(-1, 3)
-            own -= _projected((1.0 - self._brace) * self.directions.counted, own)
+            own -= _projected((1.0 - self._brace) * self.directions.moving, own)
             film.sheet.x.scatter_forward()
         self._slopes = [film.gathered(line.slope(len(x))) for line in self.lines]
         forces = film.forces()
@@ -304,7 +304,7 @@ class FormSearch:
             way -= by * one
         if inflation.is_found:
             inflation.pressure += float(change[-1])
-        across = _projected(self.directions.counted, way) if self.holding else way
+        across = _projected(self.directions.moving, way) if self.holding else way
         within = way - across + self._brace * across
         for function, moved in ((film.u, across), (film.sheet, within)):
             function.x.array[: moved.size] += moved.ravel()
@@ -322,8 +322,8 @@ class FormSearch:
         if self.inflation.is_found:
             border.append((-growth, self.inflation.gap_slope, 0.0))
         if self.holding:  # displacements of the sheet move nothing
-            counted = self.directions.counted
-            border = [(pull, _projected(counted, row), own) for pull, row, own in border]
+            moving = self.directions.moving
+            border = [(pull, _projected(moving, row), own) for pull, row, own in border]
         return border
 
     def _shapes(self) -> Array:

@@ -24,7 +24,9 @@ class Directions:
     Across are the surface normal, at cables the two directions square to the cable, and where
     cables end or meet all directions; a vertex that moves within leaves the form unchanged. At a
     `guided` vertex, held in some directions, forces within the surface count as well. `across`,
-    `within`, `counted` (where forces must balance) and `along` (cables) are projectors, (n, 3, 3).
+    `within`, `counted` (where forces must balance), `moving` (where vertices move that a sheet
+    holds: these, but not along lines of guided vertices) and `along` (cables) are projectors,
+    (n, 3, 3).
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:
@@ -40,7 +42,12 @@ class Directions:
         on_any = np.isin(ids, numbers)
         self._joint = on_any & ~self.on_cable
         self.guided = ~on_any & self.free.any(axis=1) & ~self.free.all(axis=1)
-        self.across, self.within, self.counted, self.along = np.zeros((4, n, 3, 3))
+        ends = film.V.dofmap.list[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        partly = membrane.held.any(axis=1) & ~membrane.held.all(axis=1)
+        partly &= ~np.isin(membrane.vertex_ids, numbers)
+        self._guides = ends[partly[ends].all(axis=1)]
+        self._has_guides = membrane.comm.allreduce(len(self._guides)) > 0
+        self.across, self.within, self.counted, self.moving, self.along = np.zeros((5, n, 3, 3))
 
     def take(self) -> None:
         """Update the directions to the current shape. Collective."""
@@ -54,6 +61,21 @@ class Directions:
         self.within = free - self.across
         self.counted = np.where(self.guided[:, None, None], free, self.across)
         self.along = np.where(self.on_cable[:, None, None], self.within, 0.0)
+        self.moving = self.counted
+        if self._has_guides:
+            tangent = self._freed(self._guide_tangents()) * self.guided[:, None]
+            self.moving = self.counted - tangent[:, :, None] * tangent[:, None, :]
+
+    def _guide_tangents(self) -> Array:
+        """Tangents (n, 3) of lines of guided vertices at these. Collective."""
+        x = self._film.positions()
+        sides = x[self._guides[:, 1]] - x[self._guides[:, 0]]
+        squares = np.zeros((len(x), 3, 3))
+        for end in self._guides.T:
+            np.add.at(squares, end, sides[:, :, None] * sides[:, None, :])
+        rows = [self._film.gathered(squares[:, k]) for k in range(3)]
+        values, axes = np.linalg.eigh(np.stack(rows, axis=1))
+        return np.where(values[:, 2:] > 0.0, axes[:, :, 2], 0.0)
 
     def _freed(self, vectors: Array) -> Array:
         """Free components of vectors (n, 3) as unit vectors, zero if almost none is free."""
@@ -129,8 +151,8 @@ class LinearSystem:
         """Assemble the exact stiffness, with a share of that of the elastic sheet, by displacements
         across the form, and that of the sheet by its own within the form."""
         self._assemble_both(pressure, share)
-        counted = self.directions.counted
-        right = self._diagonal(counted), self._diagonal(np.eye(3) - counted)
+        moving = self.directions.moving
+        right = self._diagonal(moving), self._diagonal(np.eye(3) - moving)
         self._replace(
             self.film.matrix.matMult(right[0]), self.film.elastic.matMult(right[1]), *right
         )
