@@ -151,11 +151,15 @@ class FormSearch:
         return True
 
     def _settle(self) -> None:
-        """Let a soft sheet move the vertices within the form, unless cells collapse. Collective."""
-        self.freely, before = self.figures(), self._state()
+        """Let a soft sheet move the vertices within the form, if that balances the forces better.
+        Collective."""
+        self.freely, before, unbalanced = self.figures(), self._state(), self._unbalanced
         self._step("settle")
-        if not self._check_cells(True):
-            self._go_back(before)
+        if self._check_cells(True):
+            self._measure()
+            if self._unbalanced < unbalanced:
+                return
+        self._go_back(before)
 
     def _hold(self, reach: float = np.inf) -> bool:
         """Hold the vertices within the form, and balance all forces if possible. Collective."""
@@ -190,7 +194,7 @@ class FormSearch:
             reach = np.inf
             found = self._measure() if self._check_cells(True) else np.inf
             if not found < FALLEN * error:
-                return False
+                return found <= 10.0 * TOLERANCE  # rounding
             self._tell(found)
             error = found
         return True

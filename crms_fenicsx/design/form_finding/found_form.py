@@ -218,8 +218,7 @@ class FoundForm:
         >>> cut = found.along({"ridge": [(0.0, 5.0), (10.0, 5.0)]})
         >>> scene = cut.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
         """
-        routes = {line.name: line.path for line in lines.lines} if isinstance(lines, Net) else lines
-        mesh = meshes.along(self.mesh, routes)
+        mesh = meshes.along(self.mesh, lines.paths if isinstance(lines, Net) else lines)
         prescribed = PrescribedStress.of(mesh, self.stress.forces, self.stress.warps)
         membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
         for group, directions in self.supports.items():
