@@ -11,16 +11,11 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from crms_fenicsx.energy.terms.integral import FormInputs, compiled_form, one_point
 from crms_fenicsx.energy.terms.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.model.membrane import Membrane
-
-SOFTEST, STIFFEST = 0.1, 10.0
-"""First and largest membrane stiffness E t of the elasticity that holds vertices within the
-surface, relative to the section forces. The form hardly depends on it."""
 
 
 class Film:
@@ -35,9 +30,9 @@ class Film:
     constant stress S, which is positive definite (K.-U. Bletzinger and E. Ramm, Int. J. Space
     Structures 14, 1999; for soap films U. Pinkall and K. Polthier, Experimental Math. 2, 1993).
 
-    A film does not determine the place of its vertices within the surface. An optional elasticity
-    holds them, by the Green-Lagrange strain from a `reference` shape; `modulus` is its E t over
-    the section forces. Positions `start` (n, 3) (length) count from `origin`.
+    A film does not determine the place of its vertices within the surface. An elastic sheet on
+    them can: it has the strain of small displacements `sheet`, which move no vertex, and a
+    stiffness E t of the mean section force. Positions `start` (n, 3) (length) count from `origin`.
     """
 
     def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
@@ -46,7 +41,7 @@ class Film:
         self.start: Array = membrane.stress_free - origin
         start = fem.Function(self.V)
         start.x.array[:] = self.start.ravel()
-        self.reference = fem.Function(self.V)
+        self.sheet = fem.Function(self.V)
         constants = fem.functionspace(domain, ("DG", 0))
         s1, s2 = fem.Function(constants), fem.Function(constants)
         d = fem.Function(fem.functionspace(domain, ("DG", 0, (3,))))
@@ -55,19 +50,19 @@ class Film:
         largest = float(np.max(forces, initial=0.0))
         self.largest = membrane.comm.allreduce(largest, op=MPI.MAX)
         self.isotropic = not membrane.comm.allreduce(bool(np.ptp(forces, axis=1).any()), op=MPI.LOR)
-        self._exact, self._stressed, self._holding, self._pressure = (
-            fem.Constant(domain, np.float64(value)) for value in (0.0, 1.0, 0.0, 0.0)
-        )
-        self.modulus = SOFTEST
+        self._exact, self._pressure = (fem.Constant(domain, np.float64(0.0)) for _ in range(2))
         self._inputs = FormInputs(
             ("film", self.isotropic),
-            (self.u, start, self.reference, s1, s2, d),
-            (self._exact, self._stressed, self._holding, self._pressure),
+            (self.u, start, self.sheet, s1, s2, d),
+            (self._exact, self._pressure),
         )
         spaces = {"force": [self.V], "growth": [self.V], "volume": [], "area": []}
-        self._forms = {name: self._form(name, of) for name, of in spaces.items()}
-        self._stiffness: Any = self._form("stiffness", [self.V, self.V])
-        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
+        self._forms: dict[str, Any] = {name: self._form(name, of) for name, of in spaces.items()}
+        for name in ("stiffness", "elastic"):
+            self._forms[name] = self._form(name, [self.V, self.V])
+        self.matrix, self.elastic = (
+            fem_petsc.create_matrix(self._forms["stiffness"]) for _ in range(2)
+        )
         self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
 
     def _form(self, name: str, spaces: list[fem.FunctionSpace]) -> fem.Form:
@@ -78,22 +73,28 @@ class Film:
     @cached_property
     def _written(self) -> dict[str, Any]:
         """Forms, and stress and sides of the cells, in UFL."""
-        _, start, _, s1, s2, d = self._inputs.functions
+        _, start, sheet, s1, s2, d = self._inputs.functions
         basis, dx = tangent_basis(self.V.mesh, None), one_point(self.V.mesh)
-        F, Fr = Kinematics(self.u, basis).F, Kinematics(self.reference, basis).F
-        C, G = (ufl.as_matrix([[ufl.dot(a, b) for b in A] for a in A]) for A in (F, Fr))
-        inverse, J, lifted = ufl.inv(C), ufl.sqrt(ufl.det(C)), ufl.inv(G)
+        F = Kinematics(self.u, basis).F
+        C = ufl.as_matrix([[ufl.dot(a, b) for b in F] for a in F])
+        inverse, J = ufl.inv(C), ufl.sqrt(ufl.det(C))
         # second Piola-Kirchhoff section forces of the start mesh
         S: Any = s2 * J * inverse
         if not self.isotropic:
             along = inverse * ufl.as_vector([ufl.dot(a, d) for a in F])
             S += (s1 - s2) * J / ufl.dot(along, C * along) * ufl.outer(along, along)
-        elastic = (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
-        S = self._stressed * S + self._holding * elastic
         v, w = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
-        dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
+        dv, dw, of_sheet = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w, sheet))
+
+        def elastic(d: Any) -> Any:
+            """Section forces of the sheet by displacements with these derivatives."""
+            strain = [[ufl.dot(F[i], d[j]) + ufl.dot(F[j], d[i]) for j in (0, 1)] for i in (0, 1)]
+            return (s1 + s2) / 4 * J * inverse * ufl.as_matrix(strain) * inverse
+
+        S, K = S + elastic(of_sheet), elastic(dw)
         pairs = [(i, j) for i in (0, 1) for j in (0, 1)]
         force: Any = sum(S[i, j] * ufl.dot(F[i], dv[j]) for i, j in pairs) * dx
+        elastic_force: Any = sum(K[i, j] * ufl.dot(F[i], dv[j]) for i, j in pairs) * dx
         held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
         volume: Any = ufl.dot(start + self.u, ufl.cross(*F)) / 3 * dx
         growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # derivative of the volume inside the rim
@@ -103,7 +104,8 @@ class Film:
         sides = ufl.as_vector([A[i] for A in F for i in range(3)])
         return {
             "force": force, "volume": volume, "growth": growth, "area": J * dx,
-            "stiffness": stiffness, "stress": stress, "sides": sides,
+            "stiffness": stiffness, "elastic": elastic_force, "stress": stress,
+            "sides": sides,
         }  # fmt: skip
 
     @cached_property
@@ -120,9 +122,8 @@ class Film:
         """Volume between the surface and the origin (length cubed). Collective."""
         return float(self.comm.allreduce(fem.assemble_scalar(self._forms["volume"])))
 
-    def forces(self, holding: bool) -> Array:
-        """Nodal forces of the film's stress on this rank's vertices, (n, 3). Collective."""
-        self._holding.value = self.modulus if holding else 0.0
+    def forces(self) -> Array:
+        """Nodal forces of film and sheet on this rank's vertices, (n, 3). Collective."""
         return self._vector("force")
 
     def growth(self) -> Array:
@@ -147,20 +148,20 @@ class Film:
         """Current positions of the vertices from `origin`, (n, 3), with ghosts (length)."""
         return self.start + self.u.x.array.reshape(-1, 3)
 
-    def assemble(
-        self, matrix: PETSc.Mat, *, exact: bool, modulus: float, pressure: float = 0.0,
-        stressed: bool = True,
-    ) -> None:  # fmt: skip
-        """Assemble a stiffness, ready for cables to be added; pressure (force per area)."""
-        self._exact.value, self._stressed.value = float(exact), float(stressed)
-        self._pressure.value, self._holding.value = pressure, modulus
-        matrix.zeroEntries()
-        fem_petsc.assemble_matrix(matrix, self._stiffness)
-        self._stressed.value = 1.0
+    def assemble(self, *, exact: bool, pressure: float = 0.0) -> None:
+        """Assemble the stiffness, ready for cables to be added; pressure (force per area)."""
+        self._exact.value, self._pressure.value = float(exact), pressure
+        self.matrix.zeroEntries()
+        fem_petsc.assemble_matrix(self.matrix, self._forms["stiffness"])
 
-    def section_forces(self, holding: bool) -> Array:
+    def assemble_elastic(self) -> None:
+        """Assemble the stiffness of the elastic sheet."""
+        self.elastic.zeroEntries()
+        fem_petsc.assemble_matrix(self.elastic, self._forms["elastic"])
+        self.elastic.assemble()
+
+    def section_forces(self) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3)."""
-        self._holding.value = self.modulus if holding else 0.0
         cells = np.arange(len(self.V.dofmap.list), dtype=np.int32)
         stress, F = (
             np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), width)

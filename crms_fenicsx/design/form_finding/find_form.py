@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
-from crms_fenicsx.design.form_finding.film import Film, Inflation
-from crms_fenicsx.design.form_finding.form_cables import EdgeLine, FormCable, edge_lines, places_of
-from crms_fenicsx.design.form_finding.form_search import NO_FORM, FormSearch
-from crms_fenicsx.design.form_finding.found_form import FormCableFound, FoundForm
+from crms_fenicsx.design.form_finding.form_cables import EdgeLine, FormCable, edge_lines
+from crms_fenicsx.design.form_finding.found_form import FoundForm, form_of, search_on
 from crms_fenicsx.design.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes import MembraneMesh
-from crms_fenicsx.foundation.meshes.membrane_mesh import moved
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, Prefix, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import (
-    ConvergenceError,
-    InputError,
-    as_text,
-    raised_together,
-)
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
-
-logger = logging.getLogger("crms_fenicsx")
-
-REPORTED_DEVIATION, COARSE = 0.05, 0.1
-"""Deviation of section forces from the prescribed ones, relative to the largest: reported above
-the first, refused above the second, plus the relative difference of warp and weft forces."""
-REPORTED_DISTURBANCE = 0.01
-"""Relative change of area and forces by the residual section forces above which it is reported."""
-
 
 Lift = Sequence[float] | Callable[[Array], Array]
 """A displacement (3,), or a function of start positions (3, n) that returns (3, n)."""
@@ -115,7 +96,7 @@ def find_form(
     >>> hung = find_form(mesh, 2.0, fixed=corners, lifted=lifted, cables=rims)
     >>> scene = hung.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
     """
-    inflated = _is_inflated(pressure=pressure, volume=volume, rise=rise)
+    _check_inflation(pressure=pressure, volume=volume, rise=rise)
     if lifted is not None:
         checks.collection("find_form: lifted", lifted, Mapping, '{"mast": (0.0, 0.0, 5.0)}')
     checks.collection("find_form: cables", cables, Sequence, "[FormCable(...)]")
@@ -125,82 +106,22 @@ def find_form(
     lift = _lifts(membrane, lifted or {})
     lines = edge_lines(membrane, cables)
     _check_free_edges(membrane, lines)
-    centre = _rim_centre(membrane, lift, inflated)
-    film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
-    n = membrane.V.dofmap.index_map.size_local
-    inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
-    search = FormSearch(membrane, film, lines, inflation, prefix)
+    search = search_on(
+        membrane, prescribed, lines, lift, prefix, pressure=pressure, volume=volume, rise=rise
+    )
     try:
         search.run(lift)
     finally:
         search.system.destroy()
-    shape = moved(mesh, membrane.V, membrane.positions())
-    residual = film.section_forces(search.holding) - prescribed.tensors(shape)
-    largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
-    deviation = largest / film.largest
-    found = tuple(
-        FormCableFound(
-            one.cable.group, one.tension, one.length, places_of(membrane, one.ids), one.cable.bonded
-        )
-        for one in lines
-    )
-    reactions = _group_sums(membrane, supports, search.support_forces)
-    disturbance = _disturbance(membrane, supports, search)
-    _check_deviation(deviation, disturbance, prescribed, mesh)
-    return FoundForm(
-        shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
-        film.area(),
-        film.volume() if inflated else None, inflation.pressure, search.iterations,
-    )  # fmt: skip
+    return form_of(search, mesh, prescribed, supports, "find_form")
 
 
-def _is_inflated(**inflations: float | None) -> bool:
-    """Whether there is pressure, of which one quantity is given at most."""
+def _check_inflation(**inflations: float | None) -> None:
+    """Refuse more than one quantity that gives the pressure."""
     named = [name for name, value in inflations.items() if value is not None]
     if len(named) > 1:
         raise InputError(
             f"find_form: expected one of {', '.join(inflations)}, found {' and '.join(named)}."
-        )
-    return bool(named)
-
-
-def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
-    """Largest relative change of the form's figures by the elasticity. Collective."""
-    if not search.holding or search.freely is None:
-        return 0.0
-    (before, free), (numbers, held) = search.freely, search.figures()
-    changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
-    changes = _group_sums(membrane, supports, held - free)
-    sizes = np.linalg.norm(held, axis=1)[:, None]
-    largest = max(float(size[0]) for size in _group_sums(membrane, supports, sizes).values())
-    moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
-    return max(float(changed.max()), moved_by / largest if largest else 0.0)
-
-
-def _check_deviation(
-    deviation: float, disturbance: float, stress: PrescribedStress, mesh: MembraneMesh
-) -> None:
-    """Refuse forms whose section forces differ from those prescribed."""
-    forces = np.array(list(stress.forces.values()))
-    incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
-    if deviation > incompatible + COARSE:
-        raise ConvergenceError(
-            f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
-            f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
-        )
-    if mesh.comm.rank > 0:
-        return
-    if disturbance > REPORTED_DISTURBANCE:
-        logger.warning(
-            "find_form: residual section forces change the area, cables, pressure or supports' "
-            "forces of the form by up to %.1f %%; use a finer mesh, or a start mesh nearer to it",
-            100 * disturbance,
-        )
-    if deviation > REPORTED_DEVIATION:
-        logger.warning(
-            "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
-            "the mesh is coarse, or different ones along warp and weft do not balance each other",
-            100 * deviation,
         )
 
 
@@ -222,15 +143,6 @@ def _hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[
             f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
         )
     return supports
-
-
-def _group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
-    """Sum (3,) of the forces (n, 3) on this rank's owned vertices, per group. Collective."""
-    sums = {}
-    for group in groups:
-        dofs = membrane.vertices(group)
-        sums[group] = membrane.comm.allreduce(forces[dofs[dofs < len(forces)]].sum(axis=0))
-    return sums
 
 
 def _lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
@@ -277,21 +189,3 @@ def _check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
             f"find_form: {count} edges at the rim are neither held nor supported by a cable, one "
             f"at {place}; the film would draw them in. Fix them, or add a FormCable."
         )
-
-
-def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
-    """Mean position of the rim, or centre of a membrane without a rim. Collective."""
-    edges = membrane.open_edges
-    ends = np.unique(edges.vertices)
-    if inflated:
-        free = ends[~membrane.held[ends].all(axis=1)]
-        found = np.concatenate(membrane.comm.allgather(membrane.stress_free[free[:1]]))
-        if len(found):
-            raise InputError(
-                "find_form: there is pressure, but the rim is not held in all directions at "
-                f"{as_text(found[0])}."
-            )
-    own = ends[ends < membrane.V.dofmap.index_map.size_local]
-    places = (membrane.stress_free + lift)[own]
-    total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
-    return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre

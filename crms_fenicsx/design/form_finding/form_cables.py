@@ -69,6 +69,36 @@ class FormCable:
         checks.positive(f"FormCable: {given[0]} of {self.group!r}", getattr(self, given[0]))
 
 
+@dataclass(frozen=True)
+class FormCableFound:
+    """A cable of a found form.
+
+    Attributes
+    ----------
+    name
+        Name of its edge group.
+    tension
+        Tension (force).
+    length
+        Length (length).
+    path
+        Positions of its vertices from end to end (length), (k, 3).
+    bonded
+        Whether it is bonded to the fabric.
+    """
+
+    name: str
+    tension: float
+    length: float
+    path: Array = field(repr=False)
+    bonded: bool = False
+
+    @property
+    def force_density(self) -> float:
+        """Tension over length (force per length)."""
+        return self.tension / self.length
+
+
 @dataclass
 class EdgeLine:
     """Edges of a cable; each keeps its share of the cable's length."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
+from crms_fenicsx.design.form_finding.film import Film, Inflation
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
 from crms_fenicsx.design.form_finding.linear_system import Border, Directions, LinearSystem
 from crms_fenicsx.foundation.meshes.triangles import double_areas, longest_sides, norm
@@ -23,9 +23,10 @@ UPDATES, MOST = 2, 200
 """Reference updates before Newton's method is tried, and the most iterations of either."""
 FALLEN, FALLING = 0.5, 0.9
 """Largest residual ratio of a useful Newton iteration, undamped and damped by an elasticity."""
-MUCH = 0.05
-"""Section forces of the holding elasticity, relative to those prescribed, above which vertices are
-released once more."""
+NEAR = 0.1
+"""Largest first step, relative to the cells' sides, from a start mesh whose vertices stay."""
+SOFT = 0.1
+"""Share of the elastic sheet's stiffness with which vertices settle within the form."""
 WEAKEST, STRONGEST = 1.0, 10.0
 """Range of the modulus that damps Newton's method, relative to the section forces."""
 THINNEST = 1e-3
@@ -33,9 +34,8 @@ THINNEST = 1e-3
 JUMP = 5.0
 """Largest factor of change of a tension in an iteration."""
 
-State = tuple[Array, list[float], float]
-"""Displacements, tensions and the pressure."""
-
+State = tuple[Array, Array, list[float], float]
+"""Displacements of film and sheet, tensions and the pressure."""
 
 Figures = tuple[Array, Array]
 """Area, cable lengths and tensions, and pressure of a form; forces (n, 3) of supports."""
@@ -65,47 +65,27 @@ class FormSearch:
             line.tension = line.cable.tension or line.length * density
         self.iterations = 0
         self.holding = False
-        """Whether the equilibrium includes the elasticity that holds vertices."""
+        """Whether the elastic sheet holds the vertices within the form."""
+        self._best = 1.0  # smallest residual
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
         self.freely: Figures | None = None
         """Figures of the form before its vertices were held."""
         self._damping = 0.0
-        self._held_at = self._state()
-        self._share = np.inf
+        self._brace = 0.0  # share of displacements across the form that strain the sheet as well
 
-    def run(self, lift: Array) -> None:
-        """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
-        updates = wait = UPDATES
-        best, error = 1.0, self._measure()
-        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
-            while self._unbalanced > TOLERANCE or self.iterations == 0:
-                if self.iterations == MOST:
+    def run(self, lift: Array | None) -> None:
+        """Find the form, near the start mesh if no lift is given. Collective. Shapes and units:
+        lift (n, 3) (length)."""
+        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as self._bar:
+            if lift is None:
+                if not self._stays(np.inf):
                     raise ConvergenceError(
-                        f"find_form: after {MOST} iterations the unbalanced force is still "
-                        f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
+                        "FoundForm.along: there is no form near this one on the mesh cut along the "
+                        "lines; find it on smaller cells first."
                     )
-                before, newton = self._state(), updates == 0
-                self._step(newton, lift if self.iterations == 0 else None)
-                self.iterations += 1
-                found = self._measure() if self._check_cells(newton) else np.inf
-                if not newton:
-                    updates -= 1
-                elif found < (FALLING if self._damping else FALLEN) * error:
-                    self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
-                else:
-                    updates = self._stiffen(before, wait)
-                    wait = max(wait, updates)
-                    found = self._measure()
-                if self.holding and found <= TOLERANCE and self._can_release():
-                    self.holding, self.film.modulus = False, SOFTEST
-                    found = self._measure()
-                within = newton and updates == 0 and not self.holding  # the rest is found
-                within = within and self._across < max(BALANCED, SMALL * self._within)
-                error = self._hold() if within else found
-                if error < best:
-                    bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
-                    best = max(error, TOLERANCE)
+            elif self.comm.allreduce(bool(lift.any()), op=MPI.LOR) or not self._stays(NEAR):
+                self._search(lift)
         for line in self._found:
             if line.tension <= 1e-9 * self._force:
                 group = line.cable.group
@@ -113,44 +93,133 @@ class FormSearch:
                     f"find_form: the cable {group!r} would be slack; prescribe a smaller length."
                 )
 
-    def _can_release(self) -> bool:
-        """Whether releasing the held vertices once more would improve the form. Collective."""
-        film = self.film
-        share = film.section_forces(True) - film.section_forces(False)
-        own = float(np.abs(share).max(initial=0.0)) / film.largest
-        before, self._share = self._share, self.comm.allreduce(own, op=MPI.MAX)
-        return film.isotropic and MUCH < self._share < FALLING * before
+    def _search(self, lift: Array) -> None:
+        """Find a form from afar, and hold its vertices. Collective."""
+        updates, wait, error = UPDATES, UPDATES, self._measure()
+        while True:
+            if self.iterations >= MOST:
+                raise ConvergenceError(
+                    f"find_form: after {MOST} iterations the unbalanced force is still "
+                    f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
+                )
+            before, newton = self._state(), updates == 0
+            self._step("across" if newton else "update", lift)
+            lift = 0.0 * lift
+            found = self._measure() if self._check_cells(newton) else np.inf
+            if not newton:
+                updates -= 1
+            elif found < (FALLING if self._damping else FALLEN) * error:
+                self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
+            else:
+                self._go_back(before)
+                found = self._measure()
+                if not self.film.isotropic:  # balanced across only, forms may not exist
+                    self.freely, self._damping = self.figures(), STRONGEST
+                    if self._hold():
+                        return
+                updates = self._stiffen(wait)
+                wait = max(wait, updates)
+            self._tell(found)
+            error = found
+            if newton and updates == 0 and self._across < max(BALANCED, SMALL * self._within):
+                self._settle()
+                if self._hold():
+                    return
+                updates = wait = 2 * wait
 
-    def _hold(self) -> float:
-        """Hold the vertices within the form at their places; return the residual. Collective."""
-        self.freely = self.figures()
-        self._held_at, self.holding, self._damping = self._state(), True, 0.0
-        self.film.reference.x.array[:] = self.film.u.x.array
-        return self._measure()
-
-    def _stiffen(self, before: State, wait: int) -> int:
-        """Go back and stiffen the elasticity; once it is stiffest, return a number of updates to
-        make."""
-        self._go_back(self._held_at if self.holding else before)
-        if self.holding and self.film.modulus < STIFFEST:
-            self.film.modulus *= 10.0
-            return 0
-        if not self.holding and not self.film.isotropic:
-            self._measure()
-            self._hold()  # with forces balanced across only, a form may not exist
-            return 0
-        if not self.holding and self._damping < STRONGEST:
+    def _stiffen(self, wait: int) -> int:
+        """Damp more strongly; once it is most, return a number of updates to make."""
+        if self._damping < STRONGEST:
             self._damping = max(10.0 * self._damping, WEAKEST)
             return 0
-        self.holding, self.film.modulus, self._damping = False, SOFTEST, 0.0
+        self._damping = 0.0
         return 2 * wait
+
+    def _stays(self, reach: float) -> bool:
+        """Hold the vertices of the start mesh at once; whether there is such a form, not further
+        than `reach` in cells' sides. Collective."""
+        if not self._hold(reach):
+            return False
+        held, brace = self._state(), self._brace
+        self._let_go()
+        self._step("across")
+        self._measure()
+        self.freely = self.figures()
+        self._go_back(held)
+        self.holding, self._brace = True, brace
+        self._measure()
+        return True
+
+    def _settle(self) -> None:
+        """Let a soft sheet move the vertices within the form, if that balances the forces better.
+        Collective."""
+        self.freely, before, unbalanced = self.figures(), self._state(), self._unbalanced
+        self._step("settle")
+        if self._check_cells(True):
+            self._measure()
+            if self._unbalanced < unbalanced:
+                return
+        self._go_back(before)
+
+    def _hold(self, reach: float = np.inf) -> bool:
+        """Hold the vertices within the form, and balance all forces if possible. Collective."""
+        start = self._state()
+        self.holding = True
+        for self._brace in (0.0, 1.0)[: 1 if np.isfinite(reach) else 2]:
+            if self._balance(reach):
+                break
+            self._go_back(start)
+        else:
+            self._let_go()
+            return False
+        if self._brace:  # from here also without
+            start, self._brace = self._state(), 0.0
+            self.film.sheet.x.array[:] = 0.0
+            if not self._balance():
+                self._go_back(start)
+                self._brace = 1.0
+                self._measure()
+        return True
+
+    def _balance(self, reach: float = np.inf) -> bool:
+        """Balance all forces by Newton's method; whether it converges, by a first step not longer
+        than `reach` in cells' sides. Collective."""
+        error, before, cells = self._measure(), self.film.positions(), self.membrane.V.dofmap.list
+        while self._unbalanced > TOLERANCE:
+            self._step("hold")
+            ways = norm(self.film.positions() - before)
+            near = bool((ways[cells].max(axis=1) <= reach * longest_sides(before[cells])).all())
+            if not self.comm.allreduce(near, op=MPI.LAND):
+                return False
+            reach = np.inf
+            found = self._measure() if self._check_cells(True) else np.inf
+            if not found < FALLEN * error:
+                return found <= 10.0 * TOLERANCE  # rounding
+            self._tell(found)
+            error = found
+        return True
+
+    def _let_go(self) -> None:
+        """Remove the sheet. Collective."""
+        self.holding, self._brace = False, 0.0
+        self.film.sheet.x.array[:] = 0.0
+        self._measure()
+
+    def _tell(self, error: float) -> None:
+        """Report progress."""
+        if error < self._best:
+            least = max(error, TOLERANCE)
+            self._bar.advance(np.log10(self._best / least), f"residual {error:.1e}")
+            self._best = least
 
     def _state(self) -> State:
         tensions = [line.tension for line in self.lines]
-        return self.film.u.x.array.copy(), tensions, self.inflation.pressure
+        film = self.film
+        return film.u.x.array.copy(), film.sheet.x.array.copy(), tensions, self.inflation.pressure
 
     def _go_back(self, state: State) -> None:
-        self.film.u.x.array[:], tensions, self.inflation.pressure = state
+        film = self.film
+        film.u.x.array[:], film.sheet.x.array[:], tensions, self.inflation.pressure = state
         for line, tension in zip(self.lines, tensions, strict=True):
             line.tension = tension
 
@@ -158,12 +227,17 @@ class FormSearch:
         """Update forces and equation errors; return the residual to reduce. Collective."""
         # Until vertices are held, only the residual across the form counts.
         film, x = self.film, self.film.positions()
-        self._slopes: list[Array] = []
-        forces = film.forces(self.holding)
         for line in self.lines:
             line.measure(x, self.comm)
-            self._slopes.append(film.gathered(line.slope(len(x))))
-            forces += line.tension * self._slopes[-1]
+        self.directions.take()
+        if self.holding:
+            own = film.sheet.x.array[: self.directions.free.size].reshape(-1, 3)
+            own -= _projected((1.0 - self._brace) * self.directions.moving, own)
+            film.sheet.x.scatter_forward()
+        self._slopes = [film.gathered(line.slope(len(x))) for line in self.lines]
+        forces = film.forces()
+        for line, slope in zip(self.lines, self._slopes, strict=True):
+            forces += line.tension * slope
         if self.inflation.acts:
             self.inflation.measure(x)
             forces -= self.inflation.pressure * self.inflation.growth
@@ -178,7 +252,6 @@ class FormSearch:
         self._unbalanced = max(self._size(self._forces), error)
         if self.holding:
             return self._unbalanced
-        self.directions.take()
         across = _projected(self.directions.across, self._forces)
         self._across = max(self._size(across), error)
         self._within = self._size(self._forces - across)
@@ -196,27 +269,29 @@ class FormSearch:
         numbers += [line.tension for line in lines] + [self.inflation.pressure]
         return np.array(numbers), self.support_forces
 
-    def _step(self, newton: bool, lift: Array | None) -> None:
+    def _step(self, kind: str, lift: Array | None = None) -> None:
         """Move by the solution of the linear system. Collective."""
         film, inflation, lines = self.film, self.inflation, self.lines
         n, pulls = len(film.start), self._slopes
         forces, growth = self._forces, inflation.growth
-        if not newton or not self.holding:
+        if kind == "hold":
+            self.system.hold(inflation.pressure, self._brace)
+        else:
             evens = [film.gathered(line.slope(n, even=True)) for line in lines]
-        if not newton:
+        if kind == "update":
             self.system.assemble(exact=False)
             for line, even, slope in zip(lines, evens, pulls, strict=True):
                 forces = forces + line.tension * (even - slope)
             pulls = evens
-        elif self.holding:
-            self.system.assemble(exact=True, modulus=film.modulus, pressure=inflation.pressure)
-        else:
-            film.reference.x.array[:] = film.u.x.array
-            self.system.balance_across(inflation.pressure, self._damping)
-            counted = self.directions.counted
+        elif kind != "hold":
+            at = self.directions
+            counted, placed, share = at.counted, at.within, self._damping
+            if kind == "settle":
+                counted, placed, share = np.eye(3) - at.along, at.along, SOFT
+            self.system.balance(counted, placed, inflation.pressure, share)
             forces = _projected(counted, forces)
             for line, even in zip(lines, evens, strict=True):
-                forces += line.tension * _projected(self.directions.along, even)
+                forces += line.tension * _projected(at.along, even)
             pulls = [_projected(counted, slope) for slope in pulls]
             growth = _projected(counted, growth) if inflation.acts else growth
         start = np.zeros_like(forces)
@@ -233,8 +308,12 @@ class FormSearch:
             way -= by * one
         if inflation.is_found:
             inflation.pressure += float(change[-1])
-        film.u.x.array[: way.size] += way.ravel()
-        film.u.x.scatter_forward()
+        across = _projected(self.directions.moving, way) if self.holding else way
+        within = way - across + self._brace * across
+        for function, moved in ((film.u, across), (film.sheet, within)):
+            function.x.array[: moved.size] += moved.ravel()
+            function.x.scatter_forward()
+        self.iterations += 1
 
     def _border(self, pulls: list[Array], growth: Array) -> Border:
         """Forces of the unknown tensions and pressure, and derivatives of their equations."""
@@ -246,6 +325,9 @@ class FormSearch:
                 border.append((pull, slope, 0.0))
         if self.inflation.is_found:
             border.append((-growth, self.inflation.gap_slope, 0.0))
+        if self.holding:  # displacements of the sheet move nothing
+            moving = self.directions.moving
+            border = [(pull, _projected(moving, row), own) for pull, row, own in border]
         return border
 
     def _shapes(self) -> Array:

@@ -1,171 +1,50 @@
-"""A found form, masts and guys that replace its supports, and the scene to analyse it."""
+"""A found form, the same along lines, and the scene to analyse it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.design.form_finding.film import Film, Inflation
+from crms_fenicsx.design.form_finding.form_bars import FormBar, add_bars
+from crms_fenicsx.design.form_finding.form_cables import (
+    EdgeLine,
+    FormCable,
+    FormCableFound,
+    edge_lines,
+    places_of,
+)
+from crms_fenicsx.design.form_finding.form_search import NO_FORM, FormSearch
 from crms_fenicsx.design.form_finding.stresses import Materials, PrescribedStress
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
+from crms_fenicsx.foundation import meshes
 from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes.membrane_mesh import moved
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
-from crms_fenicsx.foundation.runtime.errors import InputError, as_text
-from crms_fenicsx.model.bar import Bar
-from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError, as_text
+from crms_fenicsx.model.cable import Cable, Net
+from crms_fenicsx.model.materials import IsotropicMembrane
+from crms_fenicsx.model.membrane import Membrane
 
-BALANCED = 1e-9
-"""Part of a reaction that bars may leave, and relative size of singular values taken as zero."""
+logger = logging.getLogger("crms_fenicsx")
+
+REPORTED_DEVIATION, COARSE = 0.05, 0.1
+"""Deviation of section forces from the prescribed ones, relative to the largest: reported above
+the first, refused above the second, plus the relative difference of warp and weft forces."""
+REPORTED_DISTURBANCE = 0.01
+"""Relative change of area and forces by the residual section forces above which it is reported."""
 ROUNDING = 1e-10
 """Residual section forces, relative to those prescribed, that count as zero."""
-
-
-@dataclass(frozen=True)
-class FormBar:
-    """A bar (mast, guy or tie) that replaces a form's support at a point, with others there.
-
-    Parameters
-    ----------
-    group
-        The support: a point group with one vertex.
-    bar
-        Properties of the bar.
-    foot
-        Place (3,) of the other end (length), which is anchored.
-    name
-        Name in results, by default "bar 1", "bar 2" ...
-    force
-        Axial force (force), tension positive; by default such that the support's bars balance the
-        reaction.
-
-    Raises
-    ------
-    InputError
-        Not a `Bar`, an invalid foot, or a force that is not finite or compresses a guy.
-    """
-
-    group: str
-    bar: Bar
-    foot: Sequence[float]
-    name: str | None = None
-    force: float | None = None
-
-    def __post_init__(self) -> None:
-        checks.of_type("FormBar: bar", self.bar, Bar)
-        checks.vector(f"FormBar: foot of {self.label}", self.foot)
-        if self.force is not None:
-            self.unstressed(1.0, checks.finite(f"FormBar: force of {self.label}", self.force))
-
-    @property
-    def label(self) -> str:
-        """Name in messages."""
-        return repr(self.name) if self.name else f"a bar of {self.group!r}"
-
-    def unstressed(self, length: float, force: float) -> float:
-        """Unstressed length (length) of a bar from its length under a force.
-
-        Raises
-        ------
-        InputError
-            A guy under compression, or a force beyond its stiffness.
-        """
-        if force <= (0.0 if self.bar.tension_only else -self.bar.EA):
-            what = "a guy" if self.bar.tension_only else f"a bar of EA = {self.bar.EA:g}"
-            raise InputError(
-                f"FormBar: {self.label} would have the force {force:.6g}, which {what} cannot "
-                "have; move its foot, or change its force or Bar."
-            )
-        return length / (1.0 + force / self.bar.EA)
-
-
-def _add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
-    """Add bars in place of supports at points. Collective. Shapes: reactions (3,)."""
-    frame = scene.frame
-    for group in dict.fromkeys(bar.group for bar in bars):
-        own = [bar for bar in bars if bar.group == group]
-        vertex = frame.vertex_in_group(group)
-        rank, dof = frame.home(vertex)
-        held = scene.comm.bcast(
-            bool(scene.held[dof].any()) if scene.comm.rank == rank else None, rank
-        )
-        if held:
-            raise InputError(
-                f"FoundForm.scene: another support holds {group!r} as well; bars replace supports "
-                "of points in one group."
-            )
-        place = frame.place_of(vertex)
-        ways = np.array([bar.foot for bar in own], dtype=float) - place
-        lengths = np.linalg.norm(ways, axis=1)
-        if lengths.min() <= SAME_PLACE * scene.membrane.size:
-            bar = own[int(np.argmin(lengths))]
-            raise InputError(
-                f"FoundForm.scene: {bar.label} has its foot at {as_text(place)}, where {group!r} "
-                "is."
-            )
-        forces = _bar_forces(reactions[group], ways / lengths[:, None], own)
-        for bar, length, force in zip(own, lengths, forces, strict=True):
-            L0 = bar.unstressed(float(length), float(force))
-            scene.add_bar(bar.bar, bar.foot, vertex, L0=L0, name=bar.name)
-
-
-def _bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
-    """Forces (n,) of bars along `ways` (n, 3) that sum to a reaction (force)."""
-    group = bars[0].group
-    found = np.array([np.nan if bar.force is None else bar.force for bar in bars])
-    asked = np.isnan(found)
-    rest = reaction - found[~asked] @ ways[~asked]
-    solved, _, rank, _ = np.linalg.lstsq(ways[asked].T, rest, rcond=BALANCED)
-    found[asked] = solved
-    left = reaction - found @ ways
-    if rank < np.count_nonzero(asked):
-        raise InputError(
-            f"FoundForm.scene: the forces of {np.count_nonzero(asked)} bars at {group!r} do not "
-            "follow from its reaction; set the force of some, or move their feet."
-        )
-    if np.linalg.norm(left) > BALANCED * max(np.linalg.norm(reaction), np.abs(found).max()):
-        raise InputError(
-            f"FoundForm.scene: the bars at {group!r} leave {as_text(left)} of its reaction "
-            f"{as_text(reaction)}; add a bar, or put a foot in the direction of the rest."
-        )
-    return found
-
-
-@dataclass(frozen=True)
-class FormCableFound:
-    """A cable of a found form.
-
-    Attributes
-    ----------
-    name
-        Name of its edge group.
-    tension
-        Tension (force).
-    length
-        Length (length).
-    path
-        Positions of its vertices from end to end (length), (k, 3).
-    bonded
-        Whether it is bonded to the fabric.
-    """
-
-    name: str
-    tension: float
-    length: float
-    path: Array = field(repr=False)
-    bonded: bool = False
-
-    @property
-    def force_density(self) -> float:
-        """Tension over length (force per length)."""
-        return self.tension / self.length
 
 
 @dataclass(frozen=True, repr=False)
@@ -292,7 +171,7 @@ class FoundForm:
         for group, directions in self.supports.items():
             if group not in released:
                 scene.fix(group, directions)
-        _add_bars(scene, self.reactions, bars)
+        add_bars(scene, self.reactions, bars)
         if self.deviation > ROUNDING:
             scene.add_term(ResidualStress(scene.u, self.residual_stress))
         for cable in self.cables:
@@ -306,6 +185,56 @@ class FoundForm:
                 scene.lay_cable(of_belts[cable.name], cable.path, name=name, hold="bonded")
         scene.air.update(pressure=self.pressure)
         return scene
+
+    @collective
+    def along(self, lines: Net | Mapping[str, ArrayLike]) -> FoundForm:
+        """Find the same form on a mesh cut along lines, as for cables on them. Collective.
+
+        The mesh is `meshes.along` of this form's, with all its groups and a group of edges for
+        each line. Section forces, warp, supports, pressure and the tensions of the cables stay.
+        Vertices move along the normals of the surface only, from the facets on which they lie to
+        the form of the finer mesh, so that lines stay as straight as they are cut.
+
+        Parameters
+        ----------
+        lines
+            A net, such as one laid out on a scene of this form, or routes (k, 3) or in plan (k, 2)
+            by name (length).
+
+        Returns
+        -------
+        FoundForm
+            The form on the new mesh, in equilibrium, with its own residual section forces.
+
+        Raises
+        ------
+        InputError
+            On all ranks: lines along which the mesh cannot be cut, such as those of another form.
+        ConvergenceError
+            On all ranks: no form was found on the new mesh.
+
+        Examples
+        --------
+        >>> cut = found.along({"ridge": [(0.0, 5.0), (10.0, 5.0)]})
+        >>> scene = cut.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
+        """
+        mesh = meshes.along(self.mesh, lines.paths if isinstance(lines, Net) else lines)
+        prescribed = PrescribedStress.of(mesh, self.stress.forces, self.stress.warps)
+        membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
+        for group, directions in self.supports.items():
+            membrane.hold(group, directions, new_edges=True)
+        cables = edge_lines(membrane, [
+            FormCable(cable.name, tension=cable.tension, bonded=cable.bonded)
+            for cable in self.cables
+        ])  # fmt: skip
+        pressure = None if self.volume is None else self.pressure
+        still = np.zeros_like(membrane.stress_free)
+        search = search_on(membrane, prescribed, cables, still, "crms_form_", pressure=pressure)
+        try:
+            search.run(None)
+        finally:
+            search.system.destroy()
+        return form_of(search, mesh, prescribed, self.supports, "FoundForm.along")
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
         """Supports that bars replace."""
@@ -333,3 +262,111 @@ class FoundForm:
         if missing and all_of_them:
             raise InputError(f"FoundForm.scene: the cable {missing[0]!r} has no Cable.")
         return kinds  # type: ignore[return-value]
+
+
+def search_on(
+    membrane: Membrane, prescribed: PrescribedStress, lines: list[EdgeLine], lift: Array,
+    prefix: str, *, pressure: float | None, volume: float | None = None, rise: float | None = None,
+) -> FormSearch:  # fmt: skip
+    """The search for a form on a membrane with its supports. Collective."""
+    inflated = any(value is not None for value in (pressure, volume, rise))
+    centre = _rim_centre(membrane, lift, inflated)
+    film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
+    n = membrane.V.dofmap.index_map.size_local
+    inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
+    return FormSearch(membrane, film, lines, inflation, prefix)
+
+
+def form_of(
+    search: FormSearch, mesh: MembraneMesh, prescribed: PrescribedStress,
+    supports: Mapping[str, str], call: str,
+) -> FoundForm:  # fmt: skip
+    """The form that a search has found from a mesh. Collective."""
+    film, membrane, inflation = search.film, search.membrane, search.inflation
+    shape = moved(mesh, membrane.V, membrane.positions())
+    residual = film.section_forces() - prescribed.tensors(shape)
+    largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
+    deviation = largest / film.largest
+    found = tuple(
+        FormCableFound(
+            one.cable.group, one.tension, one.length, places_of(membrane, one.ids), one.cable.bonded
+        )
+        for one in search.lines
+    )
+    reactions = _group_sums(membrane, supports, search.support_forces)
+    disturbance = _disturbance(membrane, supports, search)
+    _check_deviation(call, deviation, disturbance, prescribed, mesh)
+    return FoundForm(
+        shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
+        film.area(),
+        film.volume() if inflation.acts else None, inflation.pressure, search.iterations,
+    )  # fmt: skip
+
+
+def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
+    """Mean position of the rim, or centre of a membrane without a rim. Collective."""
+    edges = membrane.open_edges
+    ends = np.unique(edges.vertices)
+    if inflated:
+        free = ends[~membrane.held[ends].all(axis=1)]
+        found = np.concatenate(membrane.comm.allgather(membrane.stress_free[free[:1]]))
+        if len(found):
+            raise InputError(
+                "find_form: there is pressure, but the rim is not held in all directions at "
+                f"{as_text(found[0])}."
+            )
+    own = ends[ends < membrane.V.dofmap.index_map.size_local]
+    places = (membrane.stress_free + lift)[own]
+    total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
+    return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre
+
+
+def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
+    """Largest relative change of the form's figures by the elasticity. Collective."""
+    if not search.holding or search.freely is None:
+        return 0.0
+    (before, free), (numbers, held) = search.freely, search.figures()
+    changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
+    changes = _group_sums(membrane, supports, held - free)
+    sizes = np.linalg.norm(held, axis=1)[:, None]
+    largest = max(float(size[0]) for size in _group_sums(membrane, supports, sizes).values())
+    moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
+    return max(float(changed.max()), moved_by / largest if largest else 0.0)
+
+
+def _check_deviation(
+    call: str, deviation: float, disturbance: float, stress: PrescribedStress, mesh: MembraneMesh
+) -> None:
+    """Refuse forms whose section forces differ from those prescribed."""
+    forces = np.array(list(stress.forces.values()))
+    incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
+    if deviation > incompatible + COARSE:
+        raise ConvergenceError(
+            f"{call}: the nearest form has section forces that differ by {deviation:.0%} from "
+            f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
+        )
+    if mesh.comm.rank > 0:
+        return
+    if disturbance > REPORTED_DISTURBANCE:
+        logger.warning(
+            "%s: residual section forces change the area, cables, pressure or supports' "
+            "forces of the form by up to %.1f %%; use a finer mesh, or a start mesh nearer to it",
+            call,
+            100 * disturbance,
+        )
+    if deviation > REPORTED_DEVIATION:
+        logger.warning(
+            "%s: section forces of the form differ from those prescribed by up to %.0f %%: "
+            "the mesh is coarse, or different ones along warp and weft do not balance each other",
+            call,
+            100 * deviation,
+        )
+
+
+def _group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
+    """Sum (3,) of the forces (n, 3) on this rank's owned vertices, per group. Collective."""
+    sums = {}
+    for group in groups:
+        dofs = membrane.vertices(group)
+        sums[group] = membrane.comm.allreduce(forces[dofs[dofs < len(forces)]].sum(axis=0))
+    return sums

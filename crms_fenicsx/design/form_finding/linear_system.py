@@ -8,11 +8,12 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.design.form_finding.film import SOFTEST, Film
+from crms_fenicsx.design.form_finding.film import Film
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.membrane import Membrane
 
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 LYING = 0.1
 """Part of a direction left free by supports up to which the direction counts as held."""
 
@@ -23,7 +24,9 @@ class Directions:
     Across are the surface normal, at cables the two directions square to the cable, and where
     cables end or meet all directions; a vertex that moves within leaves the form unchanged. At a
     `guided` vertex, held in some directions, forces within the surface count as well. `across`,
-    `within`, `counted` (where forces must balance) and `along` (cables) are projectors, (n, 3, 3).
+    `within`, `counted` (where forces must balance), `moving` (where vertices move that a sheet
+    holds: these, but not along lines of guided vertices) and `along` (cables) are projectors,
+    (n, 3, 3).
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:
@@ -39,7 +42,12 @@ class Directions:
         on_any = np.isin(ids, numbers)
         self._joint = on_any & ~self.on_cable
         self.guided = ~on_any & self.free.any(axis=1) & ~self.free.all(axis=1)
-        self.across, self.within, self.counted, self.along = np.zeros((4, n, 3, 3))
+        ends = film.V.dofmap.list[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        partly = membrane.held.any(axis=1) & ~membrane.held.all(axis=1)
+        partly &= ~np.isin(membrane.vertex_ids, numbers)
+        self._guides = ends[partly[ends].all(axis=1)]
+        self._has_guides = membrane.comm.allreduce(len(self._guides)) > 0
+        self.across, self.within, self.counted, self.moving, self.along = np.zeros((5, n, 3, 3))
 
     def take(self) -> None:
         """Update the directions to the current shape. Collective."""
@@ -53,6 +61,21 @@ class Directions:
         self.within = free - self.across
         self.counted = np.where(self.guided[:, None, None], free, self.across)
         self.along = np.where(self.on_cable[:, None, None], self.within, 0.0)
+        self.moving = self.counted
+        if self._has_guides:
+            tangent = self._freed(self._guide_tangents()) * self.guided[:, None]
+            self.moving = self.counted - tangent[:, :, None] * tangent[:, None, :]
+
+    def _guide_tangents(self) -> Array:
+        """Tangents (n, 3) of lines of guided vertices at these. Collective."""
+        x = self._film.positions()
+        sides = x[self._guides[:, 1]] - x[self._guides[:, 0]]
+        squares = np.zeros((len(x), 3, 3))
+        for end in self._guides.T:
+            np.add.at(squares, end, sides[:, :, None] * sides[:, None, :])
+        rows = [self._film.gathered(squares[:, k]) for k in range(3)]
+        values, axes = np.linalg.eigh(np.stack(rows, axis=1))
+        return np.where(values[:, 2:] > 0.0, axes[:, :, 2], 0.0)
 
     def _freed(self, vectors: Array) -> Array:
         """Free components of vectors (n, 3) as unit vectors, zero if almost none is free."""
@@ -103,40 +126,56 @@ class LinearSystem:
         for own in (self._pc, self._vector, self._way, self.film.matrix, self.film.elastic):
             own.destroy()
 
-    def assemble(self, *, exact: bool, modulus: float = 0.0, pressure: float = 0.0) -> None:
-        """Assemble the exact stiffness, elasticity included, or that of the updated reference
-        strategy, with cables as force densities."""
-        self.film.assemble(self.film.matrix, exact=exact, modulus=modulus, pressure=pressure)
+    def assemble(self, *, exact: bool, pressure: float = 0.0) -> None:
+        """Assemble the exact stiffness, or that of the updated reference strategy, with cables as
+        force densities."""
+        self.film.assemble(exact=exact, pressure=pressure)
         for line in self.lines:
             line.add_stiffness(self.film.matrix, even=not exact)
         self.film.matrix.assemble()
 
-    def balance_across(self, pressure: float, damping: float) -> None:
-        """Assemble the exact stiffness across the form, and an elasticity within it."""
-        film, directions = self.film, self.directions
-        self.assemble(exact=True, modulus=damping, pressure=pressure)
-        film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
-        film.elastic.assemble()
+    def balance(self, counted: Array, placed: Array, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the elastic sheet, in the
+        directions `counted`, and what places the vertices in the others: the sheet, at cables
+        their lengths."""
+        film = self.film
+        self._assemble_both(pressure, share)
         film.elastic.zeroRows(self._on_cable, diag=0.0)
         for line in self.lines:
             line.add_stiffness(film.elastic, even=True)
         film.elastic.assemble()
-        sum_of = self._times(directions.counted, film.matrix)
-        within = self._times(directions.within, film.elastic)
-        sum_of.axpy(1.0, within, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        sum_of.copy(film.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        for own in (sum_of, within):
+        left = self._diagonal(counted), self._diagonal(placed)
+        self._replace(left[0].matMult(film.matrix), left[1].matMult(film.elastic), *left)
+
+    def hold(self, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the elastic sheet, by displacements
+        across the form, and that of the sheet by its own within the form."""
+        self._assemble_both(pressure, share)
+        moving = self.directions.moving
+        right = self._diagonal(moving), self._diagonal(np.eye(3) - moving)
+        self._replace(
+            self.film.matrix.matMult(right[0]), self.film.elastic.matMult(right[1]), *right
+        )
+
+    def _assemble_both(self, pressure: float, share: float) -> None:
+        """Assemble the exact stiffness, with a share of that of the sheet, and the sheet's."""
+        self.assemble(exact=True, pressure=pressure)
+        self.film.assemble_elastic()
+        self.film.matrix.axpy(share, self.film.elastic, SAME)
+
+    def _replace(self, one: PETSc.Mat, other: PETSc.Mat, *spent: PETSc.Mat) -> None:
+        """Replace the matrix by a sum."""
+        one.axpy(1.0, other, SAME)
+        one.copy(self.film.matrix, SAME)
+        for own in (one, other, *spent):
             own.destroy()
 
-    def _times(self, blocks: Array, matrix: PETSc.Mat) -> PETSc.Mat:
-        """A matrix whose rows are multiplied by a block per vertex, (n, 3, 3)."""
-        left = PETSc.Mat().createAIJ(
-            matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
+    def _diagonal(self, blocks: Array) -> PETSc.Mat:
+        """The matrix of blocks of the vertices, (n, 3, 3), on its diagonal."""
+        return PETSc.Mat().createAIJ(
+            self.film.matrix.getSizes(), csr=(self._pointers, self._columns, blocks.ravel()),
             comm=self.film.comm,
         )  # fmt: skip
-        product = left.matMult(matrix)
-        left.destroy()
-        return product
 
     def times(self, way: Array) -> Array:
         """Forces (n, 3) due to displacements (n, 3), before `factorise`. Collective."""

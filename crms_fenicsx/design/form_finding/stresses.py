@@ -44,7 +44,7 @@ class PrescribedStress:
         cls,
         mesh: MembraneMesh,
         stress: Stress,
-        warp: Direction | Mapping[str, Direction] | None,
+        warp: Direction | Mapping[str, Direction] | Mapping[str, Direction | None] | None,
     ) -> PrescribedStress:
         """Check the user's arguments. Collective."""
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}

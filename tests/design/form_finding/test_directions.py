@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from form_meshes import CORNERS, SIDES, nodes
 from grids import grid
 from mpi4py import MPI
@@ -11,7 +12,7 @@ from taylor import noise
 
 from crms_fenicsx import IsotropicMembrane, meshes
 from crms_fenicsx.design.form_finding import FormCable, find_form
-from crms_fenicsx.design.form_finding.film import SOFTEST, Film
+from crms_fenicsx.design.form_finding.film import Film
 from crms_fenicsx.design.form_finding.form_cables import edge_lines
 from crms_fenicsx.design.form_finding.linear_system import Directions, LinearSystem
 from crms_fenicsx.model.membrane import Membrane
@@ -29,7 +30,6 @@ def sail(comm: MPI.Intracomm) -> tuple[Membrane, Film, list, Directions]:
     n = len(membrane.V.dofmap.list)
     film = Film(membrane, np.full((n, 2), 2.0), np.tile([1.0, 0.0, 0.0], (n, 1)), membrane.centre)
     film.u.x.array[:] = (0.2 * noise(membrane.stress_free, 1)).ravel()
-    film.reference.x.array[:] = film.u.x.array
     for line in lines:
         line.measure(film.positions(), comm)
         line.tension = 5.0
@@ -57,39 +57,54 @@ def test_directions_of_vertices(comm: MPI.Intracomm) -> None:
 
 
 @pytest.mark.ranks
-def test_matrix_across(comm: MPI.Intracomm) -> None:
+def test_matrices(comm: MPI.Intracomm) -> None:
+    """Rows of forces across and of what places vertices; columns of displacements across and of
+    those of the sheet."""
     membrane, film, lines, directions = sail(comm)
     n, all_n = len(directions.free), len(film.start)
     start, way, h = film.u.x.array.copy(), noise(membrane.stress_free, 3), 1e-5
     lengths = [line.length for line in lines]
-    film.modulus = SOFTEST
 
-    def forces() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of film and cables, of the elasticity, and of the cables by their shares."""
-        real, even = film.forces(False), np.zeros((n, 3))
-        elastic = film.forces(True) - real
+    def forces() -> tuple[np.ndarray, np.ndarray]:
+        """Of film and cables, and of the cables by their shares."""
+        real, even = film.forces(), np.zeros((n, 3))
         for line, length in zip(lines, lengths, strict=True):
             line.measure(film.positions(), comm)
             real += line.tension * film.gathered(line.slope(all_n))
             line.length = length  # constant in its stiffness
             even += line.tension * film.gathered(line.slope(all_n, even=True))
-        return real, elastic, even
+        return real, even
 
-    values = []
-    for sign in (1, -1):
-        film.u.x.array[:] = start + sign * h * way.ravel()
-        values.append(forces())
-    film.u.x.array[:] = start
-    forces()
-    real, elastic, even = ((a - b) / (2 * h) for a, b in zip(*values, strict=True))
-    elastic[directions.on_cable] = 0.0
-    expected = np.einsum("nij,nj->ni", directions.counted, real)
-    expected += np.einsum("nij,nj->ni", directions.within, elastic + even)
+    def slopes(way: np.ndarray) -> list[np.ndarray]:
+        """Differences of these forces, and those of the sheet, by displacements (n, 3)."""
+        values = []
+        for sign in (1, -1):
+            film.u.x.array[:] = start + sign * h * way.ravel()
+            values.append(forces())
+        film.u.x.array[:] = start
+        before, _ = forces()
+        film.sheet.x.array[:] += way.ravel()
+        elastic = forces()[0] - before
+        film.sheet.x.array[:] -= way.ravel()
+        return [(a - b) / (2 * h) for a, b in zip(*values, strict=True)] + [elastic]
 
     system = LinearSystem(film, lines, directions, "test_")
-    system.balance_across(0.0, 0.0)
-    found = system.times(way[:n])
-    np.testing.assert_allclose(found, expected, atol=1e-7)
+    counted, within, moving = directions.counted, directions.within, directions.moving
+    real, even, elastic = slopes(way)
+    system.balance(counted, within, 0.0, 0.3)
+    elastic_placed = np.where(directions.on_cable[:, None], 0.0, elastic)
+    expected = np.einsum("nij,nj->ni", counted, real + 0.3 * elastic)
+    expected += np.einsum("nij,nj->ni", within, elastic_placed + even)
+    np.testing.assert_allclose(system.times(way[:n]), expected, atol=1e-7)
+
+    film.sheet.x.array[:] = (0.1 * noise(membrane.stress_free, 5)).ravel()
+    across = fem.Function(film.V)
+    across.x.array[: 3 * n] = np.einsum("nij,nj->ni", moving, way[:n]).ravel()
+    across.x.scatter_forward()
+    by = across.x.array.reshape(-1, 3)
+    system.hold(0.0, 0.0)
+    expected = slopes(by)[0] + slopes(way - by)[2]
+    np.testing.assert_allclose(system.times(way[:n]), expected, atol=1e-7)
     system.destroy()
 
 

@@ -71,7 +71,7 @@ def test_sharp_corners(
         assert form.area == pytest.approx(within, rel=3e-5)
         for cable, (length, _) in zip(form.cables, ideal * 2, strict=True):
             assert cable.length == pytest.approx(length, rel=1e-5)
-        assert form.iterations <= 10
+        assert form.iterations <= 11
         assert form.disturbance < 1e-4
         away = np.linalg.norm(form.reactions["front left"][:2] + pull)
         errors.append((form.area / area - 1, form.cables[0].length / exact[0][0] - 1, away))

@@ -102,7 +102,7 @@ def test_the_stresses_are_those_prescribed(comm: MPI.Intracomm) -> None:
         Solver(scene).advance()
         own = float(np.abs(scene.u.x.array).max(initial=0.0))
         moves.append(comm.allreduce(own, op=MPI.MAX))
-        assert form.deviation < 2e-3 * size
+        assert form.deviation < 2.5e-3 * size
     assert 1e-8 < moves[-1] < 1e-3
     assert order(sizes, moves) > 0.8
 
