@@ -113,14 +113,16 @@ def traced_lines(
     tracer = Tracer(surface)
     lines = [tracer.line(name, route) for name, route in routes.items()]
     kept = _segments(surface.points, strands.keys())
-    settled = vectors(surface.points[strands.corners(surface.points)])
+    # each place where ends meet, and where a line from there ends: nowhere from corners
+    corners = surface.points[strands.corners(surface.points)]
+    settled = [(corner, np.full(3, np.inf)) for corner in vectors(corners)]
     for k, line in enumerate(lines):
-        for end in (0, -1):
+        for end, far in ((0, -1), (-1, 0)):
             others = [other.places for other in lines if other is not line]
             target = _target(line, end, strands, settled, kept, others)
             if target is not None:
                 line = lines[k] = tracer.line(line.name, _led_to(line, end, target))
-            settled.append(line.places[end])
+            settled.append((line.places[end], line.places[far]))
     return lines
 
 
@@ -133,16 +135,17 @@ def _target(
     line: TracedLine,
     end: int,
     strands: Strands,
-    settled: Sequence[Array],
+    settled: Sequence[tuple[Array, Array]],
     kept: Array,
     others: Sequence[Array],
 ) -> Array | None:
     """The place to which an end of a line moves; None if it stays."""
     place, reach = line.places[end], MEETS * line.sizes[end]
-    ends = np.array(settled).reshape(-1, 3)
-    gaps = norm(ends - place)
+    ends = np.array(settled).reshape(-1, 2, 3)
+    gaps = norm(ends[:, 0] - place)
+    gaps[norm(ends[:, 1] - line.places[-1 - end]) <= reach] = np.inf  # lines side by side
     if len(ends) and gaps.min() <= reach:
-        found = ends[int(np.argmin(gaps))]
+        found: Array = ends[int(np.argmin(gaps)), 0]
         return None if gaps.min() <= SNAP * line.sizes[end] else found
     if strands.on(line.points[end]):
         return None
