@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.cutting.chord_crossings import meet
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Row, side_turns, vertex_normals
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
+    LEAST,
+    CutMesh,
+    Row,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
@@ -36,11 +42,6 @@ from crms_fenicsx.foundation.surface.trace import checked_route
 
 TURN = float(np.radians(0.5))
 """Angle by which a line turns sideways that counts as a bend."""
-RINGS = 2
-"""Edges from a row within which vertices are spread."""
-LEAST = 10.0, 15.0
-"""Smallest angles (degrees), of all cells and of all but a hundredth, below which they are told."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -169,10 +170,10 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
 def improve(mesh: CutMesh) -> None:
     """Merge, flip and spread what lies near the rows."""
     collapse(mesh)
-    near = mesh.band(RINGS + 1)
+    near = mesh.band(3)
     flip(mesh, near)
     for _ in range(2):
-        spreading = Spreading(mesh, RINGS)
+        spreading = Spreading(mesh)
         for step in range(3):
             spreading.step(last=step == 2)
         flip(mesh, near)

@@ -9,15 +9,11 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.cutting.division import Point, dot, minus, shape
+from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import floats, ints
-
-SHORT = 0.5
-"""Length, relative to the cells before the cut, below which edges are collapsed."""
-OFF = 0.02
-"""Distance, relative to the cells, by which a row or rim may leave out a bend."""
 
 
 def collapse(mesh: CutMesh) -> None:
@@ -113,7 +109,7 @@ class _Collapses:
             ends = self.strands.neighbours(v)
             if ends is None or r not in ends or ends[1] in self.strands.beside[ends[0]]:
                 return False
-            if self.bend(v, *ends) > OFF * self.size[v]:
+            if self.bend(v, *ends) > ASIDE * self.size[v]:
                 return False
         own = self.around[v]
         at_edge = [c for c in own if r in self.cell[c]]

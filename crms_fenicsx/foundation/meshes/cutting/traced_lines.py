@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
-from crms_fenicsx.foundation.meshes.cutting.strands import Strands
+from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT, Strands
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
@@ -29,12 +29,6 @@ MEETS = 0.2
 """Distance, relative to the cells, within which an end of a line is moved to where it may end."""
 REACH = 3.0
 """Length, relative to the cells, over which a line leads to an end that was moved."""
-
-
-APART = 0.02
-"""Least distance of lines that do not meet, relative to the cells."""
-SIDE = 0.3
-"""Length, relative to the cells, over which lines closer than that run side by side."""
 
 
 @dataclass
@@ -202,11 +196,11 @@ def check_apart(nodes: CutNodes, legs: Mapping[str, Sequence[Leg]]) -> None:
         for (one, a, b), (other, c, d) in combinations(ways, 2):
             if norm(x[a] - x[b]) > norm(x[c] - x[d]):
                 one, a, b, other, c, d = other, c, d, one, a, b
-            if norm(x[a] - x[b]) < SIDE * size:
+            if norm(x[a] - x[b]) < SHORT * size:
                 continue
             along = np.array([[x[c], x[d]]])
             gap = max(_closest_on(along, x[v])[1] for v in (a, b))
-            if gap <= APART * size:
+            if gap <= ASIDE * size:
                 what = f"runs back along itself, {gap:.3g} apart,"
                 if one != other:
                     what = f"and the line {other!r} run side by side, {gap:.3g} apart,"
