@@ -193,6 +193,11 @@ def _triangulated(polygon: list[int], places: list[Array], normal: Point) -> lis
         own, sine = shape(x[i], x[k], x[j])
         return sine if dot(own, normal) >= 0.0 else -1.0
 
+    if n == 4:  # most of them
+        one, other = ((0, 1, 3), (1, 2, 3)), ((0, 1, 2), (0, 2, 3))
+        least = [min(quality(*first), quality(*second)) for first, second in (one, other)]
+        return [tuple(polygon[k] for k in own) for own in (one if least[0] >= least[1] else other)]
+
     @cache
     def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
         """Quality and triangles of the part from i to j; of equal ones that of the least k."""

@@ -74,7 +74,7 @@ class Tracer:
         leg = np.repeat(np.arange(len(legs)), steps)
         part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
         at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
-        return np.unique(balls.within(at, np.full(len(at), 1.5 * size))[1])
+        return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
     def balls(self) -> Balls:
