@@ -141,7 +141,11 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
     check_apart(nodes, legs)
     chords = chords_of(legs)
     meet(nodes, chords)
-    cells, parents = divided(surface.cells, nodes, chords)
+    # from one side, whichever is outside, so that equally good divisions do not depend on it
+    a, b, c = surface.cells.T
+    turned = ((a > b) ^ (b > c) ^ (a > c)).astype(bool)
+    cells, parents = divided(np.sort(surface.cells, axis=1), nodes, chords)
+    cells[turned[parents]] = cells[turned[parents]][:, ::-1]
     points = np.array(nodes.places)
     strands.divide(nodes)
     corners = surface.points[surface.cells]
