@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.cutting.chord_crossings import meet
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Row, side_turns, vertex_normals
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
+    LEAST,
+    CutMesh,
+    Row,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
@@ -36,11 +42,6 @@ from crms_fenicsx.foundation.surface.trace import checked_route
 
 TURN = float(np.radians(0.5))
 """Angle by which a line turns sideways that counts as a bend."""
-RINGS = 2
-"""Edges from a row within which vertices are spread."""
-LEAST = 10.0, 15.0
-"""Smallest angles (degrees), of all cells and of all but a hundredth, below which they are told."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -140,7 +141,11 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
     check_apart(nodes, legs)
     chords = chords_of(legs)
     meet(nodes, chords)
-    cells, parents = divided(surface.cells, nodes, chords)
+    # from one side, whichever is outside, so that equally good divisions do not depend on it
+    a, b, c = surface.cells.T
+    turned = ((a > b) ^ (b > c) ^ (a > c)).astype(bool)
+    cells, parents = divided(np.sort(surface.cells, axis=1), nodes, chords)
+    cells[turned[parents]] = cells[turned[parents]][:, ::-1]
     points = np.array(nodes.places)
     strands.divide(nodes)
     corners = surface.points[surface.cells]
@@ -169,10 +174,10 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
 def improve(mesh: CutMesh) -> None:
     """Merge, flip and spread what lies near the rows."""
     collapse(mesh)
-    near = mesh.band(RINGS + 1)
+    near = mesh.band(3)
     flip(mesh, near)
     for _ in range(2):
-        spreading = Spreading(mesh, RINGS)
+        spreading = Spreading(mesh)
         for step in range(3):
             spreading.step(last=step == 2)
         flip(mesh, near)

@@ -9,15 +9,11 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.cutting.division import Point, dot, minus, shape
+from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import floats, ints
-
-SHORT = 0.5
-"""Length, relative to the cells before the cut, below which edges are collapsed."""
-OFF = 0.02
-"""Distance, relative to the cells, by which a row or rim may leave out a bend."""
 
 
 def collapse(mesh: CutMesh) -> None:
@@ -42,6 +38,7 @@ class _Collapses:
         self.x: dict[int, Point] = dict(zip(ints(own), places, strict=True))
         self.size = dict(zip(ints(own), floats(mesh.size[own]), strict=True))
         self.gone: set[int] = set()
+        self.shapes: dict[int, tuple[Point, float]] = {}  # of unchanged cells
 
     def run(self) -> None:
         table = EdgeTable.of(np.array(list(self.cell.values()), dtype=np.int64))
@@ -113,7 +110,7 @@ class _Collapses:
             ends = self.strands.neighbours(v)
             if ends is None or r not in ends or ends[1] in self.strands.beside[ends[0]]:
                 return False
-            if self.bend(v, *ends) > OFF * self.size[v]:
+            if self.bend(v, *ends) > ASIDE * self.size[v]:
                 return False
         own = self.around[v]
         at_edge = [c for c in own if r in self.cell[c]]
@@ -122,7 +119,7 @@ class _Collapses:
         before, after = 1.0, 1.0
         for c in own:
             corners = self.cell[c]
-            old = shape(*(self.x[w] for w in corners))
+            old = self.shape(c)
             before = min(before, old[1])
             if c not in at_edge:
                 new = shape(*(self.x[r if w == v else w] for w in corners))
@@ -130,6 +127,13 @@ class _Collapses:
                     return False
                 after = min(after, new[1])
         return after >= before * self.ratio(v, r) / SHORT  # the shorter, the more urgent
+
+    def shape(self, c: int) -> tuple[Point, float]:
+        """Normal of a cell, and sine of its smallest angle."""
+        if c not in self.shapes:
+            p, q, r = self.cell[c]
+            self.shapes[c] = shape(self.x[p], self.x[q], self.x[r])
+        return self.shapes[c]
 
     def bend(self, v: int, a: int, b: int) -> float:
         """Distance of a vertex from the chord between its neighbours along a strand, sideways if it
@@ -142,7 +146,7 @@ class _Collapses:
         away = minus(one, (part * side[0], part * side[1], part * side[2]))
         across = 0.0
         if not self.mesh.rows.keys().isdisjoint(self.strands.beside[v][a]):
-            shapes = [shape(*(self.x[w] for w in self.cell[c])) for c in self.around[v]]
+            shapes = [self.shape(c) for c in self.around[v]]
             nx, ny, nz = (fsum(normal[k] for normal, _ in shapes) for k in range(3))
             across = dot(away, (nx, ny, nz)) / sqrt(dot((nx, ny, nz), (nx, ny, nz)))
         return sqrt(max(dot(away, away) - across**2, 0.0))
@@ -159,5 +163,6 @@ class _Collapses:
                 self.cell[c] = []
             else:
                 corners[corners.index(v)] = r
+                self.shapes.pop(c, None)
                 self.around[r].add(c)
         self.gone.add(v)

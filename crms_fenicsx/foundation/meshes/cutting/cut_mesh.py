@@ -11,6 +11,10 @@ from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
+LEAST = 10.0, 15.0
+"""Smallest angles (degrees), of all cells and of all but a hundredth, that are told if smaller; and
+no vertex is moved so that one falls below the second."""
+
 
 @dataclass
 class Row:
@@ -45,7 +49,7 @@ class CutMesh:
         self.label = labels_of(self.surface)
 
     def band(self, rings: int) -> Booleans:
-        """Vertices (n,) within some edges of a row."""
+        """Vertices (n,) within that many edges of a row."""
         near = np.zeros(len(self.points), dtype=bool)
         for row in self.rows.values():
             near[row.vertices] = True

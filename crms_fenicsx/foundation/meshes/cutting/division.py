@@ -40,16 +40,18 @@ class CutNodes:
         self.corners, self.within = corners, within
         self.places = vectors(points)
         self.on: dict[Edge, list[tuple[float, int]]] = {}
-        self.inside: dict[CellPoint, int] = {}
+        self.inside: dict[Support, list[tuple[CellPoint, int]]] = {}
 
     def node(self, p: SurfacePoint) -> int:
         """The node at a point of a line, new if it is the first there."""
         if isinstance(p, VertexPoint):
             return p.vertex
         if isinstance(p, CellPoint):
-            if p not in self.inside:
-                self.inside[p] = self.new(np.array(p.weights) @ self.corners[list(p.cell)])
-            return self.inside[p]
+            for known, node in (own := self.inside.setdefault(p.cell, [])):
+                if np.abs(np.subtract(p.weights, known.weights)).max() <= self.within:
+                    return node
+            own.append((p, self.new(np.array(p.weights) @ self.corners[list(p.cell)])))
+            return own[-1][1]
         there, t = self.on.setdefault(p.edge, []), p.fraction
         for other, node in there:
             if abs(other - t) <= self.within:
@@ -118,9 +120,8 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
     near = np.asarray(on_sides.any(axis=1) | of_cells.all(axis=1))
     rows = np.flatnonzero(near)
     parts = []
-    for a, b, c in lists(cells[rows]):
-        rim = [a, *nodes.along(a, b), b, *nodes.along(b, c), c, *nodes.along(c, a)]
-        parts.append(_split(rim, chords.get(tuple(sorted((a, b, c))), []), nodes.places))
+    for cell in lists(cells[rows]):
+        parts.append(_split(cell, nodes, chords.get(tuple(sorted(cell)), [])))
     counts = np.ones(len(cells), dtype=np.int64)
     counts[rows] = [len(own) for own in parts]
     parents = np.repeat(np.arange(len(cells)), counts)
@@ -131,12 +132,18 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
 
 
 def _split(
-    rim: list[int], chords: list[tuple[str, list[int]]], places: list[Array]
+    cell: list[int], nodes: CutNodes, chords: list[tuple[str, list[int]]]
 ) -> list[tuple[int, ...]]:
-    """The triangles of a cell, with nodes around its boundary, divided by chords."""
-    polygons = [rim]
-    for name, chord in chords:
+    """The triangles of a cell divided by chords, and at nodes on its sides."""
+    a, b, c = cell
+    rim = [a, *nodes.along(a, b), b, *nodes.along(b, c), c, *nodes.along(c, a)]
+    places = nodes.places
+    polygons, pending = [rim], _joined(rim, chords) if len(chords) > 1 else list(chords)
+    while pending:
         known = {v for polygon in polygons for v in polygon}
+        # next one that ends at others, not before them
+        k = next((k for k, (_, own) in enumerate(pending) if {own[0], own[-1]} <= known), 0)
+        name, chord = pending.pop(k)
         stops = [k for k, v in enumerate(chord) if v in known]
         for first, last in pairwise(stops):
             u, v, inner = chord[first], chord[last], chord[first + 1 : last]
@@ -154,15 +161,42 @@ def _split(
                 continue
             polygons.remove(own)
             polygons += [own[i : j + 1] + inner[::-1], own[j:] + own[: i + 1] + inner]
-    return [triangle for polygon in polygons for triangle in _triangulated(polygon, places)]
+    normal, _ = shape(*((float(x), float(y), float(z)) for x, y, z in (places[v] for v in cell)))
+    return [one for polygon in polygons for one in _triangulated(polygon, places, normal)]
 
 
-def _triangulated(polygon: list[int], places: list[Array]) -> list[tuple[int, ...]]:
-    """Triangulation of a flat convex polygon whose worst triangle is best."""
+def _joined(rim: list[int], chords: list[tuple[str, list[int]]]) -> list[tuple[str, list[int]]]:
+    """The chords of a cell, one instead of each two that end at one node inside it."""
+    found: list[tuple[str, list[int]]] = []
+    for name, chord in chords:
+        for k, (other, own) in enumerate(found):
+            inner = {chord[0], chord[-1]} & {own[0], own[-1]} - {*rim}
+            if inner:
+                first = own if own[-1] in inner else own[::-1]
+                second = chord if chord[0] in inner else chord[::-1]
+                found[k] = other, first + second[1:]
+                break
+        else:
+            found.append((name, chord))
+    return found
+
+
+def _triangulated(polygon: list[int], places: list[Array], normal: Point) -> list[tuple[int, ...]]:
+    """Triangulation of a flat polygon with a normal whose worst triangle is best."""
     n = len(polygon)
     if n == 3:
         return [tuple(polygon)]
     x = [(float(x), float(y), float(z)) for x, y, z in (places[v] for v in polygon)]
+
+    def quality(i: int, k: int, j: int) -> float:
+        """Sine of the smallest angle, negative if the triangle lies outside."""
+        own, sine = shape(x[i], x[k], x[j])
+        return sine if dot(own, normal) >= 0.0 else -1.0
+
+    if n == 4:  # most of them
+        one, other = ((0, 1, 3), (1, 2, 3)), ((0, 1, 2), (0, 2, 3))
+        least = [min(quality(*first), quality(*second)) for first, second in (one, other)]
+        return [tuple(polygon[k] for k in own) for own in (one if least[0] >= least[1] else other)]
 
     @cache
     def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
@@ -170,8 +204,8 @@ def _triangulated(polygon: list[int], places: list[Array]) -> list[tuple[int, ..
         found: list[tuple[float, int, list[tuple[int, ...]]]] = []
         for k in range(i + 1, j):
             (before, _, left), (after, _, right) = best(i, k), best(k, j)
-            quality = min(shape(x[i], x[k], x[j])[1], before, after)
-            found.append((quality, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
+            least = min(quality(i, k, j), before, after)
+            found.append((least, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
         return max(found, default=(np.inf, 0, []))
 
     return best(0, n - 1)[2]

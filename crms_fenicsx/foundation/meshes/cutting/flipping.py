@@ -9,9 +9,6 @@ from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
-ROUNDS = 50
-"""Most rounds of flips, each of edges without a common cell."""
-
 
 def flip(mesh: CutMesh, near: Booleans) -> None:
     """Flip edges of the cells of which all vertices are near (n,), by Lawson's criterion."""
@@ -19,7 +16,7 @@ def flip(mesh: CutMesh, near: Booleans) -> None:
     rows = np.flatnonzero(near[mesh.cells].any(axis=1))
     cells, own = mesh.cells[rows], inside[rows]
     label, kept = mesh.label[mesh.parents[rows]], mesh.strands.keys()
-    for _ in range(ROUNDS):
+    for _ in range(50):  # on curved surfaces they may not end
         if not _round(mesh.points, cells, own, label, kept):
             break
     mesh.cells[rows] = cells

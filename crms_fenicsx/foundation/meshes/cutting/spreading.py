@@ -5,22 +5,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.collapsing import OFF
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Row
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
+from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
-
-SINE = float(np.sin(np.radians(20.0)))
-"""Sine of a cell's smallest angle below which no vertex is moved so that it falls."""
 
 
 class Spreading:
     """Places for the vertices near rows."""
 
-    def __init__(self, mesh: CutMesh, rings: int) -> None:
+    def __init__(self, mesh: CutMesh) -> None:
         self.mesh = mesh
-        self.near = mesh.band(rings)
+        self.near = mesh.band(2)
         strands = mesh.strands
         free = self.near.copy()
         free[list(strands.fixed)] = False
@@ -109,7 +106,7 @@ class Spreading:
         start = np.where(forward[:, None], x[a], x[b])
         t = dot(x[v] - start, chord) / dot(chord, chord)
         off = norm(x[v] - start - t[:, None] * chord)
-        fits = (off <= OFF * self.mesh.size[v]) & (
+        fits = (off <= ASIDE * self.mesh.size[v]) & (
             dot(x[v] - x[a], x[b] - x[v]) >= CREASE * back * ahead
         )
         new[v[fits]] = place[fits]
@@ -118,9 +115,10 @@ class Spreading:
         """Take back moves after which a cell's smallest angle is too small and smaller."""
         x = self.mesh.points
         normals, before = shapes(x[cells])
+        least = np.sin(np.radians(LEAST[1]))
         for _ in range(20):
             turned, after = shapes(new[cells])
-            bad = (dot(turned, normals) <= 0.5) | ((after < before) & (after < SINE))
+            bad = (dot(turned, normals) <= 0.5) | ((after < before) & (after < least))
             if not bad.any():
                 return
             back = np.unique(cells[bad])

@@ -15,6 +15,11 @@ from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.surface.points import CellPoint, Edge, SurfacePoint, VertexPoint
 
+SHORT = 0.5
+"""Length, relative to the cells, below which an edge, or a line beside another, is short."""
+ASIDE = 0.02
+"""Distance, relative to the cells, within which lines run side by side, and by which a row or a rim
+may leave out a bend."""
 KEPT = ""
 """Name of edges that are kept without being a group."""
 

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
-from crms_fenicsx.foundation.meshes.cutting.strands import Strands
+from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT, Strands
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
@@ -29,12 +29,6 @@ MEETS = 0.2
 """Distance, relative to the cells, within which an end of a line is moved to where it may end."""
 REACH = 3.0
 """Length, relative to the cells, over which a line leads to an end that was moved."""
-
-
-APART = 0.02
-"""Least distance of lines that do not meet, relative to the cells."""
-SIDE = 0.3
-"""Length, relative to the cells, over which lines closer than that run side by side."""
 
 
 @dataclass
@@ -80,7 +74,7 @@ class Tracer:
         leg = np.repeat(np.arange(len(legs)), steps)
         part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
         at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
-        return np.unique(balls.within(at, np.full(len(at), 1.5 * size))[1])
+        return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
     def balls(self) -> Balls:
@@ -113,14 +107,16 @@ def traced_lines(
     tracer = Tracer(surface)
     lines = [tracer.line(name, route) for name, route in routes.items()]
     kept = _segments(surface.points, strands.keys())
-    settled = vectors(surface.points[strands.corners(surface.points)])
+    # each place where ends meet, and where a line from there ends: nowhere from corners
+    corners = surface.points[strands.corners(surface.points)]
+    settled = [(corner, np.full(3, np.inf)) for corner in vectors(corners)]
     for k, line in enumerate(lines):
-        for end in (0, -1):
+        for end, far in ((0, -1), (-1, 0)):
             others = [other.places for other in lines if other is not line]
             target = _target(line, end, strands, settled, kept, others)
             if target is not None:
                 line = lines[k] = tracer.line(line.name, _led_to(line, end, target))
-            settled.append(line.places[end])
+            settled.append((line.places[end], line.places[far]))
     return lines
 
 
@@ -133,16 +129,17 @@ def _target(
     line: TracedLine,
     end: int,
     strands: Strands,
-    settled: Sequence[Array],
+    settled: Sequence[tuple[Array, Array]],
     kept: Array,
     others: Sequence[Array],
 ) -> Array | None:
     """The place to which an end of a line moves; None if it stays."""
     place, reach = line.places[end], MEETS * line.sizes[end]
-    ends = np.array(settled).reshape(-1, 3)
-    gaps = norm(ends - place)
+    ends = np.array(settled).reshape(-1, 2, 3)
+    gaps = norm(ends[:, 0] - place)
+    gaps[norm(ends[:, 1] - line.places[-1 - end]) <= reach] = np.inf  # lines side by side
     if len(ends) and gaps.min() <= reach:
-        found = ends[int(np.argmin(gaps))]
+        found: Array = ends[int(np.argmin(gaps)), 0]
         return None if gaps.min() <= SNAP * line.sizes[end] else found
     if strands.on(line.points[end]):
         return None
@@ -199,11 +196,11 @@ def check_apart(nodes: CutNodes, legs: Mapping[str, Sequence[Leg]]) -> None:
         for (one, a, b), (other, c, d) in combinations(ways, 2):
             if norm(x[a] - x[b]) > norm(x[c] - x[d]):
                 one, a, b, other, c, d = other, c, d, one, a, b
-            if norm(x[a] - x[b]) < SIDE * size:
+            if norm(x[a] - x[b]) < SHORT * size:
                 continue
             along = np.array([[x[c], x[d]]])
             gap = max(_closest_on(along, x[v])[1] for v in (a, b))
-            if gap <= APART * size:
+            if gap <= ASIDE * size:
                 what = f"runs back along itself, {gap:.3g} apart,"
                 if one != other:
                     what = f"and the line {other!r} run side by side, {gap:.3g} apart,"

@@ -17,7 +17,7 @@ from crms_fenicsx.foundation.meshes.cutting.along import cut, improve
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import gathered
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface, check_shapes
-from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
+from crms_fenicsx.foundation.meshes.triangles import double_areas, lists, norm
 
 pytestmark = pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")  # coarse meshes
 
@@ -124,16 +124,17 @@ def test_random_nets(comm: MPI.Intracomm, kind: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS[:5])
-def test_units_and_places_change_nothing(comm: MPI.Intracomm, kind: str) -> None:
-    """The cells are the same; far away coordinates have fewer digits."""
+def test_units_places_and_sides_change_nothing(comm: MPI.Intracomm, kind: str) -> None:
+    """The cells are the same; far away coordinates have fewer digits. Nor does the outside."""
     rng = np.random.default_rng(7)
     given, _ = gathered(random_mesh(comm, kind, rng))
     if comm.rank:
         return
     routes = random_routes(given, kind, rng)
 
-    def result(scale: float, shift: Floats) -> CheckedSurface:
-        moved = replace(given, points=scale * given.points + shift)
+    def result(scale: float, shift: Floats, *, turned: bool = False) -> CheckedSurface:
+        cells = given.cells[:, [0, 2, 1]] if turned else given.cells
+        moved = replace(given, points=scale * given.points + shift, cells=cells)
         work = cut(moved, {name: scale * route + shift[:2] for name, route in routes.items()})
         improve(work)
         return work.finished()
@@ -144,6 +145,9 @@ def test_units_and_places_change_nothing(comm: MPI.Intracomm, kind: str) -> None
         there = result(scale, away)
         np.testing.assert_array_equal(there.cells, here.cells)
         np.testing.assert_allclose((there.points - away) / scale, here.points, atol=within)
+    turned = result(1.0, np.zeros(3), turned=True)
+    assert {*map(frozenset, lists(turned.cells))} == {*map(frozenset, lists(here.cells))}
+    np.testing.assert_allclose(turned.points, here.points, atol=1e-10)
 
 
 def test_the_order_of_lines_does_not_matter(comm: MPI.Intracomm) -> None:
