@@ -7,7 +7,7 @@ change back and forth only a few times in a solve, so that it terminates.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -21,7 +21,7 @@ from crms_fenicsx.cabling.contact import lift_off as contact
 from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap
 from crms_fenicsx.cabling.contact.lift_off import Polylines
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Booleans, floats, ints
+from crms_fenicsx.foundation.runtime.arrays import Booleans, Integers, floats, ints
 from crms_fenicsx.foundation.surface.lines import gaps
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.cable_state import Crossing, NodeId
@@ -42,10 +42,17 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     return set(ints(nodes.crossing[at[pulls > TOL.contact]]))
 
 
-def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
-    """Numbers of the separated crossings whose cables would penetrate each other."""
+def joining(
+    crossings: Sequence[Crossing], lines: Polylines, shape: StripShape, sliding: Booleans
+) -> set[int]:
+    """Numbers of the separated crossings whose cables would penetrate each other; not at vertices
+    of cables that are `sliding` (n,), which leave them."""
     joined = set[int]()
-    apart = [n for n, one in enumerate(crossings) if one.separated and len(one.support) == 1]
+    apart = [
+        n for n, one in enumerate(crossings)
+        if one.separated and len(one.support) == 1
+        and not (sliding[one.lower] or sliding[one.upper])
+    ]  # fmt: skip
     if apart:
         found, sizes = lines.gaps(shape, [crossings[n] for n in apart], 1)
         joined = {apart[n] for n in np.flatnonzero(found < -TOL.contact * sizes)}
@@ -265,16 +272,18 @@ class ActiveSet:
         touching = np.append(np.cumsum(~nodes.lifted[rows]), 0)
         above = np.repeat(touching[starts[1:] - 1], np.diff(starts)) > touching[:-1]
         below = rows[above & nodes.lifted[rows] & ~self._slide(nodes)[rows]]
-        return self._touch(nodes.ids(np.append(upper[down], below)), shape)
+        return self._touch(np.append(upper[down], below), before, shape)
 
-    def _touch(self, at: Iterable[NodeId], shape: StripShape) -> list[str]:
-        """Let cables touch down at some of their vertices."""
+    def _touch(self, rows: Integers, before: NodeTable, shape: StripShape) -> list[str]:
+        """Let cables touch down at some vertices, given by the rows of their nodes."""
         changes = []
-        for c, k in sorted({*at}):
+        for row, (c, k) in zip(ints(rows), before.ids(rows), strict=True):
             cable = self.net.cables[c]
             place = shape.at(cable.state.nodes[k].support[0])
             contact.touch(cable, {k: Gap(0.0, np.nan, place, place, True)})
             changes.append(f"{cable.name} touches down at {cable.state.nodes[k].point}")
+            if before.lifted[row] and self._key(c, k) in self._released:
+                self._settled.add(self._key(c, k))
         self.only_lifted &= not changes
         return changes
 
@@ -282,15 +291,7 @@ class ActiveSet:
         changes, down = list[str](), []
         net, nodes = self.net, lines.nodes
         pulled = parting(net.crossings, lines, shape)
-        slides = self._slide(nodes)
-        joined = {
-            number
-            for number in joining(net.crossings, lines, shape)
-            if len(net.crossings[number].support) > 1
-            or not slides[
-                nodes.starts[[net.crossings[number].lower, net.crossings[number].upper]]
-            ].any()
-        }
+        joined = joining(net.crossings, lines, shape, self._slide(nodes)[nodes.starts[:-1]])
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
@@ -308,4 +309,4 @@ class ActiveSet:
                 down += [crossing] if len(crossing.support) == 1 else []
         net.crossings = tuple(crossings)
         lower, upper = at_crossings(down, nodes).T
-        return changes + self._touch(nodes.ids(upper[~nodes.lifted[lower]]), shape)
+        return changes + self._touch(upper[~nodes.lifted[lower]], nodes, shape)

@@ -57,7 +57,7 @@ class CrossingTrials:
     def next(self) -> bool:
         """Move cables to an untried configuration; return whether there is one. Collective."""
         ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
-        if 0 < len(self.net.crossings) <= BUDGET.crossings:
+        if 0 < len(self._crossings) <= BUDGET.crossings:
             ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
         for way in ways:
@@ -86,9 +86,14 @@ class CrossingTrials:
             now.clear()
             now |= before
 
+    @property
+    def _crossings(self) -> list[Crossing]:
+        """All crossings but those at vertices, which sliding cables leave by themselves."""
+        return [one for one in self.net.crossings if len(one.support) > 1]
+
     def _crossed(self) -> list[int]:
         """Numbers of freely sliding cables that cross others."""
-        members = {c for one in self.net.crossings for c in (one.lower, one.upper)}
+        members = {c for one in self._crossings for c in (one.lower, one.upper)}
         cables = self.net.cables
         return [c for c in sorted(members) if cables[c].taut and leaves_cells(cables[c])]
 
@@ -156,7 +161,7 @@ class CrossingTrials:
 
     def _shared_edges(self) -> Iterator[tuple[Crossing, Edge, list[tuple[LaidCable, int]]]]:
         """Edges next to crossings that both cables cross, with both nodes."""
-        for crossing in self.net.crossings:
+        for crossing in self._crossings:
             pair = [self.net.cables[c] for c in (crossing.lower, crossing.upper)]
             if crossing.separated or not all(c.taut and leaves_cells(c) for c in pair):
                 continue

@@ -140,7 +140,8 @@ def test_a_shared_vertex_needs_no_point() -> None:
         cable_over([on(0, 1, 0.3), at(4), on(2, 3, 0.7)], places),
         cable_over([on(0, 2, 0.4), at(4), on(1, 3, 0.6)], places),
     ]
-    assert arrange(cables, fan, []) == ()
+    (crossing,) = arrange(cables, fan, [])
+    assert crossing.support == (4,) and crossing.links == (1, 1) and not crossing.separated
     assert [kinds(cable) for cable in cables] == ["rvr", "rvr"]
 
 

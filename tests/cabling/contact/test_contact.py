@@ -485,7 +485,7 @@ def test_the_upper_cable_leaves_the_lower_one_that_it_would_pull_up(
     crossing, cables, shape = crossed(z)
     lines = Polylines.of(cables)
     assert (parting([crossing], lines, shape) == {0}) is expected
-    assert joining([crossing], lines, shape) == set()
+    assert joining([crossing], lines, shape, np.zeros(2, dtype=bool)) == set()
     assert parting([replace(crossing, separated=True)], lines, shape) == set()
 
 
@@ -493,8 +493,8 @@ def test_the_upper_cable_leaves_the_lower_one_that_it_would_pull_up(
 def test_the_upper_cable_does_not_run_through_the_lower_one(z: float, expected: bool) -> None:
     crossing, cables, shape = crossed(z, apart=True)
     lines = Polylines.of(cables)
-    assert (joining([crossing], lines, shape) == {0}) is expected
-    assert joining([replace(crossing, separated=False)], lines, shape) == set()
+    assert (joining([crossing], lines, shape, np.zeros(2, dtype=bool)) == {0}) is expected
+    assert joining([replace(crossing, separated=False)], lines, shape, np.zeros(2, dtype=bool)) == set()
 
 
 def link_at(cable: LaidCable, k: int) -> Array:
