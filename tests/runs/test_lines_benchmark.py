@@ -10,7 +10,7 @@ import pytest
 
 def test_dome(capsys: pytest.CaptureFixture[str]) -> None:
     """A step with cables takes a few Newton iterations."""
-    lines.dome(1500.0, 1)
+    lines.dome(1600.0, 1)
     said = capsys.readouterr().out
     (counts,) = re.findall(r"28 cables .* (\d+)\+(\d+) +\d+\+\d+", said)
     assert max(map(int, counts)) <= 12
