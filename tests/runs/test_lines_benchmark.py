@@ -8,6 +8,7 @@ import lines
 import pytest
 
 
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
 def test_dome(capsys: pytest.CaptureFixture[str]) -> None:
     """A step with cables takes a few Newton iterations."""
     lines.dome(1600.0, 1)
