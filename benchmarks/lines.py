@@ -216,7 +216,7 @@ def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
     laying, cables = timed(lambda: scene.lay_net(net, Cable(EA=20e3)))
     scene.put_load((0.0, 0.0, -0.0105), name="weight", per="material")
     solver = Solver(scene)
-    lengths = {cable: TIGHTENED * cable.L0 for cable in cables}
+    lengths: dict[object, float] = {cable: TIGHTENED * cable.L0 for cable in cables}
     calm, _ = timed(lambda: solver.advance(pressure=CALM, load={"weight": 1.0}, L0=lengths))
     at_calm = np.array([cable.tension for cable in cables])
     scene.put_wind(0.5, diagonal_wind, name="wind")
@@ -306,7 +306,7 @@ def tent(size: float) -> tuple[meshes.MembraneMesh, dict[str, Any]]:
 
 def smallest_angles(mesh: meshes.MembraneMesh) -> NDArray[np.float64]:
     """The smallest angle of each cell (degrees), on one process."""
-    corners = mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap]
+    corners = np.asarray(mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap], dtype=np.float64)
     ways = np.roll(corners, -1, axis=1) - corners
     ways /= np.linalg.norm(ways, axis=2)[..., None]
     cosines = -(ways * np.roll(ways, 1, axis=1)).sum(axis=2)
