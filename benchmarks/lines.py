@@ -223,9 +223,8 @@ def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
     storm, step = timed(lambda: solver.advance(pressure=STORM, load={"wind": 1.5}))
     at_storm = np.array([cable.tension for cable in cables])
     unknowns = 3 * solver.system.unknowns.n_global
-    return Storm(
-        (laying, calm, storm), at_calm, at_storm, unknowns, len(step.verification.doubtful)
-    )
+    doubts = len(step.verification.doubtful) if step.verification else 0
+    return Storm((laying, calm, storm), at_calm, at_storm, unknowns, doubts)
 
 
 def halls(hall: Hall, size: float, repeats: int) -> None:
