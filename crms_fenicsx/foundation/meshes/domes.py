@@ -24,8 +24,8 @@ from crms_fenicsx.foundation.meshes.plan_lines import (
     SAMPLES,
     Lines,
     Outline,
-    Plan,
-    Rows,
+    PlanRows,
+    PlanShape,
     flat,
     rows_in,
     tell_turns,
@@ -124,7 +124,7 @@ def spherical_cap(
         return way[:, :2] / (0.5 + way[:, 2:] / diameter)
 
     rim = diameter * height / radius
-    plan = Plan("spherical_cap", ellipse_outline(0.0, 0.0, rim, rim), flat_size, flat)
+    plan = PlanShape("spherical_cap", ellipse_outline(0.0, 0.0, rim, rim), flat_size, flat)
     rows = rows_in(plan, lines, flattened)
     arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size, rows)
     points = lifted(np.asarray(arrays.points))
@@ -237,7 +237,7 @@ def air_hall(
         return np.column_stack([plan, height * rise[:, 0] * rise[:, 1]])
 
     outline = Outline(corners, np.arange(4))
-    rows = rows_in(Plan("air_hall", outline, target, lifted, RECTANGLE_SIDES), lines)
+    rows = rows_in(PlanShape("air_hall", outline, target, lifted, RECTANGLE_SIDES), lines)
     with own_model() as gmsh:
         surface = _add_hall(gmsh, x, y, width, depth, height)
         if rows.rows:
@@ -304,7 +304,7 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
     return surface
 
 
-def _add_lines(gmsh: Any, surface: int, rows: Rows, points: Array) -> None:
+def _add_lines(gmsh: Any, surface: int, rows: PlanRows, points: Array) -> None:
     """Divide the hall's rim at the ends of lines, and embed these."""
     kernel = gmsh.model.occ
     tags = [(0, kernel.addPoint(*points[vertex])) for vertex in rows.places]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.plan_lines import Rows
+from crms_fenicsx.foundation.meshes.plan_lines import PlanRows
 from crms_fenicsx.foundation.meshes.reader_process import gmsh_arrays
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -83,7 +83,7 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
     gmsh.model.mesh.generate(2)
 
 
-def add_rim_points(geometry: Any, rows: Rows, points: Array, rim: dict[float, int]) -> None:
+def add_rim_points(geometry: Any, rows: PlanRows, points: Array, rim: dict[float, int]) -> None:
     """Add to a gmsh model's points `rim`, by their places, those of rows, at `points` (n, 3)."""
     for vertex, place in rows.places.items():
         if place not in rim:
@@ -91,7 +91,7 @@ def add_rim_points(geometry: Any, rows: Rows, points: Array, rim: dict[float, in
 
 
 def add_rows(
-    geometry: Any, rows: Rows, points: Array, rim: Mapping[float, int]
+    geometry: Any, rows: PlanRows, points: Array, rim: Mapping[float, int]
 ) -> dict[str, list[int]]:
     """Add the edges of rows, with vertices at `points` (n, 3), to a gmsh model with points `rim`,
     by their places; returns those of each line."""

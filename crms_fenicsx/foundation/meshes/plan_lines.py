@@ -67,7 +67,7 @@ class Outline(NamedTuple):
         return inside
 
 
-class Rows(NamedTuple):
+class PlanRows(NamedTuple):
     """The vertices of lines in the plan; lines that meet share one."""
 
     points: Array  # (n, 2)
@@ -75,7 +75,7 @@ class Rows(NamedTuple):
     rows: dict[str, Integers]  # those of each line, in order
 
 
-class Plan(NamedTuple):
+class PlanShape(NamedTuple):
     """What is meshed in the plan of a generator."""
 
     call: str  # its name in errors
@@ -94,7 +94,7 @@ def flat(points: Array) -> Array:
     return np.column_stack([points, np.zeros(len(points))])
 
 
-def _given(plan: Plan, lines: Lines | None) -> dict[str, Array]:
+def _given(plan: PlanShape, lines: Lines | None) -> dict[str, Array]:
     """The lines' points, (k, 2) or (k, 3), checked but for where they lie."""
     if lines is None:
         return {}
@@ -124,14 +124,14 @@ def _given(plan: Plan, lines: Lines | None) -> dict[str, Array]:
 
 
 def rows_in(
-    plan: Plan,
+    plan: PlanShape,
     lines: Lines | None,
     into_plan: Callable[[Array], Array] = lambda given: given[:, :2],
-) -> Rows:
+) -> PlanRows:
     """Rows of vertices on lines, points (k, 2) or (k, 3) of which `into_plan` puts in the plan."""
     found = {name: into_plan(one) for name, one in _given(plan, lines).items()}
     if not found:
-        return Rows(np.zeros((0, 2)), {}, {})
+        return PlanRows(np.zeros((0, 2)), {}, {})
     for name, line in found.items():
         _check_line(plan, name, line)
     names, ways = list(found), [_sampled(plan, line) for line in found.values()]
@@ -141,7 +141,7 @@ def rows_in(
     return rows
 
 
-def _check_line(plan: Plan, name: str, line: Array) -> None:
+def _check_line(plan: PlanShape, name: str, line: Array) -> None:
     """Refuse a line (k, 2) that leaves the plan far, is closed or runs back on itself."""
     what, corners = f"{plan.call}: line {name!r}", plan.outline.corners
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
@@ -163,7 +163,7 @@ def _check_line(plan: Plan, name: str, line: Array) -> None:
         )
 
 
-def _sampled(plan: Plan, points: Array) -> Array:
+def _sampled(plan: PlanShape, points: Array) -> Array:
     """Points (n, 2) of a polyline, so dense that those of the surface above them are as well."""
     t = corners = np.arange(len(points), dtype=np.float64)
     while True:
@@ -184,7 +184,9 @@ class Node(NamedTuple):
     place: float | None = None  # along the rim
 
 
-def _with_ends(plan: Plan, names: list[str], ways: list[Array]) -> tuple[list[Array], list[Node]]:
+def _with_ends(
+    plan: PlanShape, names: list[str], ways: list[Array]
+) -> tuple[list[Array], list[Node]]:
     """Lines whose ends have been moved to the rim or to other lines, and these ends."""
     outline, size = plan.outline, [plan.sizes(way[[0, -1]]) for way in ways]
     fixed = outline.corners[outline.fixed]
@@ -210,7 +212,7 @@ def _with_ends(plan: Plan, names: list[str], ways: list[Array]) -> tuple[list[Ar
 
 
 def _on_others(
-    plan: Plan,
+    plan: PlanShape,
     names: list[str],
     ways: list[Array],
     loose: list[tuple[int, int]],
@@ -249,7 +251,7 @@ def _closest(way: Array, point: Array) -> tuple[float, float, Array]:
     return float(gap[k]), k + float(share[k]), places[k]
 
 
-def _moved(plan: Plan, name: str, way: Array, ends: list[Array | None]) -> Array:
+def _moved(plan: PlanShape, name: str, way: Array, ends: list[Array | None]) -> Array:
     """A line (n, 2) that is turned and stretched so that its ends, if given, are others."""
     ahead = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     shares, moved = (1.0 - ahead / ahead[-1], ahead / ahead[-1]), way.copy()
@@ -266,7 +268,7 @@ def _moved(plan: Plan, name: str, way: Array, ends: list[Array | None]) -> Array
     return moved
 
 
-def _crossings(plan: Plan, names: list[str], ways: list[Array]) -> list[Node]:
+def _crossings(plan: PlanShape, names: list[str], ways: list[Array]) -> list[Node]:
     """The places where lines cross, a node of each."""
     starts = np.concatenate([way[:-1] for way in ways])
     steps = np.concatenate([np.diff(way, axis=0) for way in ways])
@@ -293,7 +295,7 @@ def _crossings(plan: Plan, names: list[str], ways: list[Array]) -> list[Node]:
     return found
 
 
-def _divided(plan: Plan, names: list[str], ways: list[Array], nodes: list[Node]) -> Rows:
+def _divided(plan: PlanShape, names: list[str], ways: list[Array], nodes: list[Node]) -> PlanRows:
     """Lay out vertices on the lines, between the nodes where they end or meet others."""
     spots = np.stack([node.point for node in nodes])
     near = cKDTree(spots).query_ball_point(spots, APART * plan.sizes(spots))
@@ -325,10 +327,10 @@ def _divided(plan: Plan, names: list[str], ways: list[Array], nodes: list[Node])
                 "several lines."
             )
         rows[name] = np.array(row)
-    return Rows(np.concatenate(added), places, rows)
+    return PlanRows(np.concatenate(added), places, rows)
 
 
-def _check_apart(plan: Plan, rows: Rows) -> None:
+def _check_apart(plan: PlanShape, rows: PlanRows) -> None:
     """Refuse lines that run side by side, along the rim or outside of the plan."""
     pairs = np.concatenate([np.stack([row[:-1], row[1:]], axis=1) for row in rows.rows.values()])
     names = [name for name, row in rows.rows.items() for _ in row[1:]]

@@ -22,8 +22,8 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import Ranks, mesh_generator
 from crms_fenicsx.foundation.meshes.plan_lines import (
     Lines,
     Outline,
-    Plan,
-    Rows,
+    PlanRows,
+    PlanShape,
     flat,
     rows_in,
 )
@@ -206,7 +206,7 @@ def ellipse(
     check_size("the ellipse", size, min(a, b), math.pi * a * b)
     x, y = map(float, center)
     target = TargetSize(size, refinements)
-    plan = Plan("ellipse", ellipse_outline(x, y, a, b), target, flat)
+    plan = PlanShape("ellipse", ellipse_outline(x, y, a, b), target, flat)
     return ellipse_arrays(x, y, a, b, target, rows_in(plan, lines))
 
 
@@ -249,7 +249,7 @@ def circle(
     check_size("the circle", size, radius, math.pi * radius**2)
     x, y = map(float, center)
     target = TargetSize(size, refinements)
-    plan = Plan("circle", ellipse_outline(x, y, radius, radius), target, flat)
+    plan = PlanShape("circle", ellipse_outline(x, y, radius, radius), target, flat)
     return ellipse_arrays(x, y, radius, radius, target, rows_in(plan, lines))
 
 
@@ -330,7 +330,7 @@ def ellipse_outline(x: float, y: float, a: float, b: float) -> Outline:
 
 
 def ellipse_arrays(
-    x: float, y: float, a: float, b: float, target: Callable[[Array], float], rows: Rows
+    x: float, y: float, a: float, b: float, target: Callable[[Array], float], rows: PlanRows
 ) -> SurfaceArrays:
     """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`, and `rows` by the
     places of `ellipse_outline`."""
@@ -392,9 +392,9 @@ def _structured(x: float, y: float, width: float, depth: float, size: float) -> 
 
 def _rows_in_polygon(
     call: str, corners: Array, target: TargetSize, sides: Sequence[str], lines: Lines | None
-) -> Rows:
+) -> PlanRows:
     outline = Outline(corners, np.arange(len(corners)))
-    return rows_in(Plan(call, outline, target, flat, sides), lines)
+    return rows_in(PlanShape(call, outline, target, flat, sides), lines)
 
 
 def _polygon_arrays(
@@ -402,7 +402,7 @@ def _polygon_arrays(
     target: TargetSize,
     sides: Sequence[str],
     corner_names: Sequence[str],
-    rows: Rows,
+    rows: PlanRows,
 ) -> SurfaceArrays:
     with own_model() as gmsh:
         geometry = gmsh.model.geo

@@ -122,7 +122,7 @@ def test_a_circle_without_lines_is_gmshs_own(comm: MPI.Intracomm) -> None:
 @pytest.mark.parametrize("coordinates", [2, 3])
 def test_great_circles_stay_on_a_cap(comm: MPI.Intracomm, coordinates: int) -> None:
     """In plan, or anywhere in space on the rays from the sphere's centre."""
-    radius, height, center = 20.0, 10.0, np.array([3.0, -1.0])
+    radius, height, center = 20.0, 10.0, (3.0, -1.0)
     ball = (radius**2 + height**2) / (2 * height)
     lines = {}
     for k, (angle, offset) in enumerate([(0.4, 7.0), (0.4, -3.0), (-0.4, 6.0)]):
@@ -130,8 +130,8 @@ def test_great_circles_stay_on_a_cap(comm: MPI.Intracomm, coordinates: int) -> N
         if coordinates == 3:
             space = np.column_stack([plan, np.sqrt(ball**2 - (plan**2).sum(axis=1))])
             plan = 1.7 * space + [0.0, 0.0, height - ball]
-        lines[f"A{k}"] = plan + np.append(center, 0.0)[:coordinates]
-    mesh = meshes.spherical_cap(comm, radius, height, 2.0, center=center.tolist(), lines=lines)
+        lines[f"A{k}"] = plan + (*center, 0.0)[:coordinates]
+    mesh = meshes.spherical_cap(comm, radius, height, 2.0, center=center, lines=lines)
     for name in lines:
         offset = row_of(mesh, name) - [*center, height - ball]
         assert np.linalg.norm(offset, axis=1) == pytest.approx(ball, rel=1e-12)
@@ -182,8 +182,7 @@ def test_ends_are_moved_a_little(comm: MPI.Intracomm, caplog: pytest.LogCaptureF
     rows = {name: row_of(mesh, name) for name in lines}
 
     def ends(name: str) -> list[list[float]]:
-        found: list[list[float]] = rows[name][[0, -1], :2].round(9).tolist()
-        return sorted(found)
+        return sorted([round(float(x), 9) for x in rows[name][k, :2]] for k in (0, -1))
 
     assert ends("A1") == [[0.0, 1.5], [4.0, 1.5]]
     assert ends("A2") == [[0.0, 3.0], [4.0, 2.0]]
