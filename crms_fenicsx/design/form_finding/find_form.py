@@ -84,8 +84,8 @@ def find_form(
     -----
     Updates of the reference strategy lead from a distant start into the convergence range of
     Newton's method. Newton's method balances the forces across the surface and across cables, and
-    only places the vertices within the surface and along cables, where an elasticity then
-    holds them.
+    only places the vertices within the surface and along cables, where an elastic sheet that moves
+    none then holds them. A start mesh that is a form already, or nearly, keeps its vertices.
 
     Examples
     --------

@@ -28,7 +28,7 @@ NEAR = 0.1
 SOFT = 0.1
 """Share of the elastic sheet's stiffness with which vertices settle within the form."""
 WEAKEST, STRONGEST = 1.0, 10.0
-"""Range of the modulus that damps Newton's method, relative to the section forces."""
+"""Range of the share of the sheet's stiffness that damps Newton's method."""
 THINNEST = 1e-3
 """Smallest ratio of a cell's area to the square of its longest side, relative to the start mesh."""
 JUMP = 5.0
@@ -66,7 +66,7 @@ class FormSearch:
         self.iterations = 0
         self.holding = False
         """Whether the elastic sheet holds the vertices within the form."""
-        self._best = 1.0  # smallest residual
+        self._bar, self._best = progress(self.comm, -np.log10(TOLERANCE), "finding the form"), 1.0
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
         self.freely: Figures | None = None
@@ -77,7 +77,7 @@ class FormSearch:
     def run(self, lift: Array | None) -> None:
         """Find the form, near the start mesh if no lift is given. Collective. Shapes and units:
         lift (n, 3) (length)."""
-        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as self._bar:
+        with self._bar:
             if lift is None:
                 if not self._stays(np.inf):
                     raise ConvergenceError(

@@ -215,7 +215,8 @@ class FoundForm:
 
         Examples
         --------
-        >>> cut = found.along({"ridge": [(0.0, 5.0), (10.0, 5.0)]})
+        >>> ends = [cable.path[len(cable.path) // 2, :2] for cable in found.cables[::2]]
+        >>> cut = found.along({"ridge": ends})
         >>> scene = cut.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
         """
         mesh = meshes.along(self.mesh, lines.paths if isinstance(lines, Net) else lines)

