@@ -31,7 +31,8 @@ class LocalRelaxation:
     Each cluster of blocks is relaxed by one rank, with the elements of all, see `clusters.gather`;
     clusters interact only through cable lengths. Flags are (n_local,), consistent on ghosts.
 
-    Attributes: `steps`: Newton steps made, on all ranks.
+    Attributes: `steps`: Newton steps made, on all ranks; `has_points`: whether there are points to
+    relax: none of cables that run along edges of the mesh.
     """
 
     def __init__(self, potential: Potential, strategy: Strategy = STRATEGY) -> None:
@@ -45,6 +46,7 @@ class LocalRelaxation:
         self._points = free.copy()
         self._points[unknowns.vertex_blocks()] = self._points[unknowns.far_vertex_blocks()] = False
         self._n_points = self._count(self._points)
+        self.has_points = self._n_points > 0
         # Forms over all cells may have no counterpart for the cells around some vertices.
         alone = all(
             term.integral is None or term.elementwise is not None for term in potential.terms

@@ -20,6 +20,8 @@ from crms_fenicsx.energy.minimization.strategy import STRATEGY
 class Relaxation:
     """Relaxes to the given energies, one after another."""
 
+    has_points = True
+
     def __init__(self, energies: list[float]) -> None:
         self.energies, self.count = energies, 0
 
@@ -107,6 +109,21 @@ def test_outcomes_count_newton_steps(
     assert outcome.newton_steps == len(made)
     assert (0 < outcome.newton_steps < outcome.iterations) == crossing
     assert (outcome.solves > 1) == crossing
+
+
+@pytest.mark.ranks
+def test_cables_along_mesh_lines_need_no_newton_steps(comm: MPI.Intracomm) -> None:
+    """They have no points to relax: quasi-Newton stages take fewer factorisations."""
+    outcomes = []
+    for y, x in ((34.0, 43.0), (30.0, 40.0)):  # across the cells, and along their edges
+        scene = sheet(comm, 10)
+        scene.lay_cable(Cable(EA=32000.0), [(0.0, y), (100.0, y)], L0=100.0)
+        scene.lay_cable(Cable(EA=32000.0), [(x, 0.0), (x, 100.0)], L0=100.0)
+        solver = advanced(Solver(scene, slide=False), pressure=0.01)
+        outcomes.append(solver.advance(pressure=0.03).outcome)
+    folded, rows = outcomes
+    assert folded.newton_steps > 0 == rows.newton_steps == rows.local_steps
+    assert rows.factorizations < folded.factorizations
 
 
 @pytest.fixture
