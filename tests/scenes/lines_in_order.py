@@ -4,16 +4,16 @@ final polylines and the final surface alone."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
+from contact_checks import all_cells
+from grids import alternating, grid
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
-from tests.scenes.contact_checks import all_cells
-from tests.scenes.grids import alternating, grid
 
 Floats = NDArray[np.float64]
 
@@ -166,8 +166,8 @@ def _gap(
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     a, b = ((line - place) @ axes.T for line in (lower, upper))
     found, high = np.inf, np.inf
-    for p, q in zip(a[:-1], a[1:], strict=True):
-        for r, s in zip(b[:-1], b[1:], strict=True):
+    for p, q in pairwise(a):
+        for r, s in pairwise(b):
             sides = np.stack([(q - p)[:2], (r - s)[:2]], axis=1)
             if abs(np.linalg.det(sides)) < 1e-14:
                 continue

@@ -63,8 +63,8 @@ mesh would be held sideways by 0.1 of its contact force."""
 
 MESH_DEPENDENT = {
     "pull on the membrane", "depth below the membrane", "depth below another cable",
-    "friction beyond its bound", "held by a line of the mesh", "held by vertices", "sideways force without friction",
-    "unbalanced forces of cables",
+    "friction beyond its bound", "held by a line of the mesh", "held by vertices",
+    "sideways force without friction", "unbalanced forces of cables",
 }  # fmt: skip
 """Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
 which the solver stops: a state that fails them is doubtful."""
