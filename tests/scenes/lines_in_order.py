@@ -84,15 +84,17 @@ class Found(NamedTuple):
 
 
 def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
-    """Heights and forces by plain geometry. The order: layer, then order of laying."""
+    """Heights and forces of the cables in tension by plain geometry. The order: layer, then order
+    of laying."""
     x, normals, sizes = _surface(scene)
     order = {cable: (cable.layer, k) for k, cable in enumerate(scene.cables)}
     rows = {
         cable: [node.support[0] for node in cable.state.nodes[1:-1] if node.kind == "vertex"]
         for cable in cables
+        if cable.taut
     }
     at: dict[int, list[LaidCable]] = {}
-    for cable in sorted(cables, key=lambda cable: order[cable]):
+    for cable in sorted(rows, key=lambda cable: order[cable]):
         for v in rows[cable]:
             at.setdefault(v, []).append(cable)
     counts, depth, below, pull = [0, 0, 0], 0.0, 0.0, 0.0
@@ -110,7 +112,7 @@ def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
             depth = max(depth, -gap / sizes[v])
             counts[2 if gap > 1e-5 * sizes[v] else int(high > 1e-4 * sizes[v])] += 1
     free: dict[tuple[float, ...], list[tuple[tuple[int, int], Floats]]] = {}
-    for cable in cables:
+    for cable in rows:
         for k in cable.line_nodes():
             if cable.state.nodes[k].kind == "crossing":
                 place = cable.state.positions[k]
