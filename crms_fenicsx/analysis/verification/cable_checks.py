@@ -15,10 +15,18 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.verification.cable_forces import contacts, forces, is_tense
+from crms_fenicsx.analysis.verification.cable_forces import (
+    below_others,
+    contacts,
+    forces,
+    is_tense,
+    outward_pulls,
+)
 from crms_fenicsx.analysis.verification.report import ROUNDED, UNBALANCED, Check
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.cabling.cables.points_on_edges import positions_of
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
+from crms_fenicsx.cabling.contact.lift_off import Polylines
 from crms_fenicsx.cabling.paths.held_vertices import Pulls, pulls_of_others
 from crms_fenicsx.foundation.meshes.triangles import lists, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
@@ -39,6 +47,7 @@ LIMITS = {
     "pull at the ends": 1e-6,
     "pull on the membrane": 0.2,
     "depth below the membrane": 1e-3,
+    "depth below another cable": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
     "sideways force without friction": 0.3,
@@ -53,9 +62,9 @@ down again in the same step, where it stays. A cable half a cell beside its plac
 mesh would be held sideways by 0.1 of its contact force."""
 
 MESH_DEPENDENT = {
-    "pull on the membrane", "depth below the membrane", "friction beyond its bound",
-    "held by a line of the mesh", "held by vertices", "sideways force without friction",
-    "unbalanced forces of cables",
+    "pull on the membrane", "depth below the membrane", "depth below another cable",
+    "friction beyond its bound", "held by a line of the mesh", "held by vertices",
+    "sideways force without friction", "unbalanced forces of cables",
 }  # fmt: skip
 """Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
 which the solver stops: a state that fails them is doubtful."""
@@ -126,6 +135,8 @@ class CableVerifier:
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
         self.doubts, self.others = {}, pulls_of_others(scene.cables)
+        lines = Polylines(scene.net.nodes, positions_of(scene.cables))
+        outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.state.laid.joints):
                 if name is not None:
@@ -136,7 +147,10 @@ class CableVerifier:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
                 if cable.lifts_off:
-                    values |= contacts(cable, nodes.on, nodes.on_edge, shape)
+                    own = outward[slice(*lines.nodes.starts[c : c + 2])]
+                    values |= contacts(cable, nodes.on, nodes.on_edge, shape, own)
+                if cable in depths:
+                    values["depth below another cable"] = depths[cable]
                 values |= forces(cable, shape, free[c], self.others.get(cable))
             elif cable.cable.law == "total":
                 short = np.linalg.norm(

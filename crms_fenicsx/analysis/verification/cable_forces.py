@@ -13,7 +13,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
     held_nodes,
     wrap_angles,
 )
-from crms_fenicsx.cabling.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.cabling.contact.lift_off import Polylines, is_foot, may_lift
 from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_runs
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
@@ -73,14 +73,11 @@ def is_tense(cable: LaidCable) -> bool:
 
 
 def contacts(
-    cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
+    cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape, pulls: Array
 ) -> dict[str, float]:
-    """Outward pull of the cable on the membrane, and its depth below the membrane."""
-    pull = depth = 0.0
-    on = [k for k in may_lift(cable) if not cable.state.lifted[k]]
-    if on and is_tense(cable):
-        supports = [p.support for k in on if (p := cable.state.nodes[k].point) is not None]
-        pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
+    """Outward pull of the cable on the membrane, given at its nodes, and its depth below it."""
+    depth = 0.0
+    pull = float(pulls.max(initial=0.0)) if is_tense(cable) else 0.0
     touched = np.array(cable.contacts())
     lifted = [
         k for k in np.flatnonzero(cable.state.lifted) if on_mesh[k] and not is_foot(cable, int(k))
@@ -99,7 +96,37 @@ def contacts(
         place = shape.mean(*cable.interpolation(int(k)))
         normal, cell = shape.normals_and_sizes([point.support])
         depth = max(depth, -float((cable.state.positions[k] - place) @ normal[0]) / float(cell[0]))
-    return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
+    return {"pull on the membrane": pull, "depth below the membrane": depth}
+
+
+def outward_pulls(scene: Scene, lines: Polylines, shape: StripShape) -> Array:
+    """Outward pulls of the cables at all nodes, relative to the tension; where cables lie on each
+    other at a vertex, of each with those above it. Zero where a cable is not to lift off."""
+    nodes, cables = lines.nodes, scene.cables
+    found = np.zeros(len(nodes.kind))
+    may = np.zeros(len(nodes.kind), dtype=bool)
+    for start, cable in zip(nodes.starts, cables, strict=False):
+        if cable.taut and cable.lifts_off:
+            may[[start + k for k in may_lift(cable)]] = True
+    may &= ~nodes.lifted
+    rows = np.flatnonzero(may & ~lines.shared)
+    found[rows] = lines.pulls(rows, *shape.around(nodes.on(shape.strip.simplices)[rows]))
+    table, sums = lines.pulls_of_stacks(shape, cables, may)
+    found[table[table >= 0]] = sums[table >= 0]
+    return found
+
+
+def below_others(scene: Scene, lines: Polylines, shape: StripShape) -> dict[LaidCable, float]:
+    """Depths of cables below those that they lie over, relative to the cells, where they cross at
+    a vertex or apart from each other."""
+    some = [one for one in scene.net.crossings if one.separated or len(one.support) == 1]
+    depths: dict[LaidCable, float] = {}
+    if some:
+        gaps, sizes = lines.gaps(shape, some, 4)  # farther than their search looks
+        for one, depth in zip(some, -gaps / sizes, strict=True):
+            upper = scene.cables[one.upper]
+            depths[upper] = max(float(depth), depths.get(upper, 0.0))
+    return depths
 
 
 def forces(

@@ -91,6 +91,12 @@ def _of_cable(
             f"{cable.name!r} runs up to {depth:.2g} of a cell under the membrane between its "
             "contacts"
         )
+    if "depth below another cable" in by_name:
+        depth = by_name["depth below another cable"]
+        yield (
+            f"{cable.name!r} runs up to {depth:.2g} of a cell under a cable that it lies over; "
+            "another load step lets them touch"
+        )
     if "unbalanced forces of cables" in by_name:
         share = by_name["unbalanced forces of cables"]
         yield (

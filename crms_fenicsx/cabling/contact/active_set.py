@@ -217,8 +217,12 @@ class ActiveSet:
                 # The folds around a vertex do not bulge up to the span where one was released.
                 keys = [key for key in self._released if key[0] == cable.name]
                 parted = {v for _, at in keys if not isinstance(at, str) for v in at}
+                # Nor does the membrane at the vertices of a cable along edges.
+                at = ((k, cable.state.nodes[k]) for k in nearly)
                 places = {
-                    k: nearly[k] for k in nearly if parted.isdisjoint(cable.state.nodes[k].support)
+                    k: nearly[k]
+                    for k, node in at
+                    if node.kind != "vertex" and parted.isdisjoint(node.support)
                 }
         if released:
             contact.lift(cable, released)

@@ -80,7 +80,11 @@ class Polylines:
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
         """`outward_pulls` of contacts given by their rows."""
         nodes = self.nodes
-        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0) | self.shared)[self.contacts]
+        # Along edges of the mesh the turn at a vertex is the force there, as no fold point is near.
+        vertex = np.pad(nodes.kind == VERTEX, 1)
+        row = vertex[:-2] & vertex[1:-1] & vertex[2:]
+        crossed = (nodes.kind == CROSSING) | (nodes.crossing >= 0) | self.shared
+        stops = (crossed | row)[self.contacts]
         ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
         at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
         return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))

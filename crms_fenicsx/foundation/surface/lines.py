@@ -82,6 +82,8 @@ def gaps_of_polylines(x, first, last, normals):  # type: ignore[no-untyped-def]
         for i in range(first[n, 0], last[n, 0]):
             for k in range(first[n, 1], last[n, 1]):
                 a, b, c, d = x[i], x[i + 1], x[k], x[k + 1]
+                if _parallel(b - a, d - c, normals[n]):
+                    continue
                 s, t = _apparent_crossing(a, b, c, d, normals[n])
                 if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
                     gap = _dot(c + t * (d - c) - a - s * (b - a), normals[n])
@@ -93,10 +95,16 @@ def gaps_of_polylines(x, first, last, normals):  # type: ignore[no-untyped-def]
 def _apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
     """Parameters of the crossing of lines ab and cd in the projection along the normal."""
     u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
-    area = _triple(u, v, normal)
-    if abs(area) <= 1e-12 * (_size(u) * _size(v)):
+    if _parallel(u, v, normal):
         return 0.5, 0.5  # the span runs along the edge
+    area = _triple(u, v, normal)
     return _triple(w, v, normal) / area, _triple(w, u, normal) / area
+
+
+@numba.njit(cache=True)
+def _parallel(u, v, normal):  # type: ignore[no-untyped-def]
+    """Whether two vectors are parallel in the projection along a normal, or one is zero there."""
+    return abs(_triple(u, v, normal)) <= 1e-12 * (_size(u) * _size(v))
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,183 @@
+"""Roofs under random nets of cables along lines of the mesh; and who lies on whom, found from the
+final polylines and the final surface alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from contact_checks import all_cells
+from grids import alternating, grid
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
+
+Floats = NDArray[np.float64]
+
+SIDE = 12.0
+
+
+def heights(kind: str, x: Floats, y: Floats) -> Floats:
+    """A dome, a barrel, a saddle, or hills over the plan."""
+    a, b = np.pi * x / SIDE, np.pi * y / SIDE
+    if kind == "dome":
+        return np.asarray(2.4 * np.sin(a) * np.sin(b))
+    if kind == "barrel":
+        return np.asarray(2.5 * np.sin(a) + 0.0 * y)
+    if kind == "saddle":
+        return np.asarray(1.2 * ((2 * x / SIDE - 1) ** 2 - (2 * y / SIDE - 1) ** 2))
+    return np.asarray(1.5 * np.sin(a) * np.sin(b) + 0.5 * np.sin(3 * a) * np.sin(2 * b))
+
+
+def random_net(seed: int, cells: int, comm: MPI.Intracomm) -> tuple[Scene, list[tuple[str, int]]]:
+    """A roof cut along two or three families of lines at random angles and offsets; their names in
+    a random order, with random layers."""
+    draws = np.random.default_rng(seed)
+    kind = ("dome", "barrel", "saddle", "hills")[seed % 4]
+    at = np.linspace(0.0, SIDE, cells + 1)
+    points, triangles = grid(at, at, lambda x, y: heights(kind, x, y), alternating(cells, cells))
+    lines, families = {}, int(draws.integers(2, 4))
+    for f in range(families):
+        angle = np.pi * (f + draws.uniform(-0.3, 0.3)) / families
+        way = np.array([np.cos(angle), np.sin(angle)])
+        offsets = np.linspace(-3.2, 3.2, draws.integers(2, 4))
+        for k, offset in enumerate(offsets + draws.uniform(-0.6, 0.6)):
+            middle = SIDE / 2 + offset * np.array([-way[1], way[0]])
+            cuts = np.sort(np.concatenate([-middle / way, (SIDE - middle) / way]))[1:3]
+            lines[f"{'ABC'[f]}{k}"] = np.clip(middle + cuts[:, None] * way, 0.0, SIDE)
+    mesh = meshes.along(meshes.from_arrays(comm, points, triangles), lines)
+    prestress = 4.0 if kind == "saddle" else 0.0
+    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=prestress))
+    scene.fix("boundary")
+    names = list(lines)
+    draws.shuffle(names)
+    return scene, [(name, int(draws.integers(0, 2))) for name in names]
+
+
+def tightened(
+    scene: Scene, net: Sequence[tuple[str, int]], wind: float
+) -> tuple[Solver, list[LaidCable]]:
+    """The net over the roof under pressure, then in a wind along x, `wind` times the pressure."""
+    solver = Solver(scene)
+    cables = [scene.lay_cable(Cable(EA=2e4), along=name, layer=layer) for name, layer in net]
+    flat = scene.materials[next(iter(scene.materials))].prestress_vector.max() > 0.0
+    pressure = 0.2 if flat else 1.0
+    solver.advance(pressure=pressure, L0={cable: 0.995 * cable.L0 for cable in cables})
+    scene.put_wind(1.0, lambda points, normals: np.interp(normals[0], [-0.5, 0.5], [0.8, -1.0]))
+    solver.advance(pressure=pressure, load={"wind": wind * pressure})
+    return solver, cables
+
+
+class Found(NamedTuple):
+    """What lies where, for all pairs of cables at a common vertex."""
+
+    on_sheet: int
+    in_air: int
+    apart: int
+    depth: float  # of an upper cable below a lower one, relative to the cells
+    below: float  # of a cable below a vertex of its line
+    pull: float  # outward on the membrane, relative to the tension
+    unbalanced: float  # force at free points, relative to the contact force there
+
+
+def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
+    """Heights and forces of the cables in tension by plain geometry. The order: layer, then order
+    of laying."""
+    x, normals, sizes = _surface(scene)
+    order = {cable: (cable.layer, k) for k, cable in enumerate(scene.cables)}
+    rows = {
+        cable: [node.support[0] for node in cable.state.nodes[1:-1] if node.kind == "vertex"]
+        for cable in cables
+        if cable.taut
+    }
+    at: dict[int, list[LaidCable]] = {}
+    for cable in sorted(rows, key=lambda cable: order[cable]):
+        for v in rows[cable]:
+            at.setdefault(v, []).append(cable)
+    counts, depth, below, pull = [0, 0, 0], 0.0, 0.0, 0.0
+    for v, own in at.items():
+        for cable in own:
+            height = (_nearest(cable.line, x[v]) - x[v]) @ normals[v]
+            below = max(below, -float(height) / sizes[v])
+        total, largest = 0.0, 0.0
+        for cable in own[::-1]:
+            for turn in _turns(cable, x[v]):
+                total, largest = total + float(turn @ normals[v]), max(largest, cable.tension)
+            pull = max(pull, total / max(largest, 1e-300))
+        for lower, upper in combinations(own, 2):
+            gap, high = _gap(lower.line, upper.line, x[v], normals[v], 3 * sizes[v])
+            depth = max(depth, -gap / sizes[v])
+            counts[2 if gap > 1e-5 * sizes[v] else int(high > 1e-4 * sizes[v])] += 1
+    free: dict[tuple[float, ...], list[tuple[tuple[int, int], Floats]]] = {}
+    for cable in rows:
+        for k in cable.line_nodes():
+            if cable.state.nodes[k].kind == "crossing":
+                place = cable.state.positions[k]
+                (turn,) = _turns(cable, place)
+                free.setdefault(tuple(place.tolist()), []).append((order[cable], turn))
+    unbalanced = 0.0
+    for pair in free.values():
+        (_, lower), (_, upper) = sorted(pair, key=lambda entry: entry[0])
+        error = np.linalg.norm(lower + upper) / np.linalg.norm(upper)
+        unbalanced = max(unbalanced, float(error))
+    return Found(*counts, depth, below, pull, unbalanced)
+
+
+def _surface(scene: Scene) -> tuple[Floats, Floats, Floats]:
+    """Current vertices (n, 3), unit normals there (n, 3) and cell sizes (n,)."""
+    ids, corners = all_cells(scene)
+    x, normals = np.zeros((2, ids.max() + 1, 3))
+    x[ids] = corners
+    ways = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.add.at(normals, ids, ways[:, None])
+    areas = np.linalg.norm(normals, axis=1)
+    return x, normals / areas[:, None], np.sqrt(areas / np.bincount(ids.ravel()))
+
+
+def _nearest(line: Floats, place: Floats) -> Floats:
+    """The point of a polyline nearest to a place."""
+    start, way = line[:-1], np.diff(line, axis=0)
+    t = np.clip(np.sum((place - start) * way, axis=1) / np.sum(way**2, axis=1), 0.0, 1.0)
+    points = start + t[:, None] * way
+    found: Floats = points[np.linalg.norm(points - place, axis=1).argmin()]
+    return found
+
+
+def _turns(cable: LaidCable, place: Floats) -> list[Floats]:
+    """Force of the cable on what bears it at a place of its line, or nothing; not at its ends."""
+    line = cable.line
+    k = int(np.linalg.norm(line - place, axis=1).argmin())
+    if np.linalg.norm(line[k] - place) > 1e-9 or k in (0, len(line) - 1):
+        return []
+    before, after = line[k - 1] - line[k], line[k + 1] - line[k]
+    turn = before / np.linalg.norm(before) + after / np.linalg.norm(after)
+    return [cable.tension * turn]
+
+
+def _gap(
+    lower: Floats, upper: Floats, place: Floats, normal: Floats, near: float
+) -> tuple[float, float]:
+    """Least gap where two polylines cross near a place, seen along its normal, and the height of
+    the lower one there; infinite if they do not cross."""
+    along = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
+    across = np.cross(normal, along)
+    axes = np.stack([np.cross(across, normal), across, normal])
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    a, b = ((line - place) @ axes.T for line in (lower, upper))
+    found, high = np.inf, np.inf
+    for p, q in pairwise(a):
+        for r, s in pairwise(b):
+            sides = np.stack([(q - p)[:2], (r - s)[:2]], axis=1)
+            if abs(np.linalg.det(sides)) < 1e-14:
+                continue
+            t, w = np.linalg.solve(sides, (r - p)[:2])
+            at = p + t * (q - p)
+            inside = -1e-9 <= t <= 1 + 1e-9 and -1e-9 <= w <= 1 + 1e-9
+            if inside and np.linalg.norm(at[:2]) < near:
+                gap = float(r[2] + w * (s[2] - r[2]) - at[2])
+                if gap < found:
+                    found, high = gap, float(at[2])
+    return found, high
