@@ -494,7 +494,10 @@ def test_the_upper_cable_does_not_run_through_the_lower_one(z: float, expected: 
     crossing, cables, shape = crossed(z, apart=True)
     lines = Polylines.of(cables)
     assert (joining([crossing], lines, shape, np.zeros(2, dtype=bool)) == {0}) is expected
-    assert joining([replace(crossing, separated=False)], lines, shape, np.zeros(2, dtype=bool)) == set()
+    assert (
+        joining([replace(crossing, separated=False)], lines, shape, np.zeros(2, dtype=bool))
+        == set()
+    )
 
 
 def link_at(cable: LaidCable, k: int) -> Array:
