@@ -94,8 +94,7 @@ def lay(
             )
         ends = None if path is None else route_points(path)
         one = Along(laid_as.line if name is None else name, laid_as, ends)
-        given = L0, tension, measured_on
-        return lay_along(net, cable, [one], *given)[0]
+        return lay_along(net, cable, [one], L0, tension, measured_on)[0]
     if path is None:
         raise PathError(
             "lay_cable: neither path nor along; pass the points of a path, or a line of the mesh."
@@ -273,8 +272,9 @@ def _refuse_elsewhere(one: Along, row: list[int], shape: StripShape) -> None:
     away = np.inf
     for x in (shape.stress_free[some], shape.current[some]):
         along = np.clip(dot(x[:, None] - start, way) / size, 0.0, 1.0)
-        gaps = norm(x[:, None] - start - along[..., None] * way).min(axis=1)
-        away = min(away, float(gaps.max()))
+        aside = norm(x[:, None] - start - along[..., None] * way).min(axis=1)
+        beyond = norm(one.route[[0, -1], None] - x[[0, -1]]).min(axis=1)
+        away = min(away, float(max(aside.max(), beyond.max())))
     if away > reach:
         raise InputError(
             f"lay_net: the line {one.name!r} of the net lies up to {away:.3g} from that of the "

@@ -25,6 +25,7 @@ from lined_roof import (
 )
 from mpi4py import MPI
 from same_state import assert_same, assert_same_state
+from walled_roof import walled_roof
 
 from crms_fenicsx import (
     Cable,
@@ -404,6 +405,10 @@ def test_nets_of_other_meshes_are_refused(comm: MPI.Intracomm) -> None:
         (NetLine("A1", path_along("A2"), SIDE), NetLine("A2", path_along("A1"), SIDE)), ()
     )
     refused(scene, lambda: scene.lay_net(swapped, STEEL), "'A1'", "2 from that of the mesh")
+    half = bare_scene(lined_roof(comm, {"half": [(40, 41), (41, 42), (42, 43)]}))
+    path = [(4.0, y, float(rise(np.array(4.0), np.array(y)))) for y in (4.0, 5.0, 6.0, 7.0, 8.0)]
+    longer = Net((NetLine("half", np.array(path), SIDE),), ())
+    refused(half, lambda: half.lay_net(longer, STEEL), "'half'", "from that of the mesh")
     scene.lay_cable(STEEL, along="A2")
     refused(scene, lambda: scene.lay_net(net_of_lines(), STEEL), "'A2'", "another name")
 
@@ -416,3 +421,29 @@ def test_clamps_are_refused(comm: MPI.Intracomm) -> None:
     refused(scene, lambda: scene.clamp("A1", "B1"), *words)
     one = scene.lay_cable(STEEL, [(0.0, 4.6), (8.0, 4.6)], name="free")
     refused(scene, lambda: scene.clamp(one, "A1"), *words)
+
+
+@pytest.mark.ranks
+def test_a_line_on_a_seam_lies_on_the_roof_but_none_behind_it(comm: MPI.Intracomm) -> None:
+    points, cells, parts = walled_roof(n=4, size=8.0, walls=(0.5,), height=2.0, rise=0.5)
+    seam = np.array([2, 7, 12, 17, 22])
+    behind = np.arange(30, 35)
+    edges = {
+        name: np.stack([row[:-1], row[1:]], axis=1)
+        for name, row in (("seam", seam), ("low", behind))
+    }
+    outside = {"wall": (1.0, 0.0, 0.0)}
+    mesh = meshes.from_arrays(comm, points, cells, edges=edges, parts=parts, outside=outside)
+    found = []
+    for on_lines in (True, False):
+        scene = bare_scene(mesh)
+        given = {"along": "seam"} if on_lines else {"path": points[seam], "name": "seam"}
+        scene.lay_cable(STEEL, hold="pocket", tension=1.0, **given)
+        scene.put_load((0.0, 0.0, 1.0), name="lift")
+        Solver(scene).advance(load={"lift": 1.0})
+        without_lines(scene)
+        found.append(scene)
+        refused(
+            scene, lambda scene=scene: scene.lay_cable(STEEL, along="low"), "'low'", "behind a seam"
+        )
+    assert_same_state(found[0].state, found[1].state, rtol=1e-10)

@@ -216,6 +216,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,
         "hold": "sleeve", "layer": 1, "name": "A",
     }),
+    "lay_cable, on a line": (
+        lambda along="left": laid(path=None, along=along, hold="pocket", name="c"),
+        {"along": "right"},
+    ),
     "lay_cable, bent": (
         lambda **new: laid(path=[(0, 3.3), (4.0, 6.0), (10, 4.2)], **new), {"shortest": True}
     ),
