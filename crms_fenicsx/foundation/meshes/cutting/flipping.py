@@ -12,28 +12,34 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 def flip(mesh: CutMesh, near: Booleans) -> None:
     """Flip edges of the cells of which all vertices are near (n,), by Lawson's criterion."""
-    inside = np.asarray(near[mesh.cells].all(axis=1))
-    rows = np.flatnonzero(near[mesh.cells].any(axis=1))
-    cells, own = mesh.cells[rows], inside[rows]
-    label, kept = mesh.label[mesh.parents[rows]], mesh.strands.keys()
+    kept, active = mesh.strands.keys(), near
     for _ in range(50):  # on curved surfaces they may not end
-        if not _round(mesh.points, cells, own, label, kept):
+        rows = np.flatnonzero(active[mesh.cells].any(axis=1))
+        cells = mesh.cells[rows]
+        own = np.where(near[cells].all(axis=1), mesh.label[mesh.parents[rows]], -1)
+        flipped = _round(mesh.points, cells, own, kept, active)
+        if not len(flipped):
             break
-    mesh.cells[rows] = cells
+        mesh.cells[rows] = cells
+        active = np.zeros_like(near)
+        active[cells[flipped]] = True
 
 
-def _round(x: Array, cells: Integers, own: Booleans, label: Integers, kept: Integers) -> int:
-    """Flip edges without a common cell in place; their number."""
+def _round(x: Array, cells: Integers, own: Integers, kept: Integers, active: Booleans) -> Integers:
+    """Flip edges between cells of one label that is not negative, without a common cell, in place;
+    the cells that change. The cells around active vertices (n,) are all there, and one of a new
+    edge's is active."""
     table = EdgeTable.of(cells)
     inner = (table.counts == 2) & ~np.isin(table.keys, kept)
     one, two = table.linked_sides(inner)
-    free = own[one // 3] & own[two // 3] & (label[one // 3] == label[two // 3])
-    one, two = one[free], two[free]
     flat, n = cells.ravel(), len(cells)
 
     def corner(side: Integers, k: int) -> Integers:
         return np.asarray(flat[3 * (side // 3) + (side + k) % 3])
 
+    free = (own[one // 3] >= 0) & (own[one // 3] == own[two // 3])
+    free &= active[corner(one, 2)] | active[corner(two, 2)]
+    one, two = one[free], two[free]
     p, q, a, b = corner(one, 0), corner(one, 1), corner(one, 2), corner(two, 2)
     u, v = _angle(x[a], x[p], x[q]), _angle(x[b], x[p], x[q])
     excess = u + v - np.pi
@@ -54,7 +60,7 @@ def _round(x: Array, cells: Integers, own: Booleans, label: Integers, kept: Inte
     wins = wins[np.unique(new[wins], return_index=True)[1]]
     cells[one[wins] // 3] = np.stack([a, p, b], axis=1)[wins]
     cells[two[wins] // 3] = np.stack([b, q, a], axis=1)[wins]
-    return len(wins)
+    return np.concatenate([one[wins], two[wins]]) // 3
 
 
 def _angle(at: Array, p: Array, q: Array) -> Array:

@@ -191,6 +191,8 @@ def check_apart(nodes: CutNodes, legs: Mapping[str, Sequence[Leg]]) -> None:
             there[cell] += there.get(edge, ())
     x = nodes.places
     for support, ways in there.items():
+        if len(ways) == 1:
+            continue
         pairs = np.array(list(combinations(support, 2)))
         size = float(norm(nodes.corners[pairs[:, 1]] - nodes.corners[pairs[:, 0]]).max())
         for (one, a, b), (other, c, d) in combinations(ways, 2):
