@@ -88,6 +88,7 @@ class Tracer:
 
     def _traced(self, name: str, route: Array, *, along_legs: bool) -> TracedLine:
         near = self._near(route, along_legs)
+        near = near if len(near) else np.arange(len(self.cells))  # far off: `trace` names the place
         cells, longest = self.cells[near], self.longest[near]
         ids = np.unique(cells)
         rows, x = np.searchsorted(ids, cells), self.points[ids]
