@@ -45,8 +45,8 @@ def _meet_in_cell(nodes: CutNodes, cell: Support, chords: list[list[int]]) -> No
                 for v, gap in ((chord[0], abs(part)), (chord[-1], abs(1.0 - part)))
                 if gap <= reach
             ]
-            if len(ends_met) > 1:
-                continue
+            if len(ends_met) > 1 and not (0.0 <= s <= 1.0 and 0.0 <= t <= 1.0):
+                continue  # side by side at a side of the cell; else they cross close to it
             at = a + s * (b - a)
             node = ends_met[0] if ends_met else _node(nodes, new, at, corners[0] + at @ frame)
             for k, part in ((i, s), (j, t)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
@@ -32,3 +33,12 @@ def test_two_lines_on_a_rectangle(comm: MPI.Intracomm) -> None:
     areas = np.cross(b - a, c - a)[:, 2] / 2
     assert areas.min() > 0.0
     np.testing.assert_allclose(areas.sum(), 12.0, rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")  # a coarse mesh
+def test_lines_that_cross_beside_an_edge(comm: MPI.Intracomm) -> None:
+    """Each meets the edge at a place of its own, and the other one within the distance of one."""
+    mesh = meshes.rectangle(comm, 3.0, 3.0, 1.0, structured=True)
+    lines = {"A": [(1.3, 0.0), (1.9, 3.0)], "B": [(2.40105, 0.0), (0.0, 1.0 + 1.50105 / 0.9)]}
+    cut = meshes.along(mesh, lines)
+    assert {"A", "B"} < set(cut.edges)
