@@ -14,6 +14,7 @@ from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import floats, ints
+from crms_fenicsx.foundation.surface.closest_point import SNAP
 
 
 def collapse(mesh: CutMesh) -> None:
@@ -140,7 +141,9 @@ class _Collapses:
         is a row; infinite at corners."""
         x, p, q = self.x[v], self.x[a], self.x[b]
         one, other, side = minus(x, p), minus(q, x), minus(q, p)
-        if dot(one, other) < CREASE * sqrt(dot(one, one) * dot(other, other)):
+        least = min(dot(one, one), dot(other, other))
+        tiny = least <= (4.0 * SNAP * self.size[v]) ** 2  # to a node of another line beside it
+        if not tiny and dot(one, other) < CREASE * sqrt(dot(one, one) * dot(other, other)):
             return inf
         part = dot(one, side) / dot(side, side)
         away = minus(one, (part * side[0], part * side[1], part * side[2]))
