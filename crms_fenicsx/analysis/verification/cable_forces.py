@@ -6,6 +6,7 @@ import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.points_on_edges import CROSSING
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import (
     contact_forces,
@@ -13,7 +14,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
     held_nodes,
     wrap_angles,
 )
-from crms_fenicsx.cabling.contact.lift_off import Polylines, is_foot, may_lift
+from crms_fenicsx.cabling.contact.lift_off import Polylines, is_foot
 from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_runs
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
@@ -104,15 +105,14 @@ def outward_pulls(scene: Scene, lines: Polylines, shape: StripShape) -> Array:
     other at a vertex, of each with those above it. Zero where a cable is not to lift off."""
     nodes, cables = lines.nodes, scene.cables
     found = np.zeros(len(nodes.kind))
-    may = np.zeros(len(nodes.kind), dtype=bool)
-    for start, cable in zip(nodes.starts, cables, strict=False):
-        if cable.taut and cable.lifts_off:
-            may[[start + k for k in may_lift(cable)]] = True
-    may &= ~nodes.lifted
+    lifts = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
+    may = lifts[nodes.cable] & (nodes.kind != CROSSING) & (nodes.crossing < 0) & ~nodes.lifted
+    may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
     rows = np.flatnonzero(may & ~lines.shared)
     found[rows] = lines.pulls(rows, *shape.around(nodes.on(shape.strip.simplices)[rows]))
-    table, sums = lines.pulls_of_stacks(shape, cables, may)
-    found[table[table >= 0]] = sums[table >= 0]
+    if lines.shared.any():
+        table, sums = lines.pulls_of_stacks(shape, cables, may)
+        found[table[table >= 0]] = sums[table >= 0]
     return found
 
 

@@ -253,6 +253,8 @@ class ActiveSet:
     ) -> list[tuple[NodeId, list[NodeId]]]:
         """Nodes at common vertices where the upper cables together pull outward: that of the lowest
         of them, and all."""
+        if not lines.shared.any():
+            return []
         table, sums = lines.pulls_of_stacks(shape, self.net.cables, may)
         sums[:, 1:][self._slide(lines.nodes)[table[:, 1:]]] = -np.inf
         found = []
@@ -269,6 +271,8 @@ class ActiveSet:
         """Close the contacts of cables below others that touch the membrane, and of those that lie
         on a cable which has come down at a vertex."""
         net, nodes = self.net, self.net.nodes
+        if not before.lifted.any():
+            return []
         pairs = [one for one in net.crossings if len(one.support) == 1 and not one.separated]
         lower, upper = at_crossings(pairs, before).T
         down = nodes.lifted[upper] & before.lifted[lower] & ~nodes.lifted[lower]
