@@ -380,17 +380,26 @@ def _local_groups(
     asked = comm.gather(keys, root=0)
     answers = None
     if asked is not None:
-        answers = [
-            {
-                name: np.flatnonzero(np.isin(theirs, members)).astype(np.int32)
-                for name, members in groups.items()
-            }
-            for theirs in asked
-        ]
+        answers = []
+        for theirs in asked:
+            order = np.argsort(theirs)  # once for all groups
+            known = theirs[order]
+            answers.append(
+                {
+                    name: np.sort(order[_found(known, members)]).astype(np.int32)
+                    for name, members in groups.items()
+                }
+            )
     local: dict[str, Indices] = comm.scatter(answers, root=0)
     for indices in local.values():
         indices.setflags(write=False)
     return MappingProxyType(local)
+
+
+def _found(known: Integers, keys: Integers) -> Integers:
+    """Places (k,) in an ascending array of those keys that are there."""
+    at = np.searchsorted(known[:-1], keys)  # the last place for those beyond
+    return at[known[at] == keys] if len(known) else np.zeros(0, dtype=np.int64)
 
 
 def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:

@@ -35,6 +35,7 @@ from crms_fenicsx.foundation.runtime.errors import (
     PathError,
     PathWarning,
     as_text,
+    garbage_kept,
     raised_together,
 )
 from crms_fenicsx.foundation.surface.closest_point import SNAP
@@ -95,7 +96,8 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
     found = EMPTY
     turned: list[str] = []
     poor: list[str] = []
-    with raised_together(mesh.comm):
+    # many small objects are made and kept, which each collection would walk through again
+    with garbage_kept(), raised_together(mesh.comm):
         if mesh.comm.rank == 0:
             work = cut(surface, routes)
             improve(work)

@@ -117,17 +117,14 @@ class _Collapses:
         at_edge = [c for c in own if r in self.cell[c]]
         if len(self.beside(v) & self.beside(r)) != len(at_edge):
             return False
-        before, after = 1.0, 1.0
+        # the shorter the edge, the more urgent
+        least = min(self.shape(c)[1] for c in own) * self.ratio(v, r) / SHORT
         for c in own:
-            corners = self.cell[c]
-            old = self.shape(c)
-            before = min(before, old[1])
             if c not in at_edge:
-                new = shape(*(self.x[r if w == v else w] for w in corners))
-                if dot(old[0], new[0]) <= 0.5:
+                normal, sine = shape(*(self.x[r if w == v else w] for w in self.cell[c]))
+                if sine < least or dot(normal, self.shape(c)[0]) <= 0.5:
                     return False
-                after = min(after, new[1])
-        return after >= before * self.ratio(v, r) / SHORT  # the shorter, the more urgent
+        return True
 
     def shape(self, c: int) -> tuple[Point, float]:
         """Normal of a cell, and sine of its smallest angle."""

@@ -25,7 +25,6 @@ class Spreading:
         used = np.zeros(len(free), dtype=bool)
         used[mesh.cells] = True
         self.free = np.flatnonzero(free & used)
-        self.held = np.zeros(len(free), dtype=bool)  # vertices of rows that may not slide
         on_row = np.zeros(len(free), dtype=bool)
         for row in mesh.rows.values():
             on_row[row.vertices] = True
