@@ -51,6 +51,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
 from crms_fenicsx.design.patterns import plane_section
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD
 RADIUS, HEIGHT, SPACING, CABLES = 100.0, 28.0, 8.5, 14
@@ -305,7 +306,7 @@ def tent(size: float) -> tuple[meshes.MembraneMesh, dict[str, Any]]:
 
 def smallest_angles(mesh: meshes.MembraneMesh) -> NDArray[np.float64]:
     """The smallest angle of each cell (degrees), on one process."""
-    corners = np.asarray(mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap], dtype=np.float64)
+    corners = np.asarray(mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)], dtype=np.float64)
     ways = np.roll(corners, -1, axis=1) - corners
     ways /= np.linalg.norm(ways, axis=2)[..., None]
     cosines = -(ways * np.roll(ways, 1, axis=1)).sum(axis=2)

@@ -9,11 +9,10 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
@@ -275,7 +274,7 @@ def _crossings(plan: PlanShape, names: list[str], ways: list[Array]) -> list[Nod
     owner = np.repeat(np.arange(len(ways)), [len(way) - 1 for way in ways])
     number = np.concatenate([np.arange(len(way) - 1) for way in ways])
     longest = float(np.linalg.norm(steps, axis=1).max())
-    pairs = cKDTree(starts + steps / 2).query_pairs(longest * (1 + 1e-9), output_type="ndarray")
+    pairs = _tree(starts + steps / 2).query_pairs(longest * (1 + 1e-9), output_type="ndarray")
     i, j = pairs[(owner[pairs[:, 0]] != owner[pairs[:, 1]]) | (np.ptp(number[pairs], axis=1) > 1)].T
     area = cross_in_plane(steps[i], steps[j])
     level = np.linalg.norm(steps[i], axis=1) * np.linalg.norm(steps[j], axis=1)
@@ -295,10 +294,17 @@ def _crossings(plan: PlanShape, names: list[str], ways: list[Array]) -> list[Nod
     return found
 
 
+def _tree(points: Array) -> Any:
+    """A tree of points (n, 2)."""
+    from scipy.spatial import cKDTree  # takes longer to import than scripts without lines need
+
+    return cKDTree(points)
+
+
 def _divided(plan: PlanShape, names: list[str], ways: list[Array], nodes: list[Node]) -> PlanRows:
     """Lay out vertices on the lines, between the nodes where they end or meet others."""
     spots = np.stack([node.point for node in nodes])
-    near = cKDTree(spots).query_ball_point(spots, APART * plan.sizes(spots))
+    near = _tree(spots).query_ball_point(spots, APART * plan.sizes(spots))
     pairs = np.array([(k, m) for k, others in enumerate(near) for m in others])
     vertex = [int(v) for v in connected_labels(len(nodes), *pairs.T)]
     points, places = np.zeros((max(vertex) + 1, 2)), dict[int, float]()
@@ -352,7 +358,7 @@ def _check_apart(plan: PlanShape, rows: PlanRows) -> None:
             f"{as_text(spots[bad[0]])}; keep it inside, from rim to rim or to other lines."
         )
     reach = norm(ways).max(initial=0.0) / 2 + apart
-    for k, near in enumerate(cKDTree(middles).query_ball_point(places, reach)):
+    for k, near in enumerate(_tree(middles).query_ball_point(places, reach)):
         vertex = inner[k] if k < len(inner) else -1
         others = [m for m in near if m != k - len(inner) and vertex not in pairs[m]]
         offset = places[k] - ends[others, 0]

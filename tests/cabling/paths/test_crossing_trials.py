@@ -84,7 +84,11 @@ class Listed(CrossingTrials):
 
 def listed() -> Any:
     """Such trials of two crossing cables."""
-    net = SimpleNamespace(cables=[SimpleNamespace(name="cable")], crossings=[None], clamps=[])
+    net = SimpleNamespace(
+        cables=[SimpleNamespace(name="cable")],
+        crossings=[SimpleNamespace(support=(0, 1, 2))],
+        clamps=[],
+    )
     trials = Listed(SimpleNamespace(net=net), TriedPaths())  # type: ignore[arg-type]
     trials.started = []
     return trials
