@@ -105,6 +105,7 @@ def outward_pulls(scene: Scene, lines: Polylines, shape: StripShape) -> Array:
     other at a vertex, of each with those above it. Zero where a cable is not to lift off."""
     nodes, cables = lines.nodes, scene.cables
     found = np.zeros(len(nodes.kind))
+    lines.held = np.array([cable.keeps_line for cable in cables], dtype=bool)[nodes.cable]
     lifts = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
     may = lifts[nodes.cable] & (nodes.kind != CROSSING) & (nodes.crossing < 0) & ~nodes.lifted
     may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends

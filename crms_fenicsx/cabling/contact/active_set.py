@@ -110,6 +110,7 @@ class ActiveSet:
         if self._first_look:
             self._forget()
         lines = Polylines(self.net.nodes, positions_of(self.net.cables))
+        lines.held = ~self._slide(lines.nodes)
         changes = self._switch(shape, lines) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
             changes = self._crossings(shape, lines)

@@ -61,6 +61,7 @@ class Polylines:
         self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
         self._x = positions[self.contacts]
         self._arc = lines.arc_lengths(self._x, self._starts)
+        self.held = np.zeros(len(nodes.kind), dtype=bool)  # (n,) nodes of cables held on their line
         # (n,) contacts on which another cable lies, or that lie on one
         self.shared = np.zeros(len(nodes.kind), dtype=bool)
         at = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut & ~nodes.lifted)
@@ -84,7 +85,7 @@ class Polylines:
         vertex = np.pad(nodes.kind == VERTEX, 1)
         row = vertex[:-2] & vertex[1:-1] & vertex[2:]
         crossed = (nodes.kind == CROSSING) | (nodes.crossing >= 0) | self.shared
-        stops = (crossed | row)[self.contacts]
+        stops = (crossed | (row & self.held))[self.contacts]
         ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
         at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
         return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))

@@ -10,9 +10,10 @@ import pytest
 from grids import alternating, grid, numbered
 from lines_in_order import random_net, tightened, who_lies_on_whom
 from mpi4py import MPI
-from taylor import TermsOnLayout, gradient_order
+from taylor import gradient_order
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
+from crms_fenicsx.energy.minimization.taylor import TermsOnLayout
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 pytestmark = pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
@@ -45,7 +46,9 @@ def saddle(
 
 def tighten(solver: Solver, cables: dict[str, LaidCable], factor: float) -> None:
     """Shorten the cables to 0.995 times `factor`."""
-    lengths = {cable: 0.995 * factor * cable.length for cable in cables.values()}
+    lengths: dict[object, float] = {
+        cable: 0.995 * factor * cable.length for cable in cables.values()
+    }
     solver.advance(L0=lengths)
 
 
