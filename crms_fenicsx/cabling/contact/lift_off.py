@@ -61,7 +61,8 @@ class Polylines:
         self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
         self._x = positions[self.contacts]
         self._arc = lines.arc_lengths(self._x, self._starts)
-        self.held = np.zeros(len(nodes.kind), dtype=bool)  # (n,) nodes of cables held on their line
+        # (n,) nodes of cables held on their line
+        self.held: Booleans = np.zeros(len(nodes.kind), dtype=bool)
         # (n,) contacts on which another cable lies, or that lie on one
         self.shared = np.zeros(len(nodes.kind), dtype=bool)
         at = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut & ~nodes.lifted)
