@@ -117,6 +117,11 @@ class LaidCable(Handle[CableState]):
         return not HOLDS[self.hold].sideways or self.state.laid.line is not None
 
     @property
+    def folds_cells(self) -> bool:
+        """Whether it crosses edges, and does not only run along them."""
+        return any(node.kind == "fold" for node in self.state.nodes)
+
+    @property
     def slides_freely(self) -> bool:
         """Whether it slides sideways without friction."""
         return self.cable.sideways is None

@@ -7,7 +7,7 @@ change back and forth only a few times in a solve, so that it terminates.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -140,9 +140,9 @@ class ActiveSet:
         that it has folded and that bulge. It counts as taut if it is nearly tight on flat cells and
         remains tight on folded ones, which is tried once per search. A taut cable that would be
         slack on flat cells is released first, so that the result does not depend on the load path;
-        not with axial friction, which is path-dependent.
+        not with axial friction, which is path-dependent, nor along edges, where no cell bulges.
         """
-        changes: list[str] = []
+        changes, tightened = list[str](), list[int]()
         lengths, flat = None if solved is None else floats(solved.lengths), None
         for c, cable in enumerate(self.net.cables):
             if cable.cable.law == "step":
@@ -155,7 +155,7 @@ class ActiveSet:
                 taut = tight = lengths[c] > cable.L0 * (1 + UNSTRAINED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
-            alone = cable.slides_freely and not cable.is_divided
+            alone = cable.slides_freely and not cable.is_divided and cable.folds_cells
             if solved is not None and judged and tight and untried and alone:
                 if flat is None:
                     flat = floats(solved.flat_lengths(shape, fractions_of(self.net.cables)))
@@ -166,10 +166,22 @@ class ActiveSet:
                 self._tried.add(cable.name)
             # A cable that slackens recovers its folds from the straight path.
             cable.update(taut=taut, path_is_geodesic=taut and cable.state.memory.path_is_geodesic)
+            tightened += [c] if taut else []
             self._switches[cable.name] += 1
             self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
+        over = self._over_lifted() if tightened else set()
+        for c in tightened:
+            contact.lift(self.net.cables[c], [k for d, k in over if d == c])
         return changes
+
+    def _over_lifted(self) -> set[NodeId]:
+        """Nodes of cables over others that have lifted off, at common vertices."""
+        nodes = self.net.nodes
+        rows, starts = stacks(nodes, self.net.cables)
+        off = np.append(0, np.cumsum(nodes.lifted[rows]))
+        below = off[:-1] > np.repeat(off[starts[:-1]], np.diff(starts))
+        return set(nodes.ids(rows[below & ~self._slide(nodes)[rows]]))
 
     def _contacts(self, shape: StripShape, lines: Polylines) -> list[str]:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
@@ -193,8 +205,9 @@ class ActiveSet:
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
         changes: list[str] = []
         free = FreeSpans(net.cables, nodes, shape, held, folded=True)
+        over = self._over_lifted()
         for c in sorted({*released, *ints(off)}):
-            new = self._change(c, released[c], free)
+            new = self._change(c, released[c], free, over)
             if new:  # the cable folds other edges now, perhaps below other spans
                 free = FreeSpans(net.cables, net.nodes, shape, held, folded=True)
             changes += new
@@ -205,13 +218,17 @@ class ActiveSet:
         cable = self.net.cables[c]
         return cable.name, cable.state.nodes[k].support
 
-    def _change(self, c: int, released: Sequence[int], free: FreeSpans) -> list[str]:
-        """Release a cable at some nodes, and let it touch down under its spans."""
+    def _change(
+        self, c: int, released: Sequence[int], free: FreeSpans, over: Collection[NodeId]
+    ) -> list[str]:
+        """Release a cable at some nodes, and let it touch down under its spans, but for the nodes
+        `over` cables that have lifted off: there it meets these."""
         cable = self.net.cables[c]
         places = {}
         if cable.state.lifted.any():
             free.move(c)
             places = free.captured(c, -TOL.contact)
+            places = {k: one for k, one in places.items() if (c, k) not in over}
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not released and not places:
                 nearly = free.captured(c, TOL.touching)

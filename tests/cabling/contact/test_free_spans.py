@@ -112,7 +112,7 @@ def test_spans_low_above_the_membrane_close_but_not_beside_a_released_contact(
     active = ActiveSet(SimpleNamespace(cables=[cable]), memory)  # type: ignore[arg-type]
     free = FreeSpans([cable], NodeTable.of([cable]), shape, np.ones(1, dtype=bool))
     active.only_lifted = True
-    texts = active._change(0, [], free)
+    texts = active._change(0, [], free, ())
     assert not active.only_lifted  # paths must not change together with it
     apart = {None: [], 2.0: [1.5, 2.0, 2.5], 2.5: [2.0, 2.5, 3.0]}[before]
     assert [x for x, k in at.items() if cable.state.lifted[k]] == apart
