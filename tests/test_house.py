@@ -37,7 +37,7 @@ FLOORS = [
 
 DOORS = (
     "energy.terms.membrane_energy cabling.cables.deformed_surface cabling.paths.held_vertices "
-    "cabling.paths.bed cabling.paths.vertex_trials analysis.scene analysis.equilibrium "
+    "cabling.paths.placing cabling.paths.vertex_trials analysis.scene analysis.equilibrium "
     "energy.minimization.minimizer analysis.verification.cable_checks "
     "analysis.verification.cable_forces analysis.verification.verifier "
     "analysis.steps.increment_solver solver results.output.recorder design.study.groups"

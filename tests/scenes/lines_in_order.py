@@ -18,6 +18,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, mes
 Floats = NDArray[np.float64]
 
 SIDE = 12.0
+SAME = 5e-5  # distance, relative to that, of points between which lengths are smoothed
 
 
 def heights(kind: str, x: Floats, y: Floats) -> Floats:
@@ -80,7 +81,7 @@ class Found(NamedTuple):
     depth: float  # of an upper cable below a lower one, relative to the cells
     below: float  # of a cable below a vertex of its line
     pull: float  # outward on the membrane, relative to the tension
-    unbalanced: float  # force at free points, relative to the contact force there
+    unbalanced: float  # force at free points, relative to the largest of a cable there
 
 
 def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
@@ -111,17 +112,16 @@ def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
             gap, high = _gap(lower.line, upper.line, x[v], normals[v], 3 * sizes[v])
             depth = max(depth, -gap / sizes[v])
             counts[2 if gap > 1e-5 * sizes[v] else int(high > 1e-4 * sizes[v])] += 1
-    free: dict[tuple[float, ...], list[tuple[tuple[int, int], Floats]]] = {}
-    for cable in rows:
-        for k in cable.line_nodes():
-            if cable.state.nodes[k].kind == "crossing":
-                place = cable.state.positions[k]
-                (turn,) = _turns(cable, place)
-                free.setdefault(tuple(place.tolist()), []).append((order[cable], turn))
+    free = [
+        cable.state.positions[k]
+        for cable in rows
+        for k in cable.line_nodes()
+        if cable.state.nodes[k].kind == "crossing"
+    ]
     unbalanced = 0.0
-    for pair in free.values():
-        (_, lower), (_, upper) = sorted(pair, key=lambda entry: entry[0])
-        error = np.linalg.norm(lower + upper) / np.linalg.norm(upper)
+    for place in free:  # of several at one place the cables' forces balance together
+        turns = [turn for cable in rows for turn in _turns(cable, place)]
+        error = np.linalg.norm(np.sum(turns, axis=0)) / max(np.linalg.norm(turns, axis=1))
         unbalanced = max(unbalanced, float(error))
     return Found(*counts, depth, below, pull, unbalanced)
 
@@ -148,12 +148,12 @@ def _nearest(line: Floats, place: Floats) -> Floats:
 
 def _turns(cable: LaidCable, place: Floats) -> list[Floats]:
     """Force of the cable on what bears it at a place of its line, or nothing; not at its ends."""
-    line = cable.line
-    k = int(np.linalg.norm(line - place, axis=1).argmin())
-    if np.linalg.norm(line[k] - place) > 1e-9 or k in (0, len(line) - 1):
+    away = np.linalg.norm(cable.line - place, axis=1)
+    here = np.flatnonzero(away < SAME * SIDE)
+    if not len(here) or here[0] == 0 or here[-1] == len(away) - 1:
         return []
-    before, after = line[k - 1] - line[k], line[k + 1] - line[k]
-    turn = before / np.linalg.norm(before) + after / np.linalg.norm(after)
+    ways = cable.line[[here[0] - 1, here[-1] + 1]] - place
+    turn: Floats = (ways / np.linalg.norm(ways, axis=1)[:, None]).sum(axis=0)
     return [cable.tension * turn]
 
 

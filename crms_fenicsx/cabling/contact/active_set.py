@@ -54,7 +54,7 @@ def joining(
         and not (sliding[one.lower] or sliding[one.upper])
     ]  # fmt: skip
     if apart:
-        found, sizes = lines.gaps(shape, [crossings[n] for n in apart], 1)
+        found, sizes = lines.gaps(shape, [crossings[n] for n in apart], 2)
         joined = {apart[n] for n in np.flatnonzero(found < -TOL.contact * sizes)}
     apart = [n for n, one in enumerate(crossings) if one.separated and len(one.support) > 1]
     pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]

@@ -16,8 +16,8 @@ import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.strip import StripShape, cells_at, own_surface
-from crms_fenicsx.cabling.paths.bed import Bed, MeasuredOn, check_law, put
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
+from crms_fenicsx.cabling.paths.placing import MeasuredOn, MembraneBelow, check_law, put
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
 from crms_fenicsx.foundation.meshes.triangles import dot, norm, vectors
@@ -114,8 +114,10 @@ def lay(
     strip = cells_below(net.membrane, way, covers)
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(way, shape, name)
-    bed = Bed.of(net.membrane, shape, [way], dict(zip(known.values(), folds, strict=False)))
-    laid = put(bed, name, cable, way, laid_as, L0=L0, tension=tension, measured_on=measured_on)
+    below = MembraneBelow.of(
+        net.membrane, shape, [way], dict(zip(known.values(), folds, strict=False))
+    )
+    laid = put(below, name, cable, way, laid_as, L0=L0, tension=tension, measured_on=measured_on)
     net.add([laid], strip)
     return laid
 
@@ -167,9 +169,18 @@ def lay_along(
     strip = cells_at(membrane, list(chain.from_iterable(rows)))
     shape = StripShape.of(membrane, strip)
     ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]
-    bed = Bed.of(membrane, shape, ways)
+    below = MembraneBelow.of(membrane, shape, ways)
     laid = tuple(
-        put(bed, one.name, cable, way, one.laid_as, L0=L0, tension=tension, measured_on=measured_on)
+        put(
+            below,
+            one.name,
+            cable,
+            way,
+            one.laid_as,
+            L0=L0,
+            tension=tension,
+            measured_on=measured_on,
+        )
         for one, way in zip(lines, ways, strict=True)
     )
     _tell_held(net, laid)

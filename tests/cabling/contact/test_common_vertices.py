@@ -62,7 +62,7 @@ def heights(cables: dict[str, LaidCable]) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-@pytest.mark.parametrize("seed", [1, 3, 4, 10])
+@pytest.mark.parametrize("seed", [1, 3, 4, 10, 18])
 @pytest.mark.parametrize("turned", [False, True])
 def test_in_random_nets_every_cable_lies_where_it_belongs(
     comm: MPI.Intracomm, seed: int, turned: bool

@@ -20,9 +20,9 @@ from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
     vertex_normals,
 )
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
-from crms_fenicsx.foundation.meshes.cutting.strands import Strands
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import check_apart, traced_lines
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
 from crms_fenicsx.foundation.meshes.surface import EMPTY, CheckedSurface
@@ -133,8 +133,8 @@ def _checked(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> dict[str, Ar
 
 def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
     """A surface divided along routes."""
-    strands = Strands(surface)
-    lines = traced_lines(surface, strands, routes)
+    features = FeatureEdges(surface)
+    lines = traced_lines(surface, features, routes)
     nodes = CutNodes(surface.points, surface.points, SNAP)
     for line in lines:
         for point in line.points:
@@ -149,7 +149,7 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
     cells, parents = divided(np.sort(surface.cells, axis=1), nodes, chords)
     cells[turned[parents]] = cells[turned[parents]][:, ::-1]
     points = np.array(nodes.places)
-    strands.divide(nodes)
+    features.divide(nodes)
     corners = surface.points[surface.cells]
     size = norm(corners[:, [1, 2, 0]] - corners).mean(axis=1)[parents]
     count, total = (
@@ -166,11 +166,11 @@ def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
                 f"along: the line {line.name!r} comes back to {as_text(place)}; cut along two "
                 "lines that end there."
             )
-        strands.add(pairwise(ints(vertices)), line.name)
+        features.add(pairwise(ints(vertices)), line.name)
         places = points[vertices]
         turns = np.abs(side_turns(places, normals[vertices]))
         rows[line.name] = Row(vertices, places, turns, arc_lengths(places), turns > TURN)
-    return CutMesh(surface, points, cells, parents, strands, rows, total / count)
+    return CutMesh(surface, points, cells, parents, features, rows, total / count)
 
 
 def improve(mesh: CutMesh) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.cutting.division import Point, dot, minus, shape
-from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE, SHORT
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import lists, norm, vectors
@@ -26,7 +26,7 @@ class _Collapses:
     """The cells near rows as Python objects."""
 
     def __init__(self, mesh: CutMesh) -> None:
-        self.mesh, self.strands = mesh, mesh.strands
+        self.mesh, self.features = mesh, mesh.features
         self.near = mesh.band(1)
         rows = np.flatnonzero(self.near[mesh.cells].any(axis=1))
         self.cell = dict(zip(ints(rows), lists(mesh.cells[rows]), strict=True))
@@ -100,16 +100,16 @@ class _Collapses:
 
     def orders(self, p: int, q: int) -> list[tuple[int, int]]:
         """The vertex that goes, and the one that stays, in order of preference."""
-        free = [not self.strands.beside.get(v) and v not in self.strands.fixed for v in (p, q)]
+        free = [not self.features.beside.get(v) and v not in self.features.fixed for v in (p, q)]
         return [(p, q), (q, p)] if free[0] and not free[1] else [(q, p), (p, q)]
 
     def may_go(self, v: int, r: int) -> bool:
         """Whether a vertex can be collapsed into another one."""
-        if v in self.strands.fixed:
+        if v in self.features.fixed:
             return False
-        if self.strands.beside.get(v):
-            ends = self.strands.neighbours(v)
-            if ends is None or r not in ends or ends[1] in self.strands.beside[ends[0]]:
+        if self.features.beside.get(v):
+            ends = self.features.neighbours(v)
+            if ends is None or r not in ends or ends[1] in self.features.beside[ends[0]]:
                 return False
             if self.bend(v, *ends) > ASIDE * self.size[v]:
                 return False
@@ -134,8 +134,8 @@ class _Collapses:
         return self.shapes[c]
 
     def bend(self, v: int, a: int, b: int) -> float:
-        """Distance of a vertex from the chord between its neighbours along a strand, sideways if it
-        is a row; infinite at corners."""
+        """Distance of a vertex from the chord between its neighbours along a feature line, sideways
+        if it is a row; infinite at corners."""
         x, p, q = self.x[v], self.x[a], self.x[b]
         one, other, side = minus(x, p), minus(q, x), minus(q, p)
         least = min(dot(one, one), dot(other, other))
@@ -145,7 +145,7 @@ class _Collapses:
         part = dot(one, side) / dot(side, side)
         away = minus(one, (part * side[0], part * side[1], part * side[2]))
         across = 0.0
-        if not self.mesh.rows.keys().isdisjoint(self.strands.beside[v][a]):
+        if not self.mesh.rows.keys().isdisjoint(self.features.beside[v][a]):
             shapes = [self.shape(c) for c in self.around[v]]
             nx, ny, nz = (fsum(normal[k] for normal, _ in shapes) for k in range(3))
             across = dot(away, (nx, ny, nz)) / sqrt(dot((nx, ny, nz), (nx, ny, nz)))
@@ -153,7 +153,7 @@ class _Collapses:
 
     def go(self, v: int, r: int) -> None:
         """Collapse a vertex into another one."""
-        self.strands.skip(v)
+        self.features.skip(v)
         for c in self.around.pop(v):
             corners = self.cell[c]
             if r in corners:

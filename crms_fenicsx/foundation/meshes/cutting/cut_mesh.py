@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.strands import Strands, labels_of
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges, labels_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
@@ -40,7 +40,7 @@ class CutMesh:
     points: Array  # (n, 3)
     cells: Integers  # (m, 3)
     parents: Integers  # (m,) a cell of the given surface, of the same parts, for each cell
-    strands: Strands
+    features: FeatureEdges
     rows: dict[str, Row]
     size: Array  # (n,) mean length of the edges around each vertex of the given surface
     label: Integers = field(init=False)  # of the given cells, by their parts
@@ -62,7 +62,7 @@ class CutMesh:
         used = np.zeros(len(self.points), dtype=bool)
         used[self.cells] = True
         number = np.cumsum(used) - 1
-        groups = self.strands.groups()
+        groups = self.features.groups()
         edges = {
             name: np.unique((number[keys >> 32] << 32) | number[keys & 0xFFFFFFFF])
             for name, keys in groups.items()

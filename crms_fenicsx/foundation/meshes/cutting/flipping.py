@@ -12,7 +12,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 def flip(mesh: CutMesh, near: Booleans) -> None:
     """Flip edges of the cells of which all vertices are near (n,), by Lawson's criterion."""
-    kept, active = mesh.strands.keys(), near
+    kept, active = mesh.features.keys(), near
     for _ in range(50):  # on curved surfaces they may not end
         rows = np.flatnonzero(active[mesh.cells].any(axis=1))
         cells = mesh.cells[rows]

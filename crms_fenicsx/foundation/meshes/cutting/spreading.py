@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
-from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
@@ -18,10 +18,10 @@ class Spreading:
     def __init__(self, mesh: CutMesh) -> None:
         self.mesh = mesh
         self.near = mesh.band(2)
-        strands = mesh.strands
+        features = mesh.features
         free = self.near.copy()
-        free[list(strands.fixed)] = False
-        free[[v for v, others in strands.beside.items() if others]] = False
+        free[list(features.fixed)] = False
+        free[[v for v, others in features.beside.items() if others]] = False
         used = np.zeros(len(free), dtype=bool)
         used[mesh.cells] = True
         self.free = np.flatnonzero(free & used)
@@ -38,18 +38,18 @@ class Spreading:
         self.star = given[order[runs(first, counts)] // 3]
 
     def _sliding(self, on_row: Booleans) -> Integers:
-        """Vertices near rows on other strands, with their neighbours along these, (k, 3)."""
+        """Vertices near rows on other feature lines, with their neighbours along these, (k, 3)."""
         found = []
-        for v in self.mesh.strands.beside:
+        for v in self.mesh.features.beside:
             if self.near[v] and not on_row[v]:
-                ends = self.mesh.strands.neighbours(v)
+                ends = self.mesh.features.neighbours(v)
                 if ends is not None:
                     found.append((v, *ends))
         return np.array(sorted(found), dtype=np.int64).reshape(-1, 3)
 
     def _may_slide(self, row: Row) -> Booleans:
         """Whether each vertex of a row may slide along it."""
-        ends = [self.mesh.strands.neighbours(int(v)) for v in row.vertices]
+        ends = [self.mesh.features.neighbours(int(v)) for v in row.vertices]
         return np.array([pair is not None for pair in ends]) & ~row.pinned
 
     def step(self, *, last: bool) -> None:
@@ -91,7 +91,7 @@ class Spreading:
         return found[best]
 
     def _slide(self, new: Array) -> None:
-        """Move vertices of other strands along these, where they are nearly straight."""
+        """Move vertices of other feature lines along these, where they are nearly straight."""
         if not len(self.slides):
             return
         v, a, b = self.slides.T

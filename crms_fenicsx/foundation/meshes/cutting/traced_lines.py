@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
-from crms_fenicsx.foundation.meshes.cutting.strands import ASIDE, SHORT, Strands
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE, SHORT, FeatureEdges
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
@@ -102,19 +102,19 @@ class Tracer:
 
 
 def traced_lines(
-    surface: CheckedSurface, strands: Strands, routes: Mapping[str, Array]
+    surface: CheckedSurface, features: FeatureEdges, routes: Mapping[str, Array]
 ) -> list[TracedLine]:
     """Lines along routes, with ends that nearly meet merged."""
     tracer = Tracer(surface)
     lines = [tracer.line(name, route) for name, route in routes.items()]
-    kept = _segments(surface.points, strands.keys())
+    kept = _segments(surface.points, features.keys())
     # each place where ends meet, and where a line from there ends: nowhere from corners
-    corners = surface.points[strands.corners(surface.points)]
+    corners = surface.points[features.corners(surface.points)]
     settled = [(corner, np.full(3, np.inf)) for corner in vectors(corners)]
     for k, line in enumerate(lines):
         for end, far in ((0, -1), (-1, 0)):
             others = [other.places for other in lines if other is not line]
-            target = _target(line, end, strands, settled, kept, others)
+            target = _target(line, end, features, settled, kept, others)
             if target is not None:
                 line = lines[k] = tracer.line(line.name, _led_to(line, end, target))
             settled.append((line.places[end], line.places[far]))
@@ -129,7 +129,7 @@ def _segments(points: Array, keys: Integers) -> Array:
 def _target(
     line: TracedLine,
     end: int,
-    strands: Strands,
+    features: FeatureEdges,
     settled: Sequence[tuple[Array, Array]],
     kept: Array,
     others: Sequence[Array],
@@ -142,7 +142,7 @@ def _target(
     if len(ends) and gaps.min() <= reach:
         found: Array = ends[int(np.argmin(gaps)), 0]
         return None if gaps.min() <= SNAP * line.sizes[end] else found
-    if strands.on(line.points[end]):
+    if features.on(line.points[end]):
         return None
     other_ends = np.array([x[k] for x in others for k in (0, -1)]).reshape(-1, 3)
     if len(other_ends) and norm(other_ends - place).min() <= reach:

@@ -99,7 +99,7 @@ def test_flips_leave_no_edge_that_should_be_flipped() -> None:
 
 
 def _kept(work: CutMesh) -> list[tuple[int, int]]:
-    return [(a, b) for a, others in work.strands.beside.items() for b in others]
+    return [(a, b) for a, others in work.features.beside.items() for b in others]
 
 
 def test_spreading_keeps_rows_on_their_lines_and_the_sheet_flat() -> None:

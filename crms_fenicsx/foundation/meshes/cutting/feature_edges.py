@@ -33,7 +33,7 @@ def labels_of(surface: CheckedSurface) -> Integers:
     return np.asarray(np.unique(inside, axis=0, return_inverse=True)[1]).ravel()
 
 
-class Strands:
+class FeatureEdges:
     """Names of kept edges, by their vertices."""
 
     def __init__(self, surface: CheckedSurface) -> None:
@@ -93,7 +93,7 @@ class Strands:
         return point.edge[1] in self.beside.get(point.edge[0], {})
 
     def neighbours(self, v: int) -> tuple[int, int] | None:
-        """The two vertices beside one along its strand; None at ends and junctions."""
+        """The two vertices beside one along its feature line; None at ends and junctions."""
         own = self.beside.get(v, {})
         if len(own) != 2 or v in self.fixed:
             return None
@@ -101,7 +101,7 @@ class Strands:
         return (a, b) if one == other else None
 
     def corners(self, points: Array) -> Integers:
-        """Vertices, at points (n, 3), where strands end, join or bend, and named ones."""
+        """Vertices, at points (n, 3), where feature lines end, join or bend, and named ones."""
         found = set(self.fixed)
         for v, others in self.beside.items():
             ends = self.neighbours(v)
@@ -114,7 +114,7 @@ class Strands:
         return np.array(sorted(found), dtype=np.int64)
 
     def skip(self, v: int) -> None:
-        """Take a vertex out of its strand, which leads on from one neighbour to the other."""
+        """Take a vertex out of its feature line, which leads on from one neighbour to the other."""
         own = self.beside.pop(v, {})
         for w in own:
             del self.beside[w][v]

@@ -35,7 +35,7 @@ MeasuredOn = Literal["surface", "facets"]
 
 
 @dataclass(frozen=True)
-class Bed:
+class MembraneBelow:
     """What laying cables needs of the membrane below their paths, the same on all ranks."""
 
     membrane: Membrane
@@ -50,7 +50,7 @@ class Bed:
         shape: StripShape,
         ways: Sequence[Path],
         in_fold: Mapping[SurfacePoint, Array] = MappingProxyType({}),
-    ) -> Bed:
+    ) -> MembraneBelow:
         """The membrane below some paths, from the shape of the cells around. Collective."""
         strip = shape.strip
         ends = {v for way in ways for k in (0, -1) for v in way.points[k].support}
@@ -91,7 +91,7 @@ class Bed:
 
 
 def put(
-    bed: Bed,
+    below: MembraneBelow,
     name: str,
     cable: Cable,
     way: Path,
@@ -103,12 +103,12 @@ def put(
 ) -> LaidCable:
     """Type the points of a path and put a cable on it, without adding it to a net. Collective."""
     _refuse_joints_on_the_membrane(name, laid_as.joints, way)
-    shape, strip = bed.shape, bed.shape.strip
-    nodes = nodes_of(way.points, strip, bed.ends(way))
+    shape, strip = below.shape, below.shape.strip
+    nodes = nodes_of(way.points, strip, below.ends(way))
     positions = _positions(nodes, way, shape)
-    folded = _put_in_folds(nodes, positions, bed.in_fold, SAME_PLACE * bed.membrane.size)
+    folded = _put_in_folds(nodes, positions, below.in_fold, SAME_PLACE * below.membrane.size)
     off = np.array([k.point is not None and strip.over_hole(k.support) for k in nodes], dtype=bool)
-    if HOLDS[laid_as.hold].sideways and _follows_free_edge(way, bed):
+    if HOLDS[laid_as.hold].sideways and _follows_free_edge(way, below):
         laid_as = replace(laid_as, hold="pocket")
     hold = laid_as.hold
     state = CableState(
@@ -116,7 +116,7 @@ def put(
         CableLaw(_held_kind(cable, laid_as), L0=1.0, length=0.0, tension=0.0), laid_as,
     )  # fmt: skip
     laid = LaidCable(name, state)
-    _refuse_folds(bed.membrane, strip, laid)
+    _refuse_folds(below.membrane, strip, laid)
     if laid.lifts_off:
         drape(laid, shape)
     length = polyline_length(laid.state.positions[laid.contacts()])
@@ -124,7 +124,7 @@ def put(
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     smooth = length
     if L0 is None and measured_on == "surface" and cable.law == "total" and hold != "bonded":
-        smooth = _smooth_length(laid, bed, folded)
+        smooth = _smooth_length(laid, below, folded)
     L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
     force = cable.EA / L0 * max(smooth - L0, 0.0)
     laid.update(L0=L0, length=length, tension=force, taut=cable.law == "step" or force > 0)
@@ -202,19 +202,19 @@ def check_law(name: str, cable: Cable, hold: Hold, L0: float | None, tension: fl
             checks.positive(f"lay_cable: {name!r} with {key}", value)
 
 
-def _follows_free_edge(path: Path, bed: Bed) -> bool:
+def _follows_free_edge(path: Path, below: MembraneBelow) -> bool:
     """Whether a path runs from vertex to vertex along free boundary edges of the membrane."""
     vertices = [point.support[0] for point in path.points if len(point.support) == 1]
     if len(vertices) < max(len(path.points), 2):
         return False
     keys = edge_keys(np.array([*pairwise(vertices)]))
-    return bool(np.isin(keys, bed.free_edges).all())
+    return bool(np.isin(keys, below.free_edges).all())
 
 
-def _smooth_length(cable: LaidCable, bed: Bed, folded: Set[SurfacePoint]) -> float:
+def _smooth_length(cable: LaidCable, below: MembraneBelow, folded: Set[SurfacePoint]) -> float:
     """Length of a cable's path on the smooth surface through the vertices. Facets lie inside it: in
     a stiff membrane they shorten the path by as much as the cable's elastic strain."""
-    strip, nodes = bed.shape.strip, cable.contacts()
+    strip, nodes = below.shape.strip, cable.contacts()
     on = np.array([
         node.point is not None and node.kind != "edge slider" and node.point not in folded
         for node in (cable.state.nodes[k] for k in nodes)
@@ -224,7 +224,7 @@ def _smooth_length(cable: LaidCable, bed: Bed, folded: Set[SurfacePoint]) -> flo
     weights = np.array([(*share, 0.0, 0.0)[:3] for _, share in found])
     points, normals = cable.state.positions[nodes], np.zeros((len(nodes), 3))
     if on.any():
-        offsets, normals[on] = bed.smooth.raised(corners, weights)
+        offsets, normals[on] = below.smooth.raised(corners, weights)
         points[on] += offsets
     ends_on = on | np.array([cable.state.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
