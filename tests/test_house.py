@@ -59,7 +59,7 @@ BUDGETS = {
     "foundation": 9932,
     "model": 3085,
     "energy": 7547,
-    "cabling": 7861,
+    "cabling": 7872,
     "analysis": 6652,
     "results": 10582,
     "solver": 987,
