@@ -56,7 +56,7 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 9932,
+    "foundation": 9956,
     "model": 3085,
     "energy": 7547,
     "cabling": 7872,

@@ -6,6 +6,7 @@ with a plane.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -15,8 +16,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.foundation.meshes.triangles import dot, flattened, longest_sides, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.meshes.triangles import dot, flattened, longest_sides, norm, vectors
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, floats
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import (
     RIM,
@@ -196,28 +197,37 @@ def _refuse_shortcuts(
     # A route that returns through the same cells cannot be represented by edge crossings: both
     # ways cancel, which is right at a corner inside a cell, but not for a longer part of a route.
     x = path.positions(surface.ids, surface.points)
-    start, side = x[:-1], np.diff(x, axis=0)
-    square = np.maximum(dot(side, side), 1e-300)
-    longest = longest_sides(surface.points[surface.cells])
-    on = [(i, place.point) for i, place in enumerate(places) if place.point is not None]
-    targets = np.array([places[i].position for i, _ in on]).reshape(-1, 1, 3)
-    around = [list(surface.cells_with(point.support)) for _, point in on]
-    reach = np.array([longest[rows].max() for rows in around])[:, None]
-    middles = dot(targets - start, side) / square
-    aside = norm(start + middles[..., None] * side - targets)
-    halves = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
-    passed = 0.0  # number of path segments already passed, with the fraction of the last one
-    for (i, _), middle, half, passes in zip(on, middles, halves, aside <= reach, strict=True):
-        first = np.maximum(middle - half, np.maximum(passed - np.arange(len(side)), 0.0))
-        near = passes & (first <= np.minimum(middle + half, 1.0))
-        if not near.any():
+    starts, sides = vectors(x[:-1]), vectors(np.diff(x, axis=0))
+    longest = floats(longest_sides(surface.points[surface.cells]))
+    k, passed = 0, 0.0  # the path's segment that is reached, and the fraction passed of it
+    for i, place in enumerate(places):
+        if place.point is None:
+            continue
+        reach = max(longest[row] for row in surface.cells_with(place.point.support))
+        while k < len(sides):
+            found = _passes(starts[k], sides[k], place.position, reach)
+            if found is not None and max(found[0], passed) <= min(found[1], 1.0):
+                passed = max(found[0], passed)
+                break
+            k, passed = k + 1, 0.0
+        else:
             raise PathError(
                 f"route point {i} at {as_text(course[i])} would be cut off, as the route comes "
                 "back through the cells it came from; lead it around a bend wider than a "
                 "cell, refine the mesh, or lay two cables."
             )
-        k = int(np.argmax(near))
-        passed = k + float(first[k])
+
+
+def _passes(start: Array, side: Array, place: Array, reach: float) -> tuple[float, float] | None:
+    """Fractions of a segment between which it is within `reach` of a place."""
+    (a, b, c), (u, v, w) = floats(place - start), floats(side)
+    square = max(u * u + v * v + w * w, 1e-300)
+    middle = (a * u + b * v + c * w) / square
+    left = reach**2 - (a - middle * u) ** 2 - (b - middle * v) ** 2 - (c - middle * w) ** 2
+    if left < 0.0:
+        return None
+    half = math.sqrt(left / square)
+    return middle - half, middle + half
 
 
 def _leg_points(surface: TargetSurface, first: Place, last: Place, name: str) -> list[SurfacePoint]:

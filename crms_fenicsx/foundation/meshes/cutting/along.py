@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -23,9 +23,14 @@ from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of,
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
-from crms_fenicsx.foundation.meshes.cutting.traced_lines import check_apart, traced_lines
+from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
+    TracedLine,
+    Tracer,
+    check_apart,
+    with_merged_ends,
+)
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
-from crms_fenicsx.foundation.meshes.surface import EMPTY, CheckedSurface
+from crms_fenicsx.foundation.meshes.surface import EMPTY
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
@@ -92,22 +97,27 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
     ['A', 'B', 'back', 'boundary', 'front', 'left', 'right']
     """
     routes = _checked(mesh, lines)
-    surface, _ = gathered(mesh)
-    found = EMPTY
+    comm, found = mesh.comm, EMPTY
     turned: list[str] = []
     poor: list[str] = []
+    tracer = Tracer(comm.bcast(gathered(mesh)[0]))
     # many small objects are made and kept, which each collection would walk through again
-    with garbage_kept(), raised_together(mesh.comm):
-        if mesh.comm.rank == 0:
-            work = cut(surface, routes)
-            improve(work)
-            found, turned, poor = work.finished(), _turned(work), _poor(work)
-    turned, poor = mesh.comm.bcast((turned, poor))
+    with garbage_kept():
+        with raised_together(comm):  # each rank traces its share of the lines
+            own = tracer.lines(list(routes.items())[comm.rank :: comm.size])
+        parts = comm.gather(own)
+        with raised_together(comm):
+            if parts is not None:
+                traced = {line.name: line for part in parts for line in part}
+                work = cut(tracer, [traced[name] for name in routes])
+                improve(work)
+                found, turned, poor = work.finished(), _turned(work), _poor(work)
+    turned, poor = comm.bcast((turned, poor))
     for text in turned:
         _log.info(text)
     for text in poor:
         warnings.warn(text, PathWarning, stacklevel=3)
-    return distribute(mesh.comm, found, None, mesh.project)
+    return distribute(comm, found, None, mesh.project)
 
 
 def _checked(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -131,10 +141,11 @@ def _checked(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> dict[str, Ar
     return routes
 
 
-def cut(surface: CheckedSurface, routes: Mapping[str, Array]) -> CutMesh:
-    """A surface divided along routes."""
+def cut(tracer: Tracer, traced: Sequence[TracedLine]) -> CutMesh:
+    """The surface of a tracer divided along lines."""
+    surface = tracer.surface
     features = FeatureEdges(surface)
-    lines = traced_lines(surface, features, routes)
+    lines = with_merged_ends(tracer, features, traced)
     nodes = CutNodes(surface.points, surface.points, SNAP)
     for line in lines:
         for point in line.points:

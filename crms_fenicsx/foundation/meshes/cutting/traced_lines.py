@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -46,9 +46,13 @@ class Tracer:
     """Traces lines over the cells of a surface that are not hidden."""
 
     def __init__(self, surface: CheckedSurface) -> None:
-        self.points = surface.points
+        self.surface, self.points = surface, surface.points
         self.cells = np.delete(surface.cells, surface.hidden, axis=0)
         self.longest = longest_sides(self.points[self.cells])
+
+    def lines(self, routes: Iterable[tuple[str, Array]]) -> list[TracedLine]:
+        """The lines along named routes."""
+        return [self.line(name, route) for name, route in routes]
 
     def line(self, name: str, route: Array) -> TracedLine:
         """The line along a route."""
@@ -101,15 +105,14 @@ class Tracer:
         return TracedLine(name, route, path.points, places, (sizes[0], sizes[1]))
 
 
-def traced_lines(
-    surface: CheckedSurface, features: FeatureEdges, routes: Mapping[str, Array]
+def with_merged_ends(
+    tracer: Tracer, features: FeatureEdges, traced: Sequence[TracedLine]
 ) -> list[TracedLine]:
-    """Lines along routes, with ends that nearly meet merged."""
-    tracer = Tracer(surface)
-    lines = [tracer.line(name, route) for name, route in routes.items()]
-    kept = _segments(surface.points, features.keys())
+    """Lines with ends that nearly meet merged."""
+    lines = list(traced)
+    kept = _segments(tracer.points, features.keys())
     # each place where ends meet, and where a line from there ends: nowhere from corners
-    corners = surface.points[features.corners(surface.points)]
+    corners = tracer.points[features.corners(tracer.points)]
     settled = [(corner, np.full(3, np.inf)) for corner in vectors(corners)]
     for k, line in enumerate(lines):
         for end, far in ((0, -1), (-1, 0)):

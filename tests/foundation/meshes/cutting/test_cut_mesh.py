@@ -15,6 +15,7 @@ from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, side_turns
 from crms_fenicsx.foundation.meshes.cutting.division import shape
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
+from crms_fenicsx.foundation.meshes.cutting.traced_lines import Tracer
 from crms_fenicsx.foundation.meshes.orientation import UPWARD
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays, check_shapes, checked_surface
 
@@ -31,7 +32,8 @@ def sheet(n: int = 10, scatter: float = 0.0) -> CutMesh:
     inner = (points[:, :2] > 0.0).all(axis=1) & (points[:, :2] < 1.0).all(axis=1)
     rng = np.random.default_rng(1)
     points[inner, :2] += scatter / n * rng.uniform(-1.0, 1.0, (inner.sum(), 2))
-    return cut(checked_surface(SurfaceArrays(points, cells), UPWARD), LINES)
+    tracer = Tracer(checked_surface(SurfaceArrays(points, cells), UPWARD))
+    return cut(tracer, tracer.lines(LINES.items()))
 
 
 def crossing(one: Floats, other: Floats) -> Floats:

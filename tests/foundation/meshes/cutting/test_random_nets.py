@@ -14,6 +14,7 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import meshes
 from crms_fenicsx.foundation.meshes.cutting.along import cut, improve
+from crms_fenicsx.foundation.meshes.cutting.traced_lines import Tracer
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.membrane_mesh import gathered
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface, check_shapes
@@ -135,7 +136,9 @@ def test_units_places_and_sides_change_nothing(comm: MPI.Intracomm, kind: str) -
     def result(scale: float, shift: Floats, *, turned: bool = False) -> CheckedSurface:
         cells = given.cells[:, [0, 2, 1]] if turned else given.cells
         moved = replace(given, points=scale * given.points + shift, cells=cells)
-        work = cut(moved, {name: scale * route + shift[:2] for name, route in routes.items()})
+        tracer = Tracer(moved)
+        own = {name: scale * route + shift[:2] for name, route in routes.items()}
+        work = cut(tracer, tracer.lines(own.items()))
         improve(work)
         return work.finished()
 
@@ -176,7 +179,8 @@ def test_digits_do_not_depend_on_the_ranks(comm: MPI.Intracomm) -> None:
     new, _ = gathered(meshes.along(mesh, routes))
     if comm.rank:
         return
-    work = cut(given, routes)
+    tracer = Tracer(given)
+    work = cut(tracer, tracer.lines(routes.items()))
     improve(work)
     alone = work.finished()
     np.testing.assert_array_equal(new.points, alone.points)
