@@ -15,8 +15,9 @@ angles
 processes
     Cutting, laying and a load step of the dome with 100 000 unknowns on one and on two processes.
 
-Seconds are CPU time of this process, but for the wall times of `processes`; medians of N runs,
-which take turns. --scale multiplies all numbers of unknowns, for a quick look.
+Seconds are CPU time of this process, but for the wall times of `processes`; in `dome` and `halls`
+medians of N runs, which take turns, otherwise of one. --scale multiplies all numbers of unknowns,
+for a quick look.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
 from crms_fenicsx.design.patterns import plane_section
+from crms_fenicsx.foundation.meshes.cutting.spreading import shapes
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD
@@ -306,11 +308,8 @@ def tent(size: float) -> tuple[meshes.MembraneMesh, dict[str, Any]]:
 
 def smallest_angles(mesh: meshes.MembraneMesh) -> NDArray[np.float64]:
     """The smallest angle of each cell (degrees), on one process."""
-    corners = np.asarray(mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)], dtype=np.float64)
-    ways = np.roll(corners, -1, axis=1) - corners
-    ways /= np.linalg.norm(ways, axis=2)[..., None]
-    cosines = -(ways * np.roll(ways, 1, axis=1)).sum(axis=2)
-    found: NDArray[np.float64] = np.degrees(np.arccos(cosines.clip(-1.0, 1.0))).min(axis=1)
+    sines = shapes(mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)])[1]
+    found: NDArray[np.float64] = np.degrees(np.arcsin(sines))
     return found
 
 
@@ -358,7 +357,8 @@ class Told(logging.Handler):
 def work(unknowns: float) -> None:
     """One run on all processes: prints its figures on rank 0."""
     small = cap(1600.0)
-    inflated(meshes.along(small, net_on(small).paths), net_on(small))  # compile and load
+    net = net_on(small)
+    inflated(meshes.along(small, net.paths), net)  # compile and load
     first = cap(unknowns)
     net = net_on(first)
     figures: dict[str, Any] = {}

@@ -56,14 +56,14 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 9956,
-    "model": 3085,
+    "foundation": 9950,
+    "model": 3084,
     "energy": 7547,
-    "cabling": 7872,
-    "analysis": 6652,
+    "cabling": 7887,
+    "analysis": 6653,
     "results": 10582,
     "solver": 987,
-    "design": 8445,
+    "design": 8440,
 }
 """Lines of each wing. They may only fall, or rise with a line in docs/features.md."""
 
@@ -73,7 +73,7 @@ RATCHETS = {
     "files of less than 100 lines": 22,
     "public functions and classes": 1040,
     "classes": 421,
-    "module constants": 259,
+    "module constants": 258,
     "numbers in values": 81,
     "numbers that decide the answer": 29,
 }

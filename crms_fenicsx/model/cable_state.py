@@ -20,9 +20,8 @@ class Crossing:
 
     lower: int  # number of the lower cable
     upper: int  # number of the upper cable
-    support: tuple[
-        int, ...
-    ]  # ids of the vertices of the cell (3) or edge (2) it lies in, or at (1)
+    # ids of the vertices of the cell (3) or edge (2) that it lies in, or of its vertex (1)
+    support: tuple[int, ...]
     links: tuple[int, int]  # preceding node of each cable, or that there; crossings not counted
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
     between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first

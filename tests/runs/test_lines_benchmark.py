@@ -1,4 +1,4 @@
-"""The benchmark of cables along lines, on coarse roofs: it prints its tables, and lines pay."""
+"""The benchmark of cables along lines, on coarse roofs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 @pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
 def test_dome(capsys: pytest.CaptureFixture[str]) -> None:
-    """A step with cables takes a few Newton iterations."""
+    """A step with cables takes few factorisations."""
     lines.dome(1600.0, 1)
     said = capsys.readouterr().out
     (counts,) = re.findall(r"28 cables .* (\d+)\+(\d+) +\d+\+\d+", said)

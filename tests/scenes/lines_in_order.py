@@ -9,13 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from contact_checks import all_cells
-from grids import alternating, grid
+from grids import Floats, alternating, grid
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
-
-Floats = NDArray[np.float64]
 
 SIDE = 12.0
 SAME = 5e-5  # distance, relative to that, of points between which lengths are smoothed

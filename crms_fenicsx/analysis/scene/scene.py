@@ -561,6 +561,7 @@ class Scene:
         """
         from crms_fenicsx.cabling.paths.laying import has_lines, lay_net
 
+        self.membrane.check_finite("lay_net")
         before = self.net.state
         try:
             if has_lines(self.mesh, net):

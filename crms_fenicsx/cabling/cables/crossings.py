@@ -344,7 +344,7 @@ def _between(
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
-    """Numbers of upper cables that cross a lower one back and forth, not only at vertices."""
+    """Numbers of upper cables that cross a lower one back and forth, without those at vertices."""
     times = Counter((one.lower, one.upper) for one in crossings if len(one.support) > 1)
     return {upper for (_, upper), crossed in times.items() if crossed > 1}
 

@@ -110,7 +110,7 @@ class ActiveSet:
         if self._first_look:
             self._forget()
         lines = Polylines(self.net.nodes, positions_of(self.net.cables))
-        lines.held = ~self._slide(lines.nodes)
+        lines.held = ~self._sliding[lines.nodes.cable]
         changes = self._switch(shape, lines) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
             changes = self._crossings(shape, lines)
@@ -155,8 +155,9 @@ class ActiveSet:
                 taut = tight = lengths[c] > cable.L0 * (1 + UNSTRAINED)
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
-            alone = cable.slides_freely and not cable.is_divided and cable.folds_cells
-            if solved is not None and judged and tight and untried and alone:
+            alone = cable.slides_freely and not cable.is_divided
+            new = solved is not None and judged and tight and untried
+            if solved is not None and new and alone and cable.folds_cells:
                 if flat is None:
                     flat = floats(solved.flat_lengths(shape, fractions_of(self.net.cables)))
                 taut = flat[c] > cable.L0
@@ -170,18 +171,19 @@ class ActiveSet:
             self._switches[cable.name] += 1
             self.only_lifted = False
             changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
-        over = self._over_lifted() if tightened else set()
-        for c in tightened:
-            contact.lift(self.net.cables[c], [k for d, k in over if d == c])
+        for c, k in self._over_lifted(self.net.nodes) if tightened else ():
+            if c in tightened:
+                contact.lift(self.net.cables[c], [k])
         return changes
 
-    def _over_lifted(self) -> set[NodeId]:
+    def _over_lifted(self, nodes: NodeTable) -> set[NodeId]:
         """Nodes of cables over others that have lifted off, at common vertices."""
-        nodes = self.net.nodes
+        if not nodes.lifted.any():
+            return set()
         rows, starts = stacks(nodes, self.net.cables)
         off = np.append(0, np.cumsum(nodes.lifted[rows]))
         below = off[:-1] > np.repeat(off[starts[:-1]], np.diff(starts))
-        return set(nodes.ids(rows[below & ~self._slide(nodes)[rows]]))
+        return set(nodes.ids(rows[below & ~self._sliding[nodes.cable[rows]]]))
 
     def _contacts(self, shape: StripShape, lines: Polylines) -> list[str]:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
@@ -205,7 +207,7 @@ class ActiveSet:
         off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
         changes: list[str] = []
         free = FreeSpans(net.cables, nodes, shape, held, folded=True)
-        over = self._over_lifted()
+        over = self._over_lifted(nodes)
         for c in sorted({*released, *ints(off)}):
             new = self._change(c, released[c], free, over)
             if new:  # the cable folds other edges now, perhaps below other spans
@@ -260,11 +262,12 @@ class ActiveSet:
             clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
         return clamped
 
-    def _slide(self, nodes: NodeTable) -> Booleans:
-        """Whether each node's cable slides aside, (n,): it leaves the vertices where it crosses
-        others, and until then those below it stay."""
+    @property
+    def _sliding(self) -> Booleans:
+        """Whether each cable slides aside: it leaves the vertices where it crosses others, and
+        until then those below it stay."""
         of = [self._memory is not None and not cable.keeps_line for cable in self.net.cables]
-        return np.array(of, dtype=bool)[nodes.cable]
+        return np.array(of, dtype=bool)
 
     def _pulling_together(
         self, shape: StripShape, lines: Polylines, may: Booleans
@@ -274,7 +277,7 @@ class ActiveSet:
         if not lines.shared.any():
             return []
         table, sums = lines.pulls_of_stacks(shape, self.net.cables, may)
-        sums[:, 1:][self._slide(lines.nodes)[table[:, 1:]]] = -np.inf
+        sums[:, 1:][~lines.held[table[:, 1:]]] = -np.inf
         found = []
         for stack in np.flatnonzero((sums > TOL.contact).any(axis=1)):
             nodes = lines.nodes.ids(table[stack])
@@ -288,16 +291,16 @@ class ActiveSet:
     def _pressed_down(self, shape: StripShape, before: NodeTable) -> list[str]:
         """Close the contacts of cables below others that touch the membrane, and of those that lie
         on a cable which has come down at a vertex."""
-        net, nodes = self.net, self.net.nodes
         if not before.lifted.any():
             return []
+        net, nodes = self.net, self.net.nodes
         pairs = [one for one in net.crossings if len(one.support) == 1 and not one.separated]
         lower, upper = at_crossings(pairs, before).T
         down = nodes.lifted[upper] & before.lifted[lower] & ~nodes.lifted[lower]
         rows, starts = stacks(nodes, net.cables)
         touching = np.append(np.cumsum(~nodes.lifted[rows]), 0)
         above = np.repeat(touching[starts[1:] - 1], np.diff(starts)) > touching[:-1]
-        below = rows[above & nodes.lifted[rows] & ~self._slide(nodes)[rows]]
+        below = rows[above & nodes.lifted[rows] & ~self._sliding[nodes.cable[rows]]]
         return self._touch(np.append(upper[down], below), before, shape)
 
     def _touch(self, rows: Integers, before: NodeTable, shape: StripShape) -> list[str]:
@@ -317,7 +320,7 @@ class ActiveSet:
         changes, down = list[str](), []
         net, nodes = self.net, lines.nodes
         pulled = parting(net.crossings, lines, shape)
-        joined = joining(net.crossings, lines, shape, self._slide(nodes)[nodes.starts[:-1]])
+        joined = joining(net.crossings, lines, shape, self._sliding)
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name

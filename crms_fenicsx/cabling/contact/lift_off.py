@@ -11,6 +11,7 @@ Contacts released and restored in one solve stay closed, which prevents chatteri
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -63,16 +64,21 @@ class Polylines:
         self._arc = lines.arc_lengths(self._x, self._starts)
         # (n,) nodes of cables held on their line
         self.held: Booleans = np.zeros(len(nodes.kind), dtype=bool)
-        # (n,) contacts on which another cable lies, or that lie on one
-        self.shared = np.zeros(len(nodes.kind), dtype=bool)
-        at = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut & ~nodes.lifted)
-        _, of, counts = np.unique(nodes.support[at, 0], return_inverse=True, return_counts=True)
-        self.shared[at] = counts[of] > 1
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable]) -> Polylines:
         """The polylines of some cables."""
         return cls(NodeTable.of(cables), positions_of(cables))
+
+    @cached_property
+    def shared(self) -> Booleans:
+        """Contacts on which another cable lies, or that lie on one, (n,)."""
+        nodes = self.nodes
+        found = np.zeros(len(nodes.kind), dtype=bool)
+        at = np.flatnonzero((nodes.kind == VERTEX) & nodes.taut & ~nodes.lifted)
+        _, of, counts = np.unique(nodes.support[at, 0], return_inverse=True, return_counts=True)
+        found[at] = counts[of] > 1
+        return found
 
     @property
     def lengths(self) -> Array:
@@ -80,7 +86,8 @@ class Polylines:
         return self._arc[self._starts[1:] - 1]
 
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
-        """`outward_pulls` of contacts given by their rows."""
+        """`outward_pulls` of contacts given by their rows; the turn also ends at contacts shared
+        with other cables, and at vertices of cables that are `held`."""
         nodes = self.nodes
         # Along edges of the mesh the turn at a vertex is the force there, as no fold point is near.
         vertex = np.pad(nodes.kind == VERTEX, 1)
@@ -107,7 +114,8 @@ class Polylines:
     ) -> tuple[Integers, Array]:
         """Contacts of cables at vertices that they share: rows (m, k) from the uppermost cable to
         the lowest, padded with -1, and the outward sums (m, k) of the pulls of each and those above
-        it, relative to their largest tension; -inf for those that not all `may` (n,) lift off."""
+        it, relative to their largest tension; -inf where not all these nodes `may` (n,) lift off.
+        """
         nodes = self.nodes
         rows, starts = stacks(nodes, cables)
         rows, counts = rows[::-1], np.diff(starts)[::-1]

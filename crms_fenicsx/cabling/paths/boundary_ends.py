@@ -59,11 +59,15 @@ def renew_ends(change: PathChange) -> bool:
 def refuse_ends_along_rim(net: CableNet) -> None:
     """Refuse anchors of cables on lines of the mesh that have moved to other places of the
     boundary: the cables' ends stay on their lines. Collective."""
-    for cable in net.cables:
-        for k, beside in ((0, 1), (-1, -2)) if cable.state.laid.line is not None else ():
+    on_lines = [cable for cable in net.cables if cable.state.laid.line is not None]
+    if not on_lines:
+        return
+    shape = net.strip_shape()
+    for cable in on_lines:
+        for k, beside in ((0, 1), (-1, -2)):
             if cable.state.nodes[k].kind != "anchor":
                 continue
-            there = net.strip_shape().mean(*cable.interpolation(beside))
+            there = shape.mean(*cable.interpolation(beside))
             place, reach = cable.state.positions[k], SAME_PLACE * cable.length
             if np.linalg.norm(place - there) > reach and _edge_at(net.membrane, place, reach):
                 raise PathError(

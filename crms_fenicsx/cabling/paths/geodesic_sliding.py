@@ -124,7 +124,7 @@ class GeodesicSliding:
             cable
             for cable in self.net.cables
             if cable.state.laid.line is None
-            if cable in crossed or (cable.taut and cable.state.lifted.any())
+            and (cable in crossed or (cable.taut and cable.state.lifted.any()))
         ]
 
         def projected(on: StripShape) -> Callable[[LaidCable], Projected | None]:

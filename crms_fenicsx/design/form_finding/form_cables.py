@@ -10,8 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.foundation.dofs.layout import vertex_dofs
-from crms_fenicsx.foundation.meshes.edge_table import whole_line
-from crms_fenicsx.foundation.meshes.membrane_mesh import vertex_ids
+from crms_fenicsx.foundation.meshes.membrane_mesh import rows_of, vertex_ids
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
@@ -167,15 +166,14 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
     ids, owned = vertex_ids(mesh.mesh), topology.index_map(1).size_local
     taken = np.zeros(len(ends), dtype=bool)
     lines = []
-    for cable in cables:
+    rows = rows_of(mesh, "find_form", [cable.group for cable in cables])
+    for cable, row in zip(cables, rows, strict=True):
         own = mesh.edges[cable.group]
         own = own[own < owned]
-        pairs = np.concatenate(mesh.comm.allgather(ids[ends[own]].reshape(-1, 2)))
         with raised_together(mesh.comm):
             if taken[own].any():
                 raise InputError(f"find_form: {cable.group!r} has edges of another cable.")
-            ordered = whole_line("find_form", cable.group, [(int(a), int(b)) for a, b in pairs])
-            chain = np.array(ordered, dtype=np.int64)
+        chain = np.array(row, dtype=np.int64)
         number = np.argsort(chain)
         at = number[np.searchsorted(chain, ids[ends[own]], sorter=number)]
         edges = dof_of[np.where(at[:, :1] < at[:, 1:], ends[own], ends[own][:, ::-1])]

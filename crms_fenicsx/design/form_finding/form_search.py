@@ -22,7 +22,7 @@ and to the unbalanced force within the form."""
 UPDATES, MOST = 2, 200
 """Reference updates before Newton's method is tried, and the most iterations of either."""
 FALLEN, FALLING = 0.5, 0.9
-"""Largest residual ratio of a useful Newton iteration, undamped and damped by an elasticity."""
+"""Largest residual ratio of a useful Newton iteration, undamped and damped by the sheet."""
 NEAR = 0.1
 """Largest first step, relative to the cells' sides, from a start mesh whose vertices stay."""
 SOFT = 0.1

@@ -323,7 +323,7 @@ def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
 
 
 def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
-    """Largest relative change of the form's figures by the elasticity. Collective."""
+    """Largest relative change of the form's figures by the sheet that holds it. Collective."""
     if not search.holding or search.freely is None:
         return 0.0
     (before, free), (numbers, held) = search.freely, search.figures()

@@ -41,11 +41,11 @@ class Directions:
         self.on_cable = np.isin(ids, inner)
         on_any = np.isin(ids, numbers)
         self._joint = on_any & ~self.on_cable
-        self.guided = ~on_any & self.free.any(axis=1) & ~self.free.all(axis=1)
-        ends = film.V.dofmap.list[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
         partly = membrane.held.any(axis=1) & ~membrane.held.all(axis=1)
         partly &= ~np.isin(membrane.vertex_ids, numbers)
-        self._guides = ends[partly[ends].all(axis=1)]
+        self.guided = partly[:n]
+        sides = film.V.dofmap.list[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        self._guides = sides[partly[sides].all(axis=1)]
         self._has_guides = membrane.comm.allreduce(len(self._guides)) > 0
         self.across, self.within, self.counted, self.moving, self.along = np.zeros((5, n, 3, 3))
 

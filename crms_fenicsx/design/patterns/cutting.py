@@ -40,10 +40,7 @@ def cut_along(
     _check_ends(surface, seams)
     points, lines = _snapped(surface, seams)
     nodes = CutNodes(surface.points, points, SAME_POINT)
-    for line in lines:
-        for p in line:
-            nodes.node(p)
-    legs = {seam.name: nodes.legs(line) for seam, line in zip(seams, lines, strict=True)}
+    legs = nodes.legs({seam.name: line for seam, line in zip(seams, lines, strict=True)})
     ordered = {name: course(own) for name, own in legs.items()}
     cells, parents = divided(surface.cells, nodes, chords_of(legs))
     new = np.array(nodes.places).reshape(-1, 3)

@@ -26,7 +26,6 @@ from crms_fenicsx.foundation.meshes.plan_lines import (
     Outline,
     PlanRows,
     PlanShape,
-    flat,
     rows_in,
     tell_turns,
 )
@@ -124,7 +123,7 @@ def spherical_cap(
         return way[:, :2] / (0.5 + way[:, 2:] / diameter)
 
     rim = diameter * height / radius
-    plan = PlanShape("spherical_cap", ellipse_outline(0.0, 0.0, rim, rim), flat_size, flat)
+    plan = PlanShape("spherical_cap", ellipse_outline(0.0, 0.0, rim, rim), flat_size)
     rows = rows_in(plan, lines, flattened)
     arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size, rows)
     points = lifted(np.asarray(arrays.points))
@@ -241,7 +240,7 @@ def air_hall(
     with own_model() as gmsh:
         surface = _add_hall(gmsh, x, y, width, depth, height)
         if rows.rows:
-            _add_lines(gmsh, surface, rows, lifted(rows.points))
+            _add_lines(gmsh, surface, rows)
         _name_hall(gmsh, corners)
         mesh_with_sizes(gmsh, target)
         arrays = read_model(gmsh)
@@ -304,13 +303,13 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
     return surface
 
 
-def _add_lines(gmsh: Any, surface: int, rows: PlanRows, points: Array) -> None:
+def _add_lines(gmsh: Any, surface: int, rows: PlanRows) -> None:
     """Divide the hall's rim at the ends of lines, and embed these."""
     kernel = gmsh.model.occ
-    tags = [(0, kernel.addPoint(*points[vertex])) for vertex in rows.places]
+    tags = [(0, kernel.addPoint(*rows.points[vertex])) for vertex in rows.places]
     _, (whole, *parts) = kernel.fragment([(2, surface)], tags)
     rim = {place: part[0][1] for place, part in zip(rows.places.values(), parts, strict=True)}
-    edges = add_rows(kernel, rows, points, rim)
+    edges = add_rows(kernel, rows, rim)
     kernel.synchronize()
     embed_rows(gmsh, edges, whole[0][1])
 

@@ -83,21 +83,19 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
     gmsh.model.mesh.generate(2)
 
 
-def add_rim_points(geometry: Any, rows: PlanRows, points: Array, rim: dict[float, int]) -> None:
-    """Add to a gmsh model's points `rim`, by their places, those of rows, at `points` (n, 3)."""
+def add_rim_points(geometry: Any, rows: PlanRows, rim: dict[float, int]) -> None:
+    """Add to a gmsh model's points `rim`, by their places, those of rows."""
     for vertex, place in rows.places.items():
         if place not in rim:
-            rim[place] = geometry.addPoint(*points[vertex])
+            rim[place] = geometry.addPoint(*rows.points[vertex])
 
 
-def add_rows(
-    geometry: Any, rows: PlanRows, points: Array, rim: Mapping[float, int]
-) -> dict[str, list[int]]:
-    """Add the edges of rows, with vertices at `points` (n, 3), to a gmsh model with points `rim`,
-    by their places; returns those of each line."""
+def add_rows(geometry: Any, rows: PlanRows, rim: Mapping[float, int]) -> dict[str, list[int]]:
+    """Add the edges of rows to a gmsh model with points `rim`, by their places; returns those of
+    each line."""
     tags = [
         rim[rows.places[vertex]] if vertex in rows.places else geometry.addPoint(*point)
-        for vertex, point in enumerate(points)
+        for vertex, point in enumerate(rows.points)
     ]
     return {
         name: [geometry.addLine(tags[a], tags[b]) for a, b in pairwise(row)]

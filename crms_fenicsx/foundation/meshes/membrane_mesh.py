@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, whole_line
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.orientation import UPWARD, Outside, connected_labels
 from crms_fenicsx.foundation.meshes.surface import (
     EMPTY,
@@ -329,13 +329,12 @@ def rows_of(mesh: MembraneMesh, call: str, groups: Sequence[str]) -> list[list[i
     """Vertex ids along groups of edges, which must be open lines. Collective."""
     ends, ids = mesh.mesh.topology.connectivity(1, 0).array.reshape(-1, 2), vertex_ids(mesh.mesh)
     own = [
-        np.sort(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
+        edge_keys(ids[ends[checks.named("group of edges", mesh.edges, group)]]) for group in groups
     ]
     parts = mesh.comm.allgather(own)
-    pairs = [np.unique(np.concatenate(every), axis=0) for every in zip(*parts, strict=True)]
+    keys = [np.unique(np.concatenate(every)) for every in zip(*parts, strict=True)]
     return [
-        whole_line(call, group, [(int(a), int(b)) for a, b in some])
-        for group, some in zip(groups, pairs, strict=True)
+        whole_line(call, group, edges_of(some)) for group, some in zip(groups, keys, strict=True)
     ]
 
 

@@ -21,7 +21,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError, as_text
 
-REACH, APART = 0.2, 0.02
+MEETS, APART = 0.2, 0.02
 """Distance up to which ends are moved, and within which lines run side by side (cell sizes)."""
 
 SAMPLES = 8
@@ -69,9 +69,14 @@ class Outline(NamedTuple):
 class PlanRows(NamedTuple):
     """The vertices of lines in the plan; lines that meet share one."""
 
-    points: Array  # (n, 2)
+    points: Array  # (n, 3), as lifted
     places: dict[int, float]  # of those on the rim, as by `Outline.nearest`
     rows: dict[str, Integers]  # those of each line, in order
+
+
+def flat(points: Array) -> Array:
+    """Points (n, 2) with z = 0."""
+    return np.column_stack([points, np.zeros(len(points))])
 
 
 class PlanShape(NamedTuple):
@@ -80,17 +85,12 @@ class PlanShape(NamedTuple):
     call: str  # its name in errors
     outline: Outline
     size: Callable[[Array], float]  # edge length at a point (3,) of the surface
-    lift: Callable[[Array], Array]  # points (n, 3) of the surface above points (n, 2)
+    lift: Callable[[Array], Array] = flat  # points (n, 3) of the surface above points (n, 2)
     taken: Collection[str] = ()  # names of its groups of edges
 
     def sizes(self, points: Array) -> Array:
         """Edge lengths above points (n, 2)."""
         return np.array([self.size(point) for point in self.lift(points)])
-
-
-def flat(points: Array) -> Array:
-    """Points (n, 2) with z = 0."""
-    return np.column_stack([points, np.zeros(len(points))])
 
 
 def _given(plan: PlanShape, lines: Lines | None) -> dict[str, Array]:
@@ -130,14 +130,14 @@ def rows_in(
     """Rows of vertices on lines, points (k, 2) or (k, 3) of which `into_plan` puts in the plan."""
     found = {name: into_plan(one) for name, one in _given(plan, lines).items()}
     if not found:
-        return PlanRows(np.zeros((0, 2)), {}, {})
+        return PlanRows(np.zeros((0, 3)), {}, {})
     for name, line in found.items():
         _check_line(plan, name, line)
     names, ways = list(found), [_sampled(plan, line) for line in found.values()]
     ways, nodes = _with_ends(plan, names, ways)
     rows = _divided(plan, names, ways, nodes + _crossings(plan, names, ways))
     _check_apart(plan, rows)
-    return rows
+    return rows._replace(points=plan.lift(rows.points))
 
 
 def _check_line(plan: PlanShape, name: str, line: Array) -> None:
@@ -148,10 +148,10 @@ def _check_line(plan: PlanShape, name: str, line: Array) -> None:
     if far.any():
         place = tuple(line[np.argmax(far)].tolist())
         raise MeshError(f"{what} leaves the plan, to {place}; pass the part of it that is inside.")
-    if np.linalg.norm(line[-1] - line[0]) <= REACH * plan.sizes(line[:1])[0]:
+    if np.linalg.norm(line[-1] - line[0]) <= MEETS * plan.sizes(line[:1])[0]:
         raise MeshError(
             f"{what} begins and ends at {as_text(line[0])}; pass a line with two ends, longer than "
-            f"{REACH:g} of the size."
+            f"{MEETS:g} of the size."
         )
     steps = np.diff(line, axis=0)
     back = np.flatnonzero((steps[1:] * steps[:-1]).sum(axis=1) < 0.0)
@@ -195,7 +195,7 @@ def _with_ends(
     for k, way in enumerate(ways):
         found, places = outline.nearest(way[[0, -1]])
         for end in (0, 1):
-            reach, point, place = REACH * size[k][end], found[end], float(places[end])
+            reach, point, place = MEETS * size[k][end], found[end], float(places[end])
             if np.linalg.norm(point - way[-end]) <= reach:
                 near = [one for one in taken if np.linalg.norm(one[0] - point) <= reach]
                 point, place = min(
@@ -225,12 +225,12 @@ def _on_others(
             tip = ways[k][-end]
             others = [(*_closest(ways[j], tip), j) for j in range(len(ways)) if j != k]
             best = min(others, key=lambda one: one[0], default=None)
-            if best is None or best[0] > REACH * plan.sizes(tip[None])[0]:
+            if best is None or best[0] > MEETS * plan.sizes(tip[None])[0]:
                 rim = plan.outline.nearest(tip[None])[0][0]
                 where = "inside" if plan.outline.inside(tip[None])[0] else "outside"
                 raise MeshError(
                     f"{plan.call}: line {names[k]!r} ends {where} the plan, at {as_text(tip)}, "
-                    f"{np.linalg.norm(rim - tip):.3g} from the rim, more than {REACH:g} of the "
+                    f"{np.linalg.norm(rim - tip):.3g} from the rim, more than {MEETS:g} of the "
                     "size; let it end on the rim or on another line."
                 )
             _, at, point, other = best

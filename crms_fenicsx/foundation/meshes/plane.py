@@ -24,7 +24,6 @@ from crms_fenicsx.foundation.meshes.plan_lines import (
     Outline,
     PlanRows,
     PlanShape,
-    flat,
     rows_in,
 )
 from crms_fenicsx.foundation.meshes.refinement import (
@@ -206,7 +205,7 @@ def ellipse(
     check_size("the ellipse", size, min(a, b), math.pi * a * b)
     x, y = map(float, center)
     target = TargetSize(size, refinements)
-    plan = PlanShape("ellipse", ellipse_outline(x, y, a, b), target, flat)
+    plan = PlanShape("ellipse", ellipse_outline(x, y, a, b), target)
     return ellipse_arrays(x, y, a, b, target, rows_in(plan, lines))
 
 
@@ -249,7 +248,7 @@ def circle(
     check_size("the circle", size, radius, math.pi * radius**2)
     x, y = map(float, center)
     target = TargetSize(size, refinements)
-    plan = PlanShape("circle", ellipse_outline(x, y, radius, radius), target, flat)
+    plan = PlanShape("circle", ellipse_outline(x, y, radius, radius), target)
     return ellipse_arrays(x, y, radius, radius, target, rows_in(plan, lines))
 
 
@@ -342,7 +341,7 @@ def ellipse_arrays(
             for u, v in ((1, 0), (0, 1), (-1, 0), (0, -1))
         ]
         rim = {k * _CHORDS / 4: ends[k] for k in range(4)}
-        add_rim_points(geometry, rows, flat(rows.points), rim)
+        add_rim_points(geometry, rows, rim)
         around = [rim[place] for place in sorted(rim)]
         major = ends[0] if a >= b else ends[1]
         arcs = [
@@ -350,7 +349,7 @@ def ellipse_arrays(
             for one, other in zip(around, around[1:] + around[:1], strict=True)
         ]
         surface = geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
-        edges = add_rows(geometry, rows, flat(rows.points), rim)
+        edges = add_rows(geometry, rows, rim)
         geometry.synchronize()
         embed_rows(gmsh, edges, surface)
         mesh_with_sizes(gmsh, target)
@@ -394,7 +393,7 @@ def _rows_in_polygon(
     call: str, corners: Array, target: TargetSize, sides: Sequence[str], lines: Lines | None
 ) -> PlanRows:
     outline = Outline(corners, np.arange(len(corners)))
-    return rows_in(PlanShape(call, outline, target, flat, sides), lines)
+    return rows_in(PlanShape(call, outline, target, taken=sides), lines)
 
 
 def _polygon_arrays(
@@ -408,14 +407,14 @@ def _polygon_arrays(
         geometry = gmsh.model.geo
         corners = [geometry.addPoint(x, y, 0.0) for x, y in outline]
         rim = {float(k): corner for k, corner in enumerate(corners)}
-        add_rim_points(geometry, rows, flat(rows.points), rim)
+        add_rim_points(geometry, rows, rim)
         places = sorted(rim)
         around = [rim[place] for place in places]
         lines = [
             geometry.addLine(a, b) for a, b in zip(around, around[1:] + around[:1], strict=True)
         ]
         surface = geometry.addPlaneSurface([geometry.addCurveLoop(lines)])
-        edges = add_rows(geometry, rows, flat(rows.points), rim)
+        edges = add_rows(geometry, rows, rim)
         geometry.synchronize()
         for name in dict.fromkeys(sides):
             members = [

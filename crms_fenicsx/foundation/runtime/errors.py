@@ -43,8 +43,9 @@ class PathWarning(UserWarning):
     """A cable is blocked or held, lies where it cannot lie, or stays where its edge moves.
 
     A fold point has run into a mesh vertex, which blocks its path; a cable lies along a line of the
-    mesh, which holds it sideways; a cable end has moved to the lower side of the membrane; or an
-    edge moves under a cable end that has an anchor in space.
+    mesh, which holds it sideways; `meshes.along` has made cells of small angles; a cable end has
+    moved to the lower side of the membrane; or an edge moves under a cable end that has an anchor
+    in space.
     """
 
 
@@ -149,9 +150,10 @@ def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
 
 @contextmanager
 def garbage_kept() -> Iterator[None]:
-    """Collect no garbage in a block where an exception of a callback may pass through PETSc: Python
-    may start a collection while petsc4py formats its traceback, and crashes in a destructor that
-    runs with the exception set."""
+    """Collect no garbage in a block where many small objects are made and kept, through which each
+    collection would walk, or where an exception of a callback may pass through PETSc: Python may
+    start a collection while petsc4py formats its traceback, and crashes in a destructor that runs
+    with the exception set."""
     collects = gc.isenabled()
     gc.disable()
     try:

@@ -48,7 +48,7 @@ from crms_fenicsx.foundation.surface.trace import checked_route
 
 TURN = float(np.radians(0.5))
 """Angle by which a line turns sideways that counts as a bend."""
-_log = logging.getLogger(__name__)
+logger = logging.getLogger("crms_fenicsx")
 
 
 @collective
@@ -101,7 +101,6 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
     turned: list[str] = []
     poor: list[str] = []
     tracer = Tracer(comm.bcast(gathered(mesh)[0]))
-    # many small objects are made and kept, which each collection would walk through again
     with garbage_kept():
         with raised_together(comm):  # each rank traces its share of the lines
             own = tracer.lines(list(routes.items())[comm.rank :: comm.size])
@@ -112,10 +111,9 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
                 work = cut(tracer, [traced[name] for name in routes])
                 improve(work)
                 found, turned, poor = work.finished(), _turned(work), _poor(work)
-    turned, poor = comm.bcast((turned, poor))
-    for text in turned:
-        _log.info(text)
-    for text in poor:
+    for text in turned:  # on rank 0
+        logger.info(text)
+    for text in comm.bcast(poor):
         warnings.warn(text, PathWarning, stacklevel=3)
     return distribute(comm, found, None, mesh.project)
 
@@ -147,10 +145,7 @@ def cut(tracer: Tracer, traced: Sequence[TracedLine]) -> CutMesh:
     features = FeatureEdges(surface)
     lines = with_merged_ends(tracer, features, traced)
     nodes = CutNodes(surface.points, surface.points, SNAP)
-    for line in lines:
-        for point in line.points:
-            nodes.node(point)
-    legs = {line.name: nodes.legs(line.points) for line in lines}
+    legs = nodes.legs({line.name: line.points for line in lines})
     check_apart(nodes, legs)
     chords = chords_of(legs)
     meet(nodes, chords)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges, labels_of
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
@@ -43,10 +43,6 @@ class CutMesh:
     features: FeatureEdges
     rows: dict[str, Row]
     size: Array  # (n,) mean length of the edges around each vertex of the given surface
-    label: Integers = field(init=False)  # of the given cells, by their parts
-
-    def __post_init__(self) -> None:
-        self.label = labels_of(self.surface)
 
     def band(self, rings: int) -> Booleans:
         """Vertices (n,) within that many edges of a row."""

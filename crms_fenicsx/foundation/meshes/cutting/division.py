@@ -66,8 +66,15 @@ class CutNodes:
         self.places.append(place)
         return len(self.places) - 1
 
-    def legs(self, line: Sequence[SurfacePoint]) -> list[Leg]:
-        """A line from point to point, of which all lines' points must be `node`s."""
+    def legs(self, lines: Mapping[str, Sequence[SurfacePoint]]) -> dict[str, list[Leg]]:
+        """Lines from point to point, through the nodes of all of them."""
+        for line in lines.values():
+            for point in line:
+                self.node(point)
+        return {name: self._legs(line) for name, line in lines.items()}
+
+    def _legs(self, line: Sequence[SurfacePoint]) -> list[Leg]:
+        """A line from point to point, through the nodes of all lines."""
         found: list[Leg] = []
         for (p, u), (q, v) in pairwise((p, self.node(p)) for p in line):
             support = tuple(sorted({*p.support, *q.support}))
@@ -151,7 +158,7 @@ def _split(
             if own is None:
                 others = ", ".join(repr(other) for other, _ in chords if other != name)
                 raise PathError(
-                    f"the seam {name!r} crosses another one ({others}) inside a cell, near "
+                    f"the line {name!r} crosses another one ({others}) inside a cell, near "
                     f"{as_text(places[u])}; lead both through one vertex of the mesh, or apart."
                 )
             i, j = own.index(u), own.index(v)

@@ -18,8 +18,7 @@ from crms_fenicsx.foundation.surface.points import CellPoint, Edge, SurfacePoint
 SHORT = 0.5
 """Length, relative to the cells, below which an edge, or a line beside another, is short."""
 ASIDE = 0.02
-"""Distance, relative to the cells, within which lines run side by side, and by which a row or a rim
-may leave out a bend."""
+"""Distance, relative to the cells, by which a row or a rim may leave out a bend."""
 KEPT = ""
 """Name of edges that are kept without being a group."""
 
@@ -40,6 +39,7 @@ class FeatureEdges:
         self.beside: dict[int, dict[int, frozenset[str]]] = {}
         self.fixed = {int(v) for ids in surface.point_groups.values() for v in ids}
         table, label = EdgeTable.of(surface.cells), labels_of(surface)
+        self.label = label  # (m,) of the cells
         normals = double_areas(surface.points[surface.cells])
         normals /= norm(normals)[:, None]
         kept = [table.keys[table.counts != 2]]

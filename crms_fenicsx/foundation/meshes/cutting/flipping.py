@@ -16,7 +16,7 @@ def flip(mesh: CutMesh, near: Booleans) -> None:
     for _ in range(50):  # on curved surfaces they may not end
         rows = np.flatnonzero(active[mesh.cells].any(axis=1))
         cells = mesh.cells[rows]
-        own = np.where(near[cells].all(axis=1), mesh.label[mesh.parents[rows]], -1)
+        own = np.where(near[cells].all(axis=1), mesh.features.label[mesh.parents[rows]], -1)
         flipped = _round(mesh.points, cells, own, kept, active)
         if not len(flipped):
             break

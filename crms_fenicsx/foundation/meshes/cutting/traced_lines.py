@@ -10,8 +10,9 @@ from itertools import combinations
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, Leg
-from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE, SHORT, FeatureEdges
+from crms_fenicsx.foundation.meshes.cutting.feature_edges import SHORT, FeatureEdges
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
+from crms_fenicsx.foundation.meshes.plan_lines import APART, MEETS
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
     flattened,
@@ -25,8 +26,6 @@ from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
 from crms_fenicsx.foundation.surface.trace import IndirectLeg, near_section, trace
 
-MEETS = 0.2
-"""Distance, relative to the cells, within which an end of a line is moved to where it may end."""
 REACH = 3.0
 """Length, relative to the cells, over which a line leads to an end that was moved."""
 
@@ -206,7 +205,7 @@ def check_apart(nodes: CutNodes, legs: Mapping[str, Sequence[Leg]]) -> None:
                 continue
             along = np.array([[x[c], x[d]]])
             gap = max(_closest_on(along, x[v])[1] for v in (a, b))
-            if gap <= ASIDE * size:
+            if gap <= APART * size:
                 what = f"runs back along itself, {gap:.3g} apart,"
                 if one != other:
                     what = f"and the line {other!r} run side by side, {gap:.3g} apart,"
