@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_edge_sliders
+from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_sliders
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import edge_ends
@@ -281,8 +281,7 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
 
 def _hand_on_edge_sliders(system: System, g: Array) -> None:
     """Distribute cable forces on held edges, along which they slide, to the edges' ends."""
-    if system.unknowns.n_edge_sliders:
-        assert system.cables is not None
+    if system.cables is not None:
         edge_sliders = system.cables.numbering.edge_sliders
         blocks, ends, s = edge_sliders.blocks, edge_sliders.ends, edge_sliders.known_fractions()
         share = np.stack([1 - s, s], axis=1)
@@ -380,16 +379,16 @@ def tangent(system: System) -> Tangent:
 
 def _exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     """Second derivatives at the potential's current state, which must be evaluated, as
-    `Tangent.matrix` and `Tangent.sparse`. Rows and columns of held components, of those across edge
-    sliders and of points that no term touches are the identity's."""
+    `Tangent.matrix` and `Tangent.sparse`. Rows and columns of held components, of those
+    across sliders and of points that no term touches are the identity's."""
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
     stiffness = StiffnessMatrix(unknowns, potential.patterns())
     potential.add_stiffness(stiffness, exact=True)
     stiffness.assemble()
     A = stiffness.petsc
-    if unknowns.comm.allreduce(unknowns.n_edge_sliders):
-        stiffen_across_edge_sliders(A, unknowns, 1.0)
+    if unknowns.comm.allreduce(unknowns.n_sliders):
+        stiffen_across_sliders(A, unknowns, 1.0)
     diagonal = A.getDiagonal()
     idle = ~diagonal.array.reshape(-1, 3).any(axis=1)
     idle[: unknowns.n_vertices] = False

@@ -123,7 +123,7 @@ def test_tangent_is_the_residuals_difference(
     tangent = solver.tangent()
     unknowns = solver.system.unknowns
     d = noise(unknowns.X[: unknowns.n_owned] / 25.0, 5)
-    own = unknowns.edge_sliders[unknowns.edge_sliders < unknowns.n_owned]
+    own = unknowns.sliders[unknowns.sliders < unknowns.n_owned]
     d[own] = 0.0
     d[unknowns.held[: unknowns.n_owned]] = 0.0
     product, twin = times(tangent, d), differences(solver, d, 1e-5)

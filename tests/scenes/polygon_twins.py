@@ -88,16 +88,14 @@ def dense_cluster(matrix: ClusterMatrix, cluster: int) -> Array:
     return K[:n, :n] + K[:n, n:] @ K[n:, :n]
 
 
-def closed(K: Array, part: float, held: Array, lines: dict[int, Array]) -> Array:
+def closed(K: Array, part: float, held: Array, sliders: dict[int, Array]) -> Array:
     """A dense matrix with its diagonal shifted by a part, without what is not free to move. Shapes:
-    held (k, 3); lines are directions of blocks that move along them."""
+    held (k, 3); `sliders`: projectors (3, 3) of those in K."""
     traces = np.maximum(np.diag(K).reshape(-1, 3).sum(axis=1), 0.0)
     mean = float(np.exp(np.mean(np.log(traces[traces > 0.0]))))
     P, rest = np.eye(len(K)), np.zeros_like(K)
     for block, components in enumerate(held):
-        own = np.diag(~components).astype(float)
-        if block in lines:
-            own = np.outer(lines[block], lines[block])
+        own = sliders.get(block, np.diag(~components).astype(float))
         at = slice(3 * block, 3 * block + 3)
         P[at, at], rest[at, at] = own, mean * (np.eye(3) - own)
     return P @ (K + np.diag(np.repeat(part * (traces + mean), 3))) @ P + rest

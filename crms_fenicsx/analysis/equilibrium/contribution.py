@@ -113,7 +113,7 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
         lower = np.full_like(unknowns.X, -np.inf)
         lower[:, 2] = scene.floor_level - unknowns.X[:, 2]
         lower[unknowns.held] = -np.inf
-        lower[unknowns.edge_sliders] = -np.inf
+        lower[unknowns.sliders] = -np.inf
         unknowns.bounds = (lower, np.full_like(lower, np.inf))
 
 

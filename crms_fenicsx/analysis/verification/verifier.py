@@ -229,12 +229,12 @@ class Verifier:
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
         supports += self._obstacle(system)
-        edge_sliders = unknowns.edge_sliders[unknowns.edge_sliders < n]
-        supports[edge_sliders] = g[edge_sliders]
+        sliders = unknowns.sliders[unknowns.sliders < n]
+        supports[sliders] = g[sliders]
         unknowns.project(g)
-        supports[edge_sliders] -= g[edge_sliders]
+        supports[sliders] -= g[sliders]
         free = g[:n] - supports
-        free[edge_sliders] = g[edge_sliders]
+        free[sliders] = g[sliders]
         local = np.concatenate([
             supports.sum(axis=0), _moment(x[:n] - scene.membrane.centre, supports),
             loads.sum(axis=0), _moment(x - scene.membrane.centre, loads),

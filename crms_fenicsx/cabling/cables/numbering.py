@@ -53,7 +53,8 @@ class _EdgeSliders:
         sides = places[:, 1] - places[:, 0]
         unknowns.X[self.blocks] = places[:, 0] + self.known_fractions()[:, None] * sides
         x[self.blocks] = 0.0
-        unknowns.set_edge_sliders(self.blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
+        d = sides / np.linalg.norm(sides, axis=1)[:, None]
+        unknowns.set_sliders(self.blocks, d[:, :, None] * d[:, None, :])
 
     def fractions(self, unknowns: Unknowns, x: Array) -> Array:
         """Fractions of the edge sliders on their edges at the displacements x, (n,)."""

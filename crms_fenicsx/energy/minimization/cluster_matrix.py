@@ -32,7 +32,7 @@ class ClusterLayout:
     `starts` (n_clusters + 1,): first entry of each cluster in `blocks`; `cluster` (n,): cluster of
     each; `number` (n_local,): index of the layout's blocks in `blocks`, or -1; `groups` (n_local,):
     cluster with which each block of the layout moves, or -1; `projectors`: indices (k,) of the
-    blocks with held components and the edge sliders, and projectors (k, 3, 3) on their free
+    blocks with held components and the sliders, and projectors (k, 3, 3) on their free
     directions. Shapes: blocks (n,).
     """
 
@@ -55,13 +55,12 @@ class ClusterLayout:
         self.number[self.blocks] = np.arange(len(blocks))
         self.groups: Integers = np.append(self.cluster, -1)[self.number]
         self.groups[whole.tied_points] = self.groups[whole.interpolation].max(axis=1)
-        edge_sliders = self.number[whole.edge_sliders]
-        lines = whole.directions[edge_sliders >= 0]
-        edge_sliders = edge_sliders[edge_sliders >= 0]
+        sliders = self.number[whole.sliders]
+        own = sliders >= 0
         held = whole.held[self.blocks]
-        bound = np.union1d(edge_sliders, np.nonzero(held)[0])
+        bound = np.union1d(sliders[own], np.nonzero(held)[0])
         P = np.eye(3) * ~held[bound, None]
-        P[np.searchsorted(bound, edge_sliders)] = lines[:, :, None] * lines[:, None, :]
+        P[np.searchsorted(bound, sliders[own])] = whole.projectors[own]
         self.projectors = bound, P
 
     def _moved(self) -> Integers:

@@ -113,12 +113,11 @@ def _set_near_null_space(matrix: PETSc.Mat, potential: Potential) -> None:
         kept.destroy()
 
 
-def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
-    """Add this stiffness across the edge sliders, which have none there. Collective."""
-    own = unknowns.edge_sliders < unknowns.n_owned
-    d = unknowns.directions[own]
-    across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    blocks = unknowns.edge_sliders[own, None].astype(PETSc.IntType)
+def stiffen_across_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
+    """Add this stiffness where sliders cannot move, as they have none there. Collective."""
+    own = unknowns.sliders < unknowns.n_owned
+    across = value * (np.eye(3) - unknowns.projectors[own])
+    blocks = unknowns.sliders[own, None].astype(PETSc.IntType)
     A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
     A.assemble()
 
@@ -221,12 +220,12 @@ class InitialHessian:
         diagonal = A.getDiagonal()
         traces = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)  # of each block
         diagonal.destroy()
-        sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
+        sizes = np.array([traces.max(initial=0.0), unknowns.n_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
         self.shift = _shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
         if sizes[1]:
-            stiffen_across_edge_sliders(A, unknowns, largest)
+            stiffen_across_sliders(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
@@ -305,10 +304,10 @@ class InitialHessian:
         unknowns = self.potential.unknowns
         values = y.reshape(-1, 3)
         values[self._held] = 0.0
-        if unknowns.n_edge_sliders:
-            own = unknowns.edge_sliders < unknowns.n_owned
-            edge_sliders, d = unknowns.edge_sliders[own], unknowns.directions[own]
-            values[edge_sliders] = np.sum(values[edge_sliders] * d, axis=1)[:, None] * d
+        if unknowns.n_sliders:
+            own = unknowns.sliders < unknowns.n_owned
+            sliders, P = unknowns.sliders[own], unknowns.projectors[own]
+            values[sliders] = np.einsum("nij,nj->ni", P, values[sliders])
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """``y = (K + G C G^T) x``."""

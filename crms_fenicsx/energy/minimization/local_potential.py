@@ -48,7 +48,7 @@ class Clusters:
     g: Array
     moves: Booleans  # (n,) whether they belong to the clusters; all others are held
     held: Booleans  # (n, 3) components with a prescribed value
-    directions: Array  # (n, 3) lines of edge sliders; zero for others
+    projectors: Array  # (n, 3, 3) of sliders; zero for others
     # rides_on, weights: (n, 3) global numbers of the blocks that tied points ride on, -1 for other
     # blocks, and weights
     rides_on: Integers
@@ -70,14 +70,14 @@ class Clusters:
         number[blocks] = np.arange(len(blocks))
         numbers, moves = unknowns.numbers(), np.zeros(n, dtype=bool)
         moves[moving] = True
-        directions, weights = np.zeros((n, 3)), np.zeros((n, 3))
+        projectors, weights = np.zeros((n, 3, 3)), np.zeros((n, 3))
         rides_on = np.full((n, 3), -1, dtype=np.int64)
-        directions[unknowns.edge_sliders] = unknowns.directions
+        projectors[unknowns.sliders] = unknowns.projectors
         rides_on[unknowns.tied_points] = numbers[unknowns.interpolation]
         weights[unknowns.tied_points] = unknowns.weights
         values = (
             numbers.astype(np.int64), np.arange(n) < unknowns.n_owned, unknowns.X, potential.x,
-            potential.g, moves, unknowns.held, directions, rides_on, weights,
+            potential.g, moves, unknowns.held, projectors, rides_on, weights,
         )  # fmt: skip
         told = [(k, table.renumbered(number)) for k, table in tables]
         return cls(*(value[blocks] for value in values), told)  # type: ignore[call-arg, arg-type]
@@ -110,8 +110,8 @@ class Clusters:
         order = np.argsort(self.numbers)
         on = order[np.searchsorted(self.numbers[order], self.rides_on[tied_points])]
         blocks.set_tied_points(tied_points, on.astype(np.int32), self.weights[tied_points])
-        edge_sliders = np.flatnonzero(self.directions.any(axis=1)).astype(np.int32)
-        blocks.set_edge_sliders(edge_sliders, self.directions[edge_sliders])
+        sliders = np.flatnonzero(self.projectors.any(axis=(1, 2))).astype(np.int32)
+        blocks.set_sliders(sliders, self.projectors[sliders])
         return blocks
 
     def elements_of(self, term: int) -> Sequence[ElementTable]:

@@ -170,7 +170,7 @@ class StiffnessMatrix:
             self._places[pattern] = sources, weights, self._starts[0, own], self._strides[0, own]
             start += len(sources)
         sliding = np.zeros(unknowns.n_local, dtype=bool)
-        sliding[unknowns.edge_sliders] = True
+        sliding[unknowns.sliders] = True
         self._sliding = np.flatnonzero(sliding[self._rows] | sliding[self._cols])
         self.petsc = self._create(3 * np.diff(begins))
 
@@ -237,7 +237,7 @@ class StiffnessMatrix:
         return rows, cols, *pattern.parts(blocks, weights)
 
     def assemble(self) -> None:
-        """Assemble the matrix, with edge sliders projected on their lines. Collective."""
+        """Assemble the matrix, with the sliders' blocks projected. Collective."""
         if len(self._sliding):
             self._project()
         _mirror(self._starts, self._strides, self._values)
@@ -251,7 +251,7 @@ class StiffnessMatrix:
         self.petsc.assemble()
 
     def _project(self) -> None:
-        """Project the edge sliders' blocks on their lines."""
+        """Project the sliders' blocks."""
         own = self._sliding
         at = self._starts[0, own][:, None, None] + np.arange(3)
         at = at + np.arange(3)[:, None] * self._strides[0, own][:, None, None]

@@ -1,9 +1,9 @@
 """Blocks of three components with their positions, and linear constraints between them.
 
-*Tied points* are weighted means of vertices; *edge sliders* move along a straight line in space.
+*Tied points* are weighted means of vertices; *sliders* move along a straight line or in a plane.
 Both are a change of variables x = P y: positions are set to P y, forces and stiffness become P^T g
-and P^T K P. For an edge slider P = d d^T with the line's direction d, so a point that starts on
-the line stays on it.
+and P^T K P. A slider's P is a projector: d d^T for the direction d of a line, I - n n^T for the
+normal n of a plane, so a point that starts on the line or in the plane stays there.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 
 
 class LocalBlocks:
-    """Positions, held components, tied points and edge sliders of this process's blocks.
+    """Positions, held components, tied points and sliders of this process's blocks.
 
     Attributes: `n_local`: number of blocks; `held` (n, 3), bool: components with a prescribed
     value. Shapes and units: X (n, 3) (length).
@@ -25,7 +25,7 @@ class LocalBlocks:
         self.held = np.zeros((len(X), 3), dtype=bool)
         none = np.zeros(0, dtype=np.int32)
         self.set_tied_points(none, none.reshape(0, 3), np.zeros((0, 3)))
-        self.set_edge_sliders(none, np.zeros((0, 3)))
+        self.set_sliders(none, np.zeros((0, 3, 3)))
 
     def set_tied_points(
         self,
@@ -62,22 +62,19 @@ class LocalBlocks:
         moved = np.einsum("nk,nki->ni", self.weights[some], x[self.interpolation[some]])
         x[self.tied_points[some]] = moved + self._undisplaced[some]
 
-    def set_edge_sliders(self, edge_sliders: Indices, directions: Array) -> None:
-        """Restrict edge sliders (n,) to displacements along directions (n, 3)."""
-        self.edge_sliders, self.directions = np.asarray(edge_sliders, dtype=np.intp), directions
-        self.n_edge_sliders = len(edge_sliders)
-        self._at_edge_sliders, self._along = (
-            np.zeros((self.n_edge_sliders, 3)),
-            np.zeros(self.n_edge_sliders),
-        )
+    def set_sliders(self, sliders: Indices, projectors: Array) -> None:
+        """Restrict the displacements of sliders (n,), and of no other blocks, by projectors
+        (n, 3, 3), symmetric and idempotent."""
+        self.sliders, self.projectors = np.asarray(sliders, dtype=np.intp), projectors
+        self.n_sliders = len(sliders)
+        self._at_sliders, self._projected = np.zeros((2, self.n_sliders, 3))
 
     def project(self, values: Array) -> None:
-        """Project the edge sliders' vectors in `values` (n_local, 3) on their lines, in place."""
-        if self.n_edge_sliders:
-            np.take(values, self.edge_sliders, axis=0, out=self._at_edge_sliders, mode="clip")
-            np.einsum("ni,ni->n", self._at_edge_sliders, self.directions, out=self._along)
-            np.einsum("ni,n->ni", self.directions, self._along, out=self._at_edge_sliders)
-            values[self.edge_sliders] = self._at_edge_sliders
+        """Project the sliders' vectors in `values` (n_local, 3), in place."""
+        if self.n_sliders:
+            np.take(values, self.sliders, axis=0, out=self._at_sliders, mode="clip")
+            np.einsum("nij,nj->ni", self.projectors, self._at_sliders, out=self._projected)
+            values[self.sliders] = self._projected
 
     def transfer_tied_forces(self, g: Array) -> None:
         """Transfer the tied points' forces to their vertices."""
@@ -120,14 +117,12 @@ class LocalBlocks:
         return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
 
     def project_blocks(self, rows: Integers, cols: Integers, values: Array) -> Array:
-        """Project the edge sliders' stiffness blocks (n, 3, 3): P_row K P_col."""
+        """Project the sliders' stiffness blocks (n, 3, 3): P_row K P_col."""
         number = np.full(self.n_local, -1)
-        number[self.edge_sliders] = np.arange(self.n_edge_sliders)
+        number[self.sliders] = np.arange(self.n_sliders)
         values = values.copy()
         at = np.flatnonzero(number[rows] >= 0)
-        d = self.directions[number[rows[at]]]
-        values[at] = np.einsum("ni,nk,nkj->nij", d, d, values[at])
+        values[at] = self.projectors[number[rows[at]]] @ values[at]
         at = np.flatnonzero(number[cols] >= 0)
-        d = self.directions[number[cols[at]]]
-        values[at] = np.einsum("nik,nk,nj->nij", values[at], d, d)
+        values[at] = values[at] @ self.projectors[number[cols[at]]]
         return values

@@ -265,7 +265,7 @@ def test_forces_and_energies_balance(kind: str) -> None:
     system.unknowns.project(left)  # edge sliders are free along their edges only
     assert np.abs(left[:own][~held]).max() < 1e-8 * scale
     free = ~held.all(axis=1)
-    free[system.unknowns.edge_sliders[system.unknowns.edge_sliders < own]] = False
+    free[system.unknowns.sliders[system.unknowns.sliders < own]] = False
     reactions, carried = total(internal[~free].sum(axis=0)), total(pressure[free].sum(axis=0))
     np.testing.assert_allclose(reactions, carried, rtol=0, atol=1e-7 * scale)
     plan = 100.0**2 * scene.pressure

@@ -49,10 +49,8 @@ def cables(comm: MPI.Intracomm, *, edge_sliders: bool = True) -> OnMesh:
     tied_point, first, second, free = own
     unknowns.set_tied_points(own[:1], vertices[None, :3], np.array([[0.2, 0.3, 0.5]]))
     if edge_sliders:
-        unknowns.set_edge_sliders(
-            np.concatenate([own[1:3], foreign]),
-            np.array([direction(comm.rank, k) for k in (1, 2)] + [direction(r, 1) for r in others]),
-        )
+        d = np.array([direction(comm.rank, k) for k in (1, 2)] + [direction(r, 1) for r in others])
+        unknowns.set_sliders(np.concatenate([own[1:3], foreign]), d[:, :, None] * d[:, None, :])
     links = [(tied_point, first), (first, second), (second, free), (free, vertices[4])]
     links += [(first, vertices[5]), *((block, second) for block in foreign)]
     n = len(links)
@@ -75,12 +73,12 @@ def projection(f: OnMesh) -> Array:
     unknowns = f.unknowns
     P = np.eye(3 * unknowns.n_global)
     own = [
-        (unknowns.start + int(block), d)
-        for block, d in zip(unknowns.edge_sliders, unknowns.directions, strict=True)
+        (unknowns.start + int(block), P)
+        for block, P in zip(unknowns.sliders, unknowns.projectors, strict=True)
         if block < unknowns.n_owned
     ]
-    for number, d in (pair for pairs in unknowns.comm.allgather(own) for pair in pairs):
-        P[3 * number : 3 * number + 3, 3 * number : 3 * number + 3] = np.outer(d, d)
+    for number, own_P in (pair for pairs in unknowns.comm.allgather(own) for pair in pairs):
+        P[3 * number : 3 * number + 3, 3 * number : 3 * number + 3] = own_P
     return P
 
 
@@ -98,15 +96,13 @@ def test_edge_sliders_stay_on_their_lines(comm) -> None:
     unknowns, placed = f.unknowns, f.potential.x
     ghosts = [(rank, 1) for rank in range(comm.size) if rank != comm.rank]
     edge_sliders = [(comm.rank, 1), (comm.rank, 2), *ghosts]
-    for block, (rank, k) in zip(unknowns.edge_sliders, edge_sliders, strict=True):
+    for block, (rank, k) in zip(unknowns.sliders, edge_sliders, strict=True):
         d = direction(rank, k)
         np.testing.assert_allclose(placed[block], d * (d @ placed[block]), atol=1e-14)
         if block < unknowns.n_owned:
             assert d @ placed[block] == pytest.approx(d @ x[block], rel=1e-12)
             assert abs(d @ x[block]) > 1e-3
-    free = np.setdiff1d(
-        np.arange(unknowns.n_owned), [*unknowns.edge_sliders, *unknowns.tied_points]
-    )
+    free = np.setdiff1d(np.arange(unknowns.n_owned), [*unknowns.sliders, *unknowns.tied_points])
     np.testing.assert_array_equal(placed[free], x[free])
     vector, array = unknowns.vector()
     array[: unknowns.n_owned] = placed[: unknowns.n_owned]
@@ -117,7 +113,7 @@ def test_edge_sliders_stay_on_their_lines(comm) -> None:
 
 def test_an_edge_slider_is_not_held(comm) -> None:
     f = cables(comm)
-    assert not f.unknowns.held[f.unknowns.edge_sliders].any()
+    assert not f.unknowns.held[f.unknowns.sliders].any()
     assert f.unknowns.held[f.unknowns.tied_points].all()
 
 
@@ -126,7 +122,7 @@ def test_gradient_is_that_along_the_lines(comm) -> None:
     x, d = shaken(f, 1), shaken(f, 2, 5.0)
     assert gradient_order(f, x, d) == pytest.approx(2, abs=0.02)
     along = np.zeros_like(d)
-    edge_sliders = f.unknowns.edge_sliders[f.unknowns.edge_sliders < f.unknowns.n_owned]
+    edge_sliders = f.unknowns.sliders[f.unknowns.sliders < f.unknowns.n_owned]
     along[edge_sliders] = d[edge_sliders]
     assert gradient_order(f, x, along) == pytest.approx(2, abs=0.02)
     _, g = f.value(x)
@@ -228,12 +224,13 @@ def test_projection_allocates_nothing(comm) -> None:
     values = np.ones((unknowns.n_local, 3))
     unknowns.project(values)
     assert (values == 1.0).all()  # without edge sliders
-    unknowns.set_edge_sliders(unknowns.owned_point_blocks(), np.tile([0.6, 0.0, 0.8], (n, 1)))
+    d = np.array([0.6, 0.0, 0.8])
+    unknowns.set_sliders(unknowns.owned_point_blocks(), np.tile(np.outer(d, d), (n, 1, 1)))
     tracemalloc.start()
     unknowns.project(values)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    np.testing.assert_allclose(values[unknowns.edge_sliders], np.tile([0.84, 0.0, 1.12], (n, 1)))
+    np.testing.assert_allclose(values[unknowns.sliders], np.tile([0.84, 0.0, 1.12], (n, 1)))
     assert peak < 8 * n  # less than one component of the edge sliders
 
 
@@ -258,18 +255,18 @@ def between(comm: MPI.Intracomm, anchors: Array, lines: list[tuple[Array, Array]
     unknowns.held[unknowns.vertex_blocks()] = True
     if len(edge_sliders):
         unknowns.X[edge_sliders] = [start for start, _ in lines]
-        unknowns.set_edge_sliders(edge_sliders, np.array([d for _, d in lines]))
+        unknowns.set_sliders(edge_sliders, np.array([np.outer(d, d) for _, d in lines]))
     m = len(segments)
     cable = np.zeros(m, dtype=np.int32)
     term = CableTension(segments, np.full(m, 1e-3), cable, np.array([3000.0]), np.array([50.0]))
     return OnMesh(unknowns, scene.u, [term])
 
 
-def ways(f: OnMesh) -> Array:
-    """How far the edge sliders have gone along their lines, on all ranks."""
+def ways(f: OnMesh, d: Array) -> Array:
+    """How far the edge sliders have gone along their direction d, on all ranks."""
     unknowns = f.unknowns
-    own = unknowns.edge_sliders < unknowns.n_owned
-    way = np.sum(f.potential.x[unknowns.edge_sliders[own]] * unknowns.directions[own], axis=1)
+    own = unknowns.sliders < unknowns.n_owned
+    way = f.potential.x[unknowns.sliders[own]] @ d
     return np.concatenate(unknowns.comm.allgather(way))
 
 
@@ -289,7 +286,7 @@ def test_a_cable_over_an_edge_slider_is_straight_when_unfolded(comm, side: float
     assert outcome.iterations <= 8 and outcome.factorizations <= 3
     expected = (-5.0 * 30 + 40.0 * 12) / (12 + 30)
     # the tension's force along the edge slider is 1e-11 of itself, its stiffness T/12 + T/30
-    np.testing.assert_allclose(ways(f), [expected], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(ways(f, d), [expected], rtol=0, atol=1e-8)
     minimizer.destroy()
 
 
@@ -306,5 +303,5 @@ def test_a_cable_over_many_edge_sliders_is_the_shortest(comm) -> None:
     outcome = minimizer.solve()
     assert outcome.converged and outcome.iterations <= 12 and outcome.factorizations <= 4
     lengths = np.cumsum(np.hypot(np.diff(run), np.diff(rise)))
-    np.testing.assert_allclose(ways(f), 25.0 * lengths[:-1] / lengths[-1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(ways(f, d), 25.0 * lengths[:-1] / lengths[-1], rtol=0, atol=1e-8)
     minimizer.destroy()

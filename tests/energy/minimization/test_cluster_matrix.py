@@ -62,7 +62,9 @@ def assembled(shift=0.0, held=(), sliders=(), tied=()):
     whole.held[list(held), 1] = True
     lines = rng.normal(size=(len(sliders), 3))
     lines /= np.linalg.norm(lines, axis=1)[:, None]
-    whole.set_edge_sliders(np.array(sliders, dtype=np.int32), lines)
+    projectors = lines[:, :, None] * lines[:, None, :]
+    projectors[::2] = np.eye(3) - projectors[::2]  # in planes, the others along lines
+    whole.set_sliders(np.array(sliders, dtype=np.int32), projectors)
     on = np.array([[10, 11, 12], [20, 21, 22]][: len(tied)], dtype=np.int32).reshape(-1, 3)
     weights = np.full(on.shape, 1 / 3)
     whole.set_tied_points(np.array(tied, dtype=np.int32), on, weights)
@@ -133,13 +135,13 @@ def test_solutions_are_those_of_the_dense_matrix(exact):
     assert np.array_equal(matrix.solve(wanted, b, y), wanted)
     for c in range(layout.n_clusters):
         own, at = rows_of_cluster(layout, c), layout.cluster == c
-        lines = {
-            int(np.flatnonzero(layout.blocks[at] == slider)[0]): d
-            for slider, d in zip(layout.whole.edge_sliders, layout.whole.directions, strict=True)
+        sliders_of = {
+            int(np.flatnonzero(layout.blocks[at] == slider)[0]): P
+            for slider, P in zip(layout.whole.sliders, layout.whole.projectors, strict=True)
             if slider in layout.blocks[at]
         }
         part, own_held = EXACT_SHIFT if exact else SHIFT, layout.whole.held[layout.blocks[at]]
-        expected = closed(K[np.ix_(own, own)], part, own_held, lines)
+        expected = closed(K[np.ix_(own, own)], part, own_held, sliders_of)
         solution = np.linalg.solve(expected, b[at].ravel()) if wanted[c] else 0.0 * b[at].ravel()
         np.testing.assert_allclose(y[at].ravel(), solution, rtol=1e-7, atol=1e-9)
 

@@ -182,7 +182,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
     h0.rebuild()
     assert h0.pc.getType() == multigrid and len(list(potential.dyads())) == 2
     unknowns = potential.unknowns
-    assert comm.allreduce(unknowns.n_edge_sliders) > 0
+    assert comm.allreduce(unknowns.n_sliders) > 0
     b, y, back = (potential.x_vector.duplicate() for _ in range(3))
     n = unknowns.n_owned
     values = noise(unknowns.X, 4)

@@ -267,7 +267,7 @@ def test_term_of_a_scene(comm):
     term = f.potential.terms[0]
     sizes = comm.allreduce(np.bincount(np.diff(term.table.pointers), minlength=5))
     assert sizes[3] > 10 and sizes[4] > 2
-    assert comm.allreduce(int(system.unknowns.n_edge_sliders)) > 0
+    assert comm.allreduce(int(system.unknowns.n_sliders)) > 0
     # nothing has slipped at the start of the step
     energy, _ = f.value(np.zeros((system.unknowns.n_owned, 3)))
     assert abs(energy) < 1e-20

@@ -16,15 +16,15 @@ from crms_fenicsx.foundation.dofs.block_patterns import (
 
 
 def one_by_one(unknowns, rows, cols, values):
-    """Tied points hand their blocks to their vertices; edge sliders those along their lines."""
+    """Tied points hand their blocks to their vertices; sliders those in which they move."""
     interpolation = {b: [(b, 1.0)] for b in range(unknowns.n_local)}
     for tied_point, own, weights in zip(
         unknowns.tied_points, unknowns.interpolation, unknowns.weights, strict=True
     ):
         interpolation[int(tied_point)] = list(zip(own.tolist(), weights.tolist(), strict=True))
     along = dict.fromkeys(range(unknowns.n_local), np.eye(3))
-    for edge_slider, d in zip(unknowns.edge_sliders, unknowns.directions, strict=True):
-        along[int(edge_slider)] = np.outer(d, d)
+    for slider, P in zip(unknowns.sliders, unknowns.projectors, strict=True):
+        along[int(slider)] = P
     K = np.zeros((unknowns.n_local, 3, unknowns.n_local, 3))
     for row, col, value in zip(rows, cols, values, strict=True):
         for a, v in interpolation[int(row)]:
@@ -33,14 +33,16 @@ def one_by_one(unknowns, rows, cols, values):
     return K.reshape(3 * unknowns.n_local, -1)
 
 
-@pytest.mark.parametrize("edge_sliders", [0, 3])
-def test_blocks_of_equal_place_are_summed(edge_sliders) -> None:
+@pytest.mark.parametrize("sliders", [0, 4])
+def test_blocks_of_equal_place_are_summed(sliders) -> None:
     unknowns = cable_square(MPI.COMM_SELF).unknowns
     assert unknowns.n_tied_points > 0
     rng = np.random.default_rng(3)
-    directions = rng.normal(size=(edge_sliders, 3))
+    directions = rng.normal(size=(sliders, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    unknowns.set_edge_sliders(rng.permutation(unknowns.n_vertices)[:edge_sliders], directions)
+    projectors = directions[:, :, None] * directions[:, None, :]
+    projectors[::2] = np.eye(3) - projectors[::2]  # in planes, the others along lines
+    unknowns.set_sliders(rng.permutation(unknowns.n_vertices)[:sliders], projectors)
     rows, cols = rng.integers(unknowns.n_owned, size=(2, 400)).astype(np.int32)
     rows[200:], cols[200:] = rows[:200], cols[:200]
     both = np.append(rows, cols), np.append(cols, rows)
