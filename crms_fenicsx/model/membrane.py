@@ -152,6 +152,13 @@ class Membrane:
         positions.flags.writeable = False
         return positions
 
+    def place_stress_free(self, X: Array) -> None:
+        """TEMPORARY."""
+        mesh = self.mesh.mesh
+        mesh.geometry.x[geometry_dofmap(mesh)] = X[self.V.dofmap.list]
+        for name in ("stress_free", "cell_areas"):
+            self.__dict__.pop(name, None)
+
     @cached_property
     def cell_areas(self) -> Array:
         """Stress-free areas (n,) (length squared) of this rank's own cells."""

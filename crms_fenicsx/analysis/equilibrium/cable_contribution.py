@@ -22,6 +22,7 @@ from crms_fenicsx.cabling.cables.element_tables import (
 )
 from crms_fenicsx.cabling.cables.node_positions import NodePositions
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.energy.minimization.damping import Damping
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.cable_tension import CableTension
@@ -53,11 +54,15 @@ class CableContribution(Contribution):
     """
 
     def __init__(
-        self, scene: Scene, membrane: MembraneEnergy, frame: FrameBlocks | None = None
+        self, scene: Scene, membrane: MembraneEnergy, frame: FrameBlocks | None, slide: bool
     ) -> None:
         super().__init__(scene)
         assert scene.net.strip is not None
-        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, scene.net.nodes)
+        nodes, shifts = scene.net.nodes, RowShifts.none()
+        if slide and any(cable.state.laid.line is not None for cable in scene.cables):
+            shape = scene.net.strip_shape()
+            shifts = RowShifts.of(scene.cables, nodes, shape, scene.membrane)
+        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, nodes, shifts)
         self.unknowns = self.numbering.unknowns(frame)
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)

@@ -11,6 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, RowSliding
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
@@ -35,6 +36,7 @@ class ContactLoop:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
         self._projections = 0
+        self._rows = RowSliding(system)
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -59,6 +61,7 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
+            changes += self._rows.follow(0.0 if changes else NEAR)
             if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
@@ -86,6 +89,7 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
+                changes += self._rows.follow(0.0)
             if not changes:
                 if not looked and look is not None:
                     look(False)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
     from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
     from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+    from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
     from crms_fenicsx.cabling.cables.element_tables import CableTables
 
 FAR = 0.01
@@ -58,8 +59,8 @@ class System:
     length).
     """
 
-    def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
-        self.scene, self.prefix, self.rtol = scene, prefix, rtol
+    def __init__(self, scene: Scene, prefix: str, rtol: float, slide: bool = True) -> None:
+        self.scene, self.prefix, self.rtol, self.slide = scene, prefix, rtol, slide
         self.membrane = MembraneContribution(scene)
         self.pressure = PressureContribution(scene, self.membrane)
         self._loads = MembraneLoadsContribution(scene)
@@ -68,6 +69,7 @@ class System:
         self.friction: FrictionContribution | None = None
         self.bars: BarContribution | None = None
         self.ponds: PondContribution | None = None
+        self.shifts: ShiftContribution | None = None
         self.parts: list[Contribution]
         self.unknowns: Unknowns
         self.potential: Potential
@@ -87,7 +89,7 @@ class System:
             self.potential.destroy()
             self.minimizer = None
             del self.potential, self.parts  # free their memory before the next ones
-            self.cables = self.folds = self.friction = self.bars = self.ponds = None
+            self.cables = self.folds = self.friction = self.bars = self.ponds = self.shifts = None
 
     def invalidate(self) -> None:
         """Make the next solve start with a rebuild."""
@@ -115,7 +117,7 @@ class System:
         if scene.cables:
             from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
 
-            self.cables = CableContribution(scene, self.membrane.energy, frame)
+            self.cables = CableContribution(scene, self.membrane.energy, frame, self.slide)
             self.unknowns, folds = self.cables.unknowns, self.cables.folds()
             damping = self.cables.damping()
         else:
@@ -154,6 +156,12 @@ class System:
             )
             terms += self.folds.terms
             self.parts.append(self.folds)
+        if len(cables.numbering.shifts.nodes):
+            from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
+
+            self.shifts = ShiftContribution(scene, self.membrane, cables.numbering)
+            terms.append(self.shifts.energy)
+            self.parts.append(self.shifts)
         if scene.net.has_friction or any(
             cable.state.law.axial is not None for cable in scene.cables
         ):

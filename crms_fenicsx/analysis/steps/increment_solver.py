@@ -127,7 +127,8 @@ class IncrementSolver:
         if self._system is not None and self._version != self.scene.versions.state_version:
             self.release()  # another solver has advanced the scene
         if self._system is None:
-            self._system = System(self.scene, self._options.prefix, self._options.rtol)
+            options = self._options
+            self._system = System(self.scene, options.prefix, options.rtol, options.slide)
             self._version = self.scene.versions.state_version
         return self._system
 

@@ -226,6 +226,7 @@ class Verifier:
                 term.add_gradient(potential.x, potential.sums_of(term), g)
         if system.bars is not None:
             system.bars.add_pulls(g, -1.0)
+        g[unknowns.shifts] = 0.0  # forces on stress-free places are no loads
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
         supports += self._obstacle(system)
@@ -235,6 +236,9 @@ class Verifier:
         supports[sliders] -= g[sliders]
         free = g[:n] - supports
         free[sliders] = g[sliders]
+        shifts = unknowns.shifts[unknowns.shifts < n]  # with the supports' forces of held vertices
+        supports[shifts] += free[shifts]
+        free[shifts] = 0.0
         local = np.concatenate([
             supports.sum(axis=0), _moment(x[:n] - scene.membrane.centre, supports),
             loads.sum(axis=0), _moment(x - scene.membrane.centre, loads),

@@ -99,7 +99,7 @@ class CableNet:
         """Current positions of the strip's vertices, gathered only if they have changed.
         Collective."""
         assert self.strip is not None
-        u, known = self.membrane.u.x.array, self._shape
+        u, known = self.membrane.positions(), self._shape
         same = known is not None and known[0].strip is self.strip and np.array_equal(known[1], u)
         if known is None or not self.membrane.comm.allreduce(same, op=MPI.LAND):
             known = self._shape = StripShape.of(self.membrane, self.strip), u.copy()

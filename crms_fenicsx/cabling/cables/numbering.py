@@ -25,6 +25,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
     fractions_of,
     positions_of,
 )
+from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.cabling.cables.strip import NOBODY, Strip
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns, vertex_places
 from crms_fenicsx.foundation.meshes.triangles import lists
@@ -34,12 +35,19 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 
 class _EdgeSliders:
-    """Edge sliders of taut cables known to this rank, with the blocks of their edges' ends."""
+    """Edge sliders of taut cables known to this rank, with the blocks of their edges' ends, and the
+    other sliders beside them: blocks (n,), projectors (n, 3, 3)."""
 
     def __init__(
-        self, cables: Sequence[LaidCable], members: Sequence[NodeId], blocks: Indices, ends: Indices
+        self,
+        cables: Sequence[LaidCable],
+        members: Sequence[NodeId],
+        blocks: Indices,
+        ends: Indices,
+        others: tuple[Indices, Array],
     ) -> None:
         self._cables, self.members, self.blocks, self.ends = cables, members, blocks, ends
+        self._others = others
 
     def known_fractions(self) -> Array:
         """Fractions of the edge sliders on their edges, from the cables, (n,)."""
@@ -54,7 +62,11 @@ class _EdgeSliders:
         unknowns.X[self.blocks] = places[:, 0] + self.known_fractions()[:, None] * sides
         x[self.blocks] = 0.0
         d = sides / np.linalg.norm(sides, axis=1)[:, None]
-        unknowns.set_sliders(self.blocks, d[:, :, None] * d[:, None, :])
+        blocks, projectors = self._others
+        unknowns.set_sliders(
+            np.concatenate([self.blocks, blocks]),
+            np.concatenate([d[:, :, None] * d[:, None, :], projectors]),
+        )
 
     def fractions(self, unknowns: Unknowns, x: Array) -> Array:
         """Fractions of the edge sliders on their edges at the displacements x, (n,)."""
@@ -84,8 +96,10 @@ class CableNumbering:
         strip: Strip,
         u: fem.Function,
         nodes: NodeTable | None = None,
+        shifts: RowShifts | None = None,
     ) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
+        self.shifts = RowShifts.none() if shifts is None else shifts
         self.rank = u.function_space.mesh.comm.rank
         self.nodes = NodeTable.of(self.cables, nodes)
         # (nodes,) number of the simplex of each node in the strip; -1 for anchors
@@ -138,7 +152,9 @@ class CableNumbering:
         # (nodes,) point number, common to a crossing's nodes; -1 for vertices and lifted nodes
         self.number = np.full(len(nodes.kind), -1)
         self.number[points] = (np.cumsum(new) - 1)[same]
-        self.first = points[new]  # row of one node of each point
+        self.n_nodes = int(np.count_nonzero(new))  # points that are nodes
+        # row of one node of each point, and of each shift
+        self.first = np.concatenate([points[new], self.shifts.nodes])
         self.owners = self._owner[self._places(self.first)].astype(np.int64)
         self.node_owners = np.where(self.number >= 0, np.append(self.owners, -1)[self.number], -1)
         at_vertex = nodes.kind == VERTEX  # nodes at a vertex belong to its owner
@@ -233,13 +249,27 @@ class CableNumbering:
         self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
         far = unknowns.far_vertex_blocks()[: len(far_vertices)]
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
+        # (m,) local blocks of the shifts, and of their vertices; -1 if absent on this rank
+        self.shift_blocks = self.blocks[self.n_nodes :]
         self.node_blocks = np.where(self.number >= 0, np.append(self.blocks, -1)[self.number], -1)
         at_vertex = self.nodes.kind == VERTEX
         corners = self.strip.simplices.corners[self.on[at_vertex], 0]
         self.node_blocks[at_vertex] = self.vertex_blocks[corners]
         unknowns.X[far] = np.array(self._far_X).reshape(-1, 3)
+        here = self.shift_blocks >= 0
+        self.shifted_blocks = np.where(here, self.node_blocks[self.shifts.nodes], -1)
+        unknowns.shifts = self.shift_blocks[here]
+        self.place_shifts(unknowns)
         self.place_points(unknowns.X)
         return unknowns
+
+    def place_shifts(self, unknowns: Unknowns) -> None:
+        """Put the shifts of this rank where their vertices are now, which tied ones follow."""
+        here = np.flatnonzero(self.shift_blocks >= 0)
+        own, blocks = self.shifts.nodes[here], self.shifted_blocks[here]
+        dofs = self.dofs[self.strip.simplices.corners[self.on[own], 0]]
+        u = self.u.x.array.reshape(-1, 3)[dofs]
+        unknowns.X[self.shift_blocks[here]] = unknowns.X[blocks] + u
 
     def place_points(self, places: Array) -> None:
         """Set the rows of `places` (local blocks) of cable points to their current positions."""
@@ -284,11 +314,16 @@ class CableNumbering:
         ends = self.support_blocks(tied_points)
         on_joint = joints[tied_points] >= 0
         ends[on_joint, 0], weights[on_joint, 0] = joints[tied_points[on_joint]], 1.0
+        here = self.shift_blocks >= 0
+        with_shifts = np.flatnonzero(here & self.shifts.held)
+        carried = np.repeat(self.shift_blocks[with_shifts, None], 3, axis=1)
         unknowns.set_tied_points(
-            self.node_blocks[tied_points].astype(np.int32),
-            np.where(ends < 0, ends[:, :1], ends).astype(np.int32),
-            weights,
-            len(loaded),
+            np.append(self.shifted_blocks[with_shifts], self.node_blocks[tied_points]).astype(
+                np.int32
+            ),
+            np.append(carried, np.where(ends < 0, ends[:, :1], ends), axis=0).astype(np.int32),
+            np.append(np.tile([1.0, 0.0, 0.0], (len(carried), 1)), weights, axis=0),
+            len(carried) + len(loaded),
         )
         edge_sliders = rows[(nodes.kind[rows] == EDGE_SLIDER) & nodes.taut[rows]]
         self.edge_sliders = _EdgeSliders(
@@ -296,7 +331,9 @@ class CableNumbering:
             nodes.ids(edge_sliders),
             self.node_blocks[edge_sliders].astype(np.int32),
             self.support_blocks(edge_sliders)[:, :2].astype(np.int32),
+            (self.shift_blocks[here], self.shifts.projectors[here]),
         )
+        unknowns.set_sliders(self.shift_blocks[here], self.shifts.projectors[here])
         if np.any((nodes.kind == EDGE_SLIDER) & nodes.taut):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)

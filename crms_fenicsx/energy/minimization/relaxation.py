@@ -45,6 +45,7 @@ class LocalRelaxation:
         free = self._flags.of_owners(free)
         self._points = free.copy()
         self._points[unknowns.vertex_blocks()] = self._points[unknowns.far_vertex_blocks()] = False
+        self._points[unknowns.shifts] = False
         self._n_points = self._count(self._points)
         self.has_points = self._n_points > 0
         # Forms over all cells may have no counterpart for the cells around some vertices.

@@ -128,7 +128,8 @@ class Unknowns(LocalBlocks):
     Attributes: `X` (n, 3): positions at zero displacement: stress-free vertices, initial cable
     points (to be filled in by the caller that lays the cable); `starts` (ranks + 1,): global number
     of each rank's first block, and number of all blocks; `bounds`: bounds of the displacements, for
-    one-sided obstacles. Shapes: ghost_points (n, 2), far_vertices (n, 2).
+    one-sided obstacles; `shifts` (m,): local blocks that are not places of points but displacements
+    of stress-free places. Shapes: ghost_points (n, 2), far_vertices (n, 2).
     """
 
     def __init__(
@@ -169,6 +170,7 @@ class Unknowns(LocalBlocks):
         X[self.vertex_blocks()] = vertex_places(V)
         super().__init__(X)
         self.bounds: tuple[Array, Array] | None = None
+        self.shifts: Indices = np.zeros(0, dtype=np.int32)
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""

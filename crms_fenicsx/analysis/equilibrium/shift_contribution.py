@@ -1,0 +1,52 @@
+"""Rows of vertices that slide sideways with their cables: energy of the cells beside them, and the
+stress-free mesh that follows."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.analysis.equilibrium.contribution import Contribution, MembraneContribution
+from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
+from crms_fenicsx.foundation.runtime.arrays import Array
+
+
+class ShiftContribution(Contribution):
+    """Strain energy of the cells with a corner that shifts, which that of the plain cells excludes.
+
+    Attributes: `energy`: the term; `numbering`: blocks of the shifts.
+    """
+
+    def __init__(
+        self, scene: Scene, membrane: MembraneContribution, numbering: CableNumbering
+    ) -> None:
+        super().__init__(scene)
+        self.numbering, unknowns_of = numbering, numbering.vertex_blocks
+        strip, rank = numbering.strip, scene.comm.rank
+        simplices = strip.simplices
+        at = np.full(len(simplices.vertices), -1)
+        at[np.searchsorted(simplices.vertices, numbering.shifts.vertices)] = numbering.shift_blocks
+        mine = np.flatnonzero((strip.owner == rank) & (at[simplices.cells] >= 0).any(axis=1))
+        corners = simplices.cells[mine]
+        cells = strip.local[mine].astype(np.int32)
+        table = ShiftedCells.of(membrane.energy, cells, unknowns_of[corners], at[corners])
+        self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
+        membrane.energy.plain.x.array[cells] = 0.0
+
+    def read_scene(self, potential: Potential) -> None:
+        self.numbering.place_shifts(potential.unknowns)
+        self.numbering.hold(potential.unknowns)
+        here = self.numbering.shift_blocks
+        potential.x[here[here >= 0]] = 0.0
+
+    def shifts(self, potential: Potential) -> Array:
+        """Shifts (m, 3) of the stress-free places on all ranks (length). Collective."""
+        numbering = self.numbering
+        found = np.zeros((len(numbering.shift_blocks), 3))
+        own = np.flatnonzero(numbering.owners[numbering.n_nodes :] == numbering.rank)
+        found[own] = potential.x[numbering.shift_blocks[own]]
+        self.scene.comm.Allreduce(MPI.IN_PLACE, found)
+        return found

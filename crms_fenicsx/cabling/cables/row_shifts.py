@@ -1,0 +1,146 @@
+"""Vertices of rows whose stress-free places are unknowns, and the directions in which they shift.
+
+A cable along a line of the mesh slides sideways as the stress-free places of its vertices shift
+across it, within the stress-free surface: the fabric passes below. Where two cables that slide
+cross, their common vertex shifts in the tangent plane, below one in a pocket along this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
+from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
+from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.model.cable import HOLDS
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Membrane
+
+
+@dataclass(frozen=True)
+class RowShifts:
+    """The m vertices that shift, in the order of their ids; the same on all ranks."""
+
+    nodes: Integers  # (m,) row of a node at each, in the table of nodes
+    vertices: Integers  # (m,) ids
+    projectors: Array  # (m, 3, 3) onto the directions in which they shift
+    held: Booleans  # (m,) whether the membrane is held there, and moves with its stress-free place
+    sizes: Array  # (m,) cell sizes around (length)
+
+    @classmethod
+    def none(cls) -> RowShifts:
+        """No vertices."""
+        none = np.zeros(0, dtype=np.int64)
+        places = np.zeros((0, 3, 3))
+        return cls(none, none, places, np.zeros(0, dtype=bool), np.zeros(0))
+
+    @classmethod
+    def of(
+        cls, cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape, membrane: Membrane
+    ) -> RowShifts:
+        """Those of taut cables on their rows. Collective."""
+        slides = np.array(
+            [c.taut and c.state.laid.line is not None and HOLDS[c.hold].sideways for c in cables],
+            dtype=bool,
+        )
+        if not slides.any():
+            return cls.none()
+        vertex = nodes.size == 1
+        inner = np.zeros(len(vertex), dtype=bool)
+        inner[1:-1] = vertex[:-2] & vertex[1:-1] & vertex[2:]
+        inner[nodes.starts[:-1]] = inner[nodes.starts[1:] - 1] = False
+        on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
+        on = on[nodes.taut[on]]
+        strip = shape.strip
+        normals = _normals(shape)
+        held, fixed = _held_and_fixed(membrane, nodes, shape)
+        at = np.searchsorted(strip.vertices, nodes.support[on, 0])
+        own = slides[nodes.cable[on]]
+        ids, first, of = np.unique(at, return_index=True, return_inverse=True)
+        tangents = _tangents(nodes, shape, on)
+        count = np.bincount(of, own)
+        free = (count > 0) & ~fixed[ids] & np.any(normals[ids] != 0.0, axis=1)
+        free &= np.bincount(of, ~inner[on]) == 0
+        bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
+        free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
+        pockets = np.bincount(of, ~own)
+        free &= pockets < 2
+        n = normals[ids]
+        projectors = np.eye(3) - n[:, :, None] * n[:, None, :]
+        # across the only row that slides, or along the row of the cable in a pocket
+        one, pocket = np.zeros((2, len(ids), 3))
+        one[of[own]] = tangents[own]
+        pocket[of[~own]] = tangents[~own]
+        along = np.where(
+            (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
+            np.cross(n, one),
+        )  # fmt: skip
+        single = free & ((count == 1) | (pockets == 1))
+        d = along[single] / norm(along[single])[:, None]
+        projectors[single] = d[:, :, None] * d[:, None, :]
+        if not free.any():
+            return cls.none()
+        some = on[first[free]]
+        _, sizes = shape.around(nodes.on(strip.simplices)[some])
+        chosen = ids[free]
+        return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
+
+
+def _normals(shape: StripShape) -> Array:
+    """Normals of the stress-free surface at the strip's vertices, (n, 3); zero at rims, seams and
+    creases."""
+    strip = shape.strip
+    solid = strip.simplices.cells[strip.is_outer & (strip.owner != NOBODY)]
+    return SmoothSurface.of(shape.stress_free, solid).normals
+
+
+def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
+    """Tangents of the rows at some nodes on the stress-free surface, (n, 3) (length)."""
+    last = len(nodes.kind) - 1
+    before, after = np.maximum(on - 1, 0), np.minimum(on + 1, last)
+    rows = [np.searchsorted(shape.strip.vertices, nodes.support[k, 0]) for k in (before, after)]
+    size = len(shape.strip.vertices)
+    places = [shape.stress_free[np.minimum(k, size - 1)] for k in rows]
+    return np.asarray(places[1] - places[0])
+
+
+def _held_and_fixed(
+    membrane: Membrane, nodes: NodeTable, shape: StripShape
+) -> tuple[Booleans, Booleans]:
+    """Whether each vertex of the strip (n,) is held in all directions, and whether its stress-free
+    place must stay: where it is held in some, on the borders of parts, below loads on vertices and
+    beside cells that cables fold. Collective."""
+    strip = shape.strip
+    held, fixed = np.zeros((2, len(strip.vertices)), dtype=np.int64)
+    mine = np.flatnonzero(strip.owner == membrane.comm.rank)
+    corners = strip.simplices.cells[mine]
+    dofs = membrane.V.dofmap.list[strip.local[mine]]
+    held[corners] = membrane.held[dofs].all(axis=2)
+    fixed[corners] = membrane.held[dofs].any(axis=2)
+    kinds = _kinds(membrane)[strip.local[mine]]
+    least, most = np.full(len(fixed), np.iinfo(np.int64).max), np.full(len(fixed), -1)
+    np.minimum.at(least, corners, kinds[:, None])
+    np.maximum.at(most, corners, kinds[:, None])
+    membrane.comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
+    membrane.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
+    both = np.stack([held, fixed])
+    membrane.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+    held, fixed = both
+    folds = nodes.support[nodes.kind == FOLD, :2].ravel()
+    crossed = np.isin(strip.vertices, folds)
+    fixed = (fixed > held) | (least < most) | crossed
+    return held.astype(bool), fixed.astype(bool)
+
+
+def _kinds(membrane: Membrane) -> Indices:
+    """Numbers of the kinds of this rank's cells, (n,): by material and whether pressure acts."""
+    tags = np.zeros(len(membrane.pressed), dtype=np.int64)
+    if membrane.cell_tags is not None:
+        tags[membrane.cell_tags.indices] = membrane.cell_tags.values
+    return np.asarray(2 * tags + membrane.pressed)
