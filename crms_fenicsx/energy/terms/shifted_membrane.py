@@ -21,7 +21,7 @@ class ShiftedCells(ElementTable):
         mesh = membrane.u.function_space.mesh
         m = next(iter(membrane.materials.values()))
         # corners given in the cells' own order of the strip
-        return cls(cells, corners.astype(np.int32), shifts.astype(np.int32), None, m.reference_modulus, .3)
+        return cls(cells, corners.astype(np.int32), shifts.astype(np.int32), None, m.reference_modulus, m.nu)
     @property
     def element_blocks(self):
         both = np.concatenate([self.corners, self.shifts], axis=1)
