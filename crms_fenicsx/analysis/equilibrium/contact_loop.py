@@ -91,6 +91,10 @@ class ContactLoop:
                 changes = self._changes()
                 changes += self._rows.follow(0.0)
             if not changes:
+                if outcome.reason == "interrupted" and self._rows.follow(0.0):
+                    system.rebuild()  # the places that friction is updated from are those found
+                    system.read_scene()
+                    system.write_scene()
                 if not looked and look is not None:
                     look(False)
                 return total

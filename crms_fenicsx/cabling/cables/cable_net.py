@@ -99,10 +99,11 @@ class CableNet:
         """Current positions of the strip's vertices, gathered only if they have changed.
         Collective."""
         assert self.strip is not None
-        u, known = self.membrane.positions(), self._shape
-        same = known is not None and known[0].strip is self.strip and np.array_equal(known[1], u)
+        now = np.concatenate([self.membrane.stress_free.ravel(), self.membrane.u.x.array])
+        known = self._shape
+        same = known is not None and known[0].strip is self.strip and np.array_equal(known[1], now)
         if known is None or not self.membrane.comm.allreduce(same, op=MPI.LAND):
-            known = self._shape = StripShape.of(self.membrane, self.strip), u.copy()
+            known = self._shape = StripShape.of(self.membrane, self.strip), now
         return known[0]
 
     def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:

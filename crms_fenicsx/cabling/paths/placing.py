@@ -148,8 +148,7 @@ def put(
 def _held_kind(cable: Cable, laid_as: LaidAs) -> Cable:
     """The cable without friction in directions in which it is fixed."""
     free = HOLDS[laid_as.hold]
-    slides = free.sideways and laid_as.line is None
-    if slides or (cable.sideways is None and free.along):
+    if free.sideways or (cable.sideways is None and free.along):
         return cable
     if not free.along or not cable.along:
         return replace(cable, friction=0.0)

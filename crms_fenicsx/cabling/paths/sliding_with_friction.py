@@ -47,6 +47,7 @@ def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
         c: cable
         for c, cable in enumerate(cables)
         if cable.taut and cable.state.law.lateral is not None and cable.state.law.lateral.known
+        and not cable.keeps_line
     }
 
 
