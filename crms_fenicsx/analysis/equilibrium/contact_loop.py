@@ -61,7 +61,8 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            changes += self._rows.follow(0.0 if changes else NEAR)
+            if self._rows.way() > NEAR:  # the mesh may move only when the minimiser has ended
+                changes.append("rows slide")
             if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
@@ -89,12 +90,14 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-                changes += self._rows.follow(0.0)
+            slid = self._rows.follow()
+            if slid and outcome.reason == "interrupted" and not changes:
+                system.rebuild()  # the places that friction is updated from are those found
+                system.read_scene()
+                system.write_scene()
+            else:
+                changes += slid
             if not changes:
-                if outcome.reason == "interrupted" and self._rows.follow(0.0):
-                    system.rebuild()  # the places that friction is updated from are those found
-                    system.read_scene()
-                    system.write_scene()
                 if not looked and look is not None:
                     look(False)
                 return total

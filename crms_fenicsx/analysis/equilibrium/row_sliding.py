@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.foundation.meshes.triangles import norm
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -24,17 +25,22 @@ class RowSliding:
     def __init__(self, system: System) -> None:
         self.system, self.scene = system, system.scene
 
-    def follow(self, least: float) -> list[str]:
-        """Move the stress-free places by the shifts found, if some are at `least` this large, and
-        the mesh around them unless all are small; return the changes in words. Collective."""
+    def way(self) -> float:
+        """Largest shift, relative to the cell size. Collective."""
         shifts = self.system.shifts
         if shifts is None:
+            return 0.0
+        ways = norm(shifts.shifts(self.system.potential)) / shifts.numbering.shifts.sizes
+        return float(ways.max(initial=0.0))
+
+    def follow(self) -> list[str]:
+        """Move the stress-free places by the shifts found, and the mesh around them unless all are
+        small; return the changes in words. Collective."""
+        shifts, way = self.system.shifts, self.way()
+        if shifts is None or way == 0.0:
             return []
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
         ways = shifts.shifts(self.system.potential)
-        way = float((np.linalg.norm(ways, axis=1) / rows.sizes).max(initial=0.0))
-        if way <= least:
-            return []
         X, x = membrane.stress_free.copy(), membrane.positions()
         order = np.argsort(membrane.vertex_ids)
         at = np.searchsorted(membrane.vertex_ids[order], rows.vertices)

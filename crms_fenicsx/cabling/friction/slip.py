@@ -264,8 +264,10 @@ def law_sideways(
     u, v = shares(sideways, along)
     law = np.array(sideways.law(u, along.plastic(v)))
     # A node on a vertex cannot slip sideways: it may use the remaining capacity.
-    slides = [cable.state.nodes[k].slides or s in grip.shifting
-              for k, s in zip(nodes, grip.supports, strict=True)]
+    slides = [
+        cable.state.nodes[k].slides or s in grip.shifting
+        for k, s in zip(nodes, grip.supports, strict=True)
+    ]
     fixed = ~np.array(slides, dtype=bool)
     law[:, fixed] = 1.0
     law[0, fixed] = np.sqrt(1 - along.mobilised[fixed] ** 2)
