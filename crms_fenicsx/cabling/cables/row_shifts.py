@@ -58,20 +58,19 @@ class RowShifts:
         on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
         on = on[nodes.taut[on]]
         strip = shape.strip
-        normals = _normals(shape)
         held, fixed = _held_and_fixed(membrane, nodes, shape)
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
-        tangents = _tangents(nodes, shape, on)
+        tangents, normals = _tangents(nodes, shape, on), _normals(shape, ids)
         count = np.bincount(of, own)
-        free = (count > 0) & ~fixed[ids] & np.any(normals[ids] != 0.0, axis=1)
+        free = (count > 0) & ~fixed[ids] & normals.any(axis=1)
         free &= np.bincount(of, ~inner[on]) == 0
         bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
         free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
         pockets = np.bincount(of, ~own)
         free &= pockets < 2
-        n = normals[ids]
+        n = normals
         projectors = np.eye(3) - n[:, :, None] * n[:, None, :]
         # across the only row that slides, or along the row of the cable in a pocket
         one, pocket = np.zeros((2, len(ids), 3))
@@ -92,12 +91,13 @@ class RowShifts:
         return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
 
 
-def _normals(shape: StripShape) -> Array:
-    """Normals of the stress-free surface at the strip's vertices, (n, 3); zero at rims, seams and
-    creases."""
+def _normals(shape: StripShape, vertices: Integers) -> Array:
+    """Normals of the stress-free surface at vertices of the strip, (n, 3); zero at rims, seams and
+    creases. On a rigid surface the cable's pressure, much larger than its sideways pull, has a part
+    along a direction that is off the surface."""
     strip = shape.strip
     solid = strip.simplices.cells[strip.is_outer & (strip.owner != NOBODY)]
-    return SmoothSurface.of(shape.stress_free, solid).normals
+    return SmoothSurface.of(shape.stress_free, solid).fitted(solid, vertices)
 
 
 def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
