@@ -113,6 +113,27 @@ class ShiftedCells(ElementTable):
 
 
 @numba.njit(cache=True)
+def _minus(a, b):  # type: ignore[no-untyped-def]
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@numba.njit(cache=True)
+def _plus(a, b):  # type: ignore[no-untyped-def]
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@numba.njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True)
+def _shift(x, block):  # type: ignore[no-untyped-def]
+    """Displacement of a block, zero for none."""
+    return (x[block, 0], x[block, 1], x[block, 2]) if block >= 0 else (0.0, 0.0, 0.0)
+
+
+@numba.njit(cache=True)
 def _evaluate(  # type: ignore[no-untyped-def]
     X, x, corners, shifts, sides, axes, rest, weights, own_areas, law, p, areas, slopes, images,
     densities, out, energies, orthotropic,
@@ -120,24 +141,19 @@ def _evaluate(  # type: ignore[no-untyped-def]
     """Energy of all cells, and of each into `energies` (n,); areas A (n,), gradients n_c `slopes`
     (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
     (n, 7). NaN for a cell whose stress-free area is not positive."""
-    e, s, g = np.empty(3), np.empty(3), np.empty(3)
-    now, was, move = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    free, shift = np.empty((2, 2)), np.empty((2, 2))
-    energy = 0.0
+    e, s, energy = np.empty(3), np.empty(3), 0.0
     for c in range(len(corners)):
-        first, start, n = corners[c, 0], shifts[c, 0], slopes[c]
-        for k in range(2):
-            block, end = corners[c, k + 1], shifts[c, k + 1]
-            shift[k, 0] = shift[k, 1] = 0.0
-            for m in range(3):
-                was[k, m] = X[block, m] - X[first, m]
-                move[k, m] = x[block, m] - x[first, m]
-                now[k, m] = was[k, m] + move[k, m]
-                w = (x[end, m] if end >= 0 else 0.0) - (x[start, m] if start >= 0 else 0.0)
-                shift[k, 0] += axes[c, 0, m] * w
-                shift[k, 1] += axes[c, 1, m] * w
-            free[k, 0], free[k, 1] = sides[c, k, 0] + shift[k, 0], sides[c, k, 1] + shift[k, 1]
-        D = free[0, 0] * free[1, 1] - free[0, 1] * free[1, 0]
+        i, j, k = corners[c]
+        n, side, m, weight = slopes[c], sides[c], axes[c], weights[c]
+        # edges 1 and 2 from corner 0: in the mesh, their changes, and now; w at all corners
+        A1, A2 = _minus(X[j], X[i]), _minus(X[k], X[i])
+        u1, u2 = _minus(x[j], x[i]), _minus(x[k], x[i])
+        a1, a2 = _plus(A1, u1), _plus(A2, u2)
+        w0, w1, w2 = _shift(x, shifts[c, 0]), _shift(x, shifts[c, 1]), _shift(x, shifts[c, 2])
+        d1, d2 = _minus(w1, w0), _minus(w2, w0)
+        h10, h11, h20, h21 = _dot(m[0], d1), _dot(m[1], d1), _dot(m[0], d2), _dot(m[1], d2)
+        f10, f11, f20, f21 = side[0, 0] + h10, side[0, 1] + h11, side[1, 0] + h20, side[1, 1] + h21
+        D = f10 * f21 - f11 * f20
         if not D > 0.0:
             energies[c] = np.nan
             energy += energies[c]
@@ -145,41 +161,30 @@ def _evaluate(  # type: ignore[no-untyped-def]
             n[:], images[c], out[c] = 0.0, 0.0, 0.0
             continue
         # changes of squared sides and product, as differences would cancel at small strains
-        g[:] = rest[c]
-        for m in range(3):
-            g[0] += (now[0, m] + was[0, m]) * move[0, m]
-            g[1] += (now[1, m] + was[1, m]) * move[1, m]
-            g[2] += now[0, m] * move[1, m] + move[0, m] * was[1, m]
-        for m in range(2):
-            g[0] -= (free[0, m] + sides[c, 0, m]) * shift[0, m]
-            g[1] -= (free[1, m] + sides[c, 1, m]) * shift[1, m]
-            g[2] -= free[0, m] * shift[1, m] + shift[0, m] * sides[c, 1, m]
-        n[1, 0], n[1, 1] = free[1, 1] / D, -free[1, 0] / D
-        n[2, 0], n[2, 1] = -free[0, 1] / D, free[0, 0] / D
-        for m in range(2):
-            n[0, m] = -n[1, m] - n[2, m]
-            a, b = n[1, m], n[2, m]
-            e[m] = 0.5 * (g[0] * a * a + g[1] * b * b) + g[2] * a * b
-            for i in range(3):
-                images[c, m, i] = now[0, i] * a + now[1, i] * b
-        e[2] = g[0] * n[1, 0] * n[1, 1] + g[1] * n[2, 0] * n[2, 1]
-        e[2] += g[2] * (n[1, 0] * n[2, 1] + n[1, 1] * n[2, 0])
+        g1 = rest[c, 0] + _dot(_plus(a1, A1), u1)
+        g1 -= (f10 + side[0, 0]) * h10 + (f11 + side[0, 1]) * h11
+        g2 = rest[c, 1] + _dot(_plus(a2, A2), u2)
+        g2 -= (f20 + side[1, 0]) * h20 + (f21 + side[1, 1]) * h21
+        g12 = rest[c, 2] + _dot(a1, u2) + _dot(u1, A2)
+        g12 -= f10 * h20 + f11 * h21 + h10 * side[1, 0] + h11 * side[1, 1]
+        inverse = 1.0 / D
+        n10, n11, n20, n21 = f21 * inverse, -f20 * inverse, -f11 * inverse, f10 * inverse
+        n[0, 0], n[0, 1], n[1, 0], n[1, 1] = -n10 - n20, -n11 - n21, n10, n11
+        n[2, 0], n[2, 1] = n20, n21
+        e[0] = 0.5 * (g1 * n10 * n10 + g2 * n20 * n20) + g12 * n10 * n20
+        e[1] = 0.5 * (g1 * n11 * n11 + g2 * n21 * n21) + g12 * n11 * n21
+        e[2] = g1 * n10 * n11 + g2 * n20 * n21 + g12 * (n10 * n21 + n11 * n20)
+        for q in range(3):
+            images[c, 0, q] = a1[q] * n10 + a2[q] * n20
+            images[c, 1, q] = a1[q] * n11 + a2[q] * n21
         density, state = laws.stress(law[c], p[c], e, s, orthotropic)
-        areas[c] = 0.5 * D
-        moved = lag = 0.0  # q . u', q . t
-        for m in range(3):
-            if weights[c, m] != 0.0:
-                for k in range(3):
-                    part = weights[c, m] / 3 * x[corners[c, k], m]
-                    moved += part
-                    lag += part
-                    if shifts[c, k] >= 0:
-                        lag -= weights[c, m] / 3 * x[shifts[c, k], m]
-        densities[c] = density - lag
+        moved = _dot(weight, _plus(_plus(x[i], x[j]), x[k])) / 3  # q . u'
+        shifted = _dot(weight, _plus(_plus(w0, w1), w2)) / 3
+        areas[c], densities[c] = 0.5 * D, density - (moved - shifted)
         energies[c] = areas[c] * densities[c] + own_areas[c] * moved
         energy += energies[c]
-        for i in range(3):
-            out[c, i], out[c, 3 + i] = e[i], s[i]
+        for q in range(3):
+            out[c, q], out[c, 3 + q] = e[q], s[q]
         out[c, 6] = state
     return energy
 
