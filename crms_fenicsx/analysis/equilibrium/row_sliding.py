@@ -25,20 +25,21 @@ class RowSliding:
     def __init__(self, system: System) -> None:
         self.system, self.scene = system, system.scene
 
+    @property
     def way(self) -> float:
-        """Largest shift, relative to the cell size. Collective."""
+        """Largest shift in the last solve, relative to the cell size. Collective."""
         shifts = self.system.shifts
         if shifts is None:
             return 0.0
-        ways = norm(shifts.shifts(self.system.potential)) / shifts.numbering.shifts.sizes
-        return float(ways.max(initial=0.0))
+        ways = norm(shifts.shifts(self.system.potential))
+        return float((ways / shifts.numbering.shifts.sizes).max(initial=0.0))
 
-    def follow(self) -> list[str]:
-        """Move the stress-free places by the shifts found, and the mesh around them unless all are
-        small; return the changes in words. Collective."""
-        shifts, way = self.system.shifts, self.way()
+    def follow(self) -> float:
+        """Move the stress-free places by the shifts of the last solve, and the mesh around them
+        unless all are small; return the largest, relative to the cell size. Collective."""
+        shifts, way = self.system.shifts, self.way
         if shifts is None or way == 0.0:
-            return []
+            return 0.0
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
         ways = shifts.shifts(self.system.potential)
         X, x = membrane.stress_free.copy(), membrane.positions()
@@ -52,12 +53,7 @@ class RowSliding:
         membrane.place_stress_free(X)
         membrane.u.x.array[:] = (x - X).ravel()
         logger.debug("rows slide by %.3g cells", way)
-        if way > SETTLED:
-            return ["rows slide"]
-        self.system.rebuild()
-        self.system.read_scene()
-        self.system.write_scene()
-        return []
+        return way
 
     def _moved(self, X, x):
         return X, x
