@@ -343,6 +343,12 @@ class ShiftedMembraneEnergy(ElementTerm):
         self.elements = ElementPattern(*table.element_blocks)
         self.patterns = (self.elements,)
 
+    def renew(self, membrane: MembraneEnergy) -> None:
+        """Start from the present stress-free places of the corners."""
+        t = self.table
+        self.table = replace(ShiftedCells.of(membrane, t.cells, t.corners, t.shifts), weights=t.weights)
+        self._own_areas, self._rest = self.table.areas, self.table.rest
+
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy; keeps the state for the derivatives."""
         t = self.table
