@@ -140,7 +140,8 @@ def _evaluate(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Energy of all cells, and of each into `energies` (n,); areas A (n,), gradients n_c `slopes`
     (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
-    (n, 7). NaN for a cell whose stress-free area is not positive."""
+    (n, 7). For a cell without a positive stress-free area the energy is NaN, which no line search
+    accepts, as it does infinity if it compares changes with the energy."""
     e, s, energy = np.empty(3), np.empty(3), 0.0
     for c in range(len(corners)):
         i, j, k = corners[c]
