@@ -26,7 +26,7 @@ class ShiftContribution(Contribution):
         self, scene: Scene, membrane: MembraneContribution, numbering: CableNumbering
     ) -> None:
         super().__init__(scene)
-        self.numbering, unknowns_of = numbering, numbering.vertex_blocks
+        self.numbering, self._membrane = numbering, membrane.energy
         strip, rank = numbering.strip, scene.comm.rank
         simplices = strip.simplices
         at = np.full(len(simplices.vertices), -1)
@@ -34,7 +34,8 @@ class ShiftContribution(Contribution):
         mine = np.flatnonzero((strip.owner == rank) & (at[simplices.cells] >= 0).any(axis=1))
         corners = simplices.cells[mine]
         cells = strip.local[mine].astype(np.int32)
-        table = ShiftedCells.of(membrane.energy, cells, unknowns_of[corners], at[corners])
+        table = ShiftedCells.of(membrane.energy, cells, 
+            numbering.vertex_blocks[corners].astype(np.int32), at[corners].astype(np.int32))
         self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
         membrane.energy.plain.x.array[cells] = 0.0
 
@@ -44,6 +45,7 @@ class ShiftContribution(Contribution):
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
         numbering.shifts = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:
         self.numbering.place_shifts(potential.unknowns)

@@ -140,7 +140,8 @@ def _evaluate(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Energy of all cells, and of each into `energies` (n,); areas A (n,), gradients n_c `slopes`
     (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
-    (n, 7). NaN for a cell whose stress-free area is not positive."""
+    (n, 7). For a cell without a positive stress-free area the energy is NaN, which no line search
+    accepts, as it does infinity if it compares changes with the energy."""
     e, s, energy = np.empty(3), np.empty(3), 0.0
     for c in range(len(corners)):
         i, j, k = corners[c]
@@ -258,9 +259,7 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
         blocks = values[offsets[c] : offsets[c + 1]]
         n, F, A = slopes[c], images[c], areas[c]
         laws.tangent(law[c], p[c], results[c, :3], floor, C, orthotropic)
-        c00 = F[0, 0] * F[0, 0] + F[0, 1] * F[0, 1] + F[0, 2] * F[0, 2]
-        c01 = F[0, 0] * F[1, 0] + F[0, 1] * F[1, 1] + F[0, 2] * F[1, 2]
-        c11 = F[1, 0] * F[1, 0] + F[1, 1] * F[1, 1] + F[1, 2] * F[1, 2]
+        c00, c01, c11 = _dot(F[0], F[0]), _dot(F[0], F[1]), _dot(F[1], F[1])
         s0, s1, s2 = results[c, 3], results[c, 4], results[c, 5]
         if exact:
             half, turn = 0.5, 0.5 * (densities[c] - s0 * c00 - s1 * c11 - 2 * s2 * c01)
@@ -296,7 +295,7 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
                         c00 * h00 + c01 * h10, c00 * h01 + c01 * h11 + q,
                         c01 * h00 + c11 * h10 - q, c01 * h01 + c11 * h11, 0.0,
                     )  # fmt: skip
-        if exact and (weights[c, 0] != 0.0 or weights[c, 1] != 0.0 or weights[c, 2] != 0.0):
+        if exact and np.any(weights[c]):
             _add_weights(blocks, size, slots, weights[c], A / 3, n, axes[c])
 
 
@@ -304,20 +303,26 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
 def _add_weights(blocks, size, slots, q, third, n, axes):  # type: ignore[no-untyped-def]
     """Add ``q n_d^T`` of a cell's load q per area, but for the part in phi, to its dense blocks:
     minus its third at corners c and shifts d, plus this and the transpose at shifts c and d."""
-    N = np.empty(3)
     for d in range(3):
-        if slots[d]:
-            for i in range(3):
-                N[i] = third * (n[d, 0] * axes[0, i] + n[d, 1] * axes[1, i])
+        if slots[d] == 0:
+            continue
+        x, y = third * n[d, 0], third * n[d, 1]
+        for j in range(3):
+            N = x * axes[0, j] + y * axes[1, j]
+            parts = q[0] * N, q[1] * N, q[2] * N
             for c in range(3):
-                for i in range(3):
-                    for j in range(3):
-                        part = q[i] * N[j]
-                        blocks[c * size + slots[d], i, j] -= part
-                        blocks[slots[d] * size + c, j, i] -= part
-                        if slots[c]:
-                            blocks[slots[c] * size + slots[d], i, j] += part
-                            blocks[slots[d] * size + slots[c], j, i] += part
+                _add_part(blocks[c * size + slots[d]], blocks[slots[d] * size + c], j, parts, -1.0)
+                if slots[c]:
+                    k, m = slots[c] * size + slots[d], slots[d] * size + slots[c]
+                    _add_part(blocks[k], blocks[m], j, parts, 1.0)
+
+
+@numba.njit(cache=True)
+def _add_part(block, mirrored, j, parts, sign):  # type: ignore[no-untyped-def]
+    """Add parts (3,) to column j of a block and to row j of its mirror image."""
+    for i, part in enumerate(parts):
+        block[i, j] += sign * part
+        mirrored[j, i] += sign * part
 
 
 class ShiftedMembraneEnergy(ElementTerm):
@@ -342,6 +347,12 @@ class ShiftedMembraneEnergy(ElementTerm):
         self._orthotropic = laws.orthotropic_flag(table.laws)
         self.elements = ElementPattern(*table.element_blocks)
         self.patterns = (self.elements,)
+
+    def renew(self, membrane: MembraneEnergy) -> None:
+        """Start from the present stress-free places of the corners."""
+        t = self.table
+        self.table = replace(ShiftedCells.of(membrane, t.cells, t.corners, t.shifts), weights=t.weights)
+        self._own_areas, self._rest = self.table.areas, self.table.rest
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy; keeps the state for the derivatives."""

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from taylor import (
     DenseBlocks,
     OnMesh,
@@ -29,14 +31,23 @@ from term_scene import (
 from term_twins import axes_of, density, strain
 
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.energy.minimization.newton import NewtonMethod
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.minimization.strategy import STRATEGY
 from crms_fenicsx.energy.minimization.taylor import TermsOnLayout
 from crms_fenicsx.energy.terms.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energy.terms.kinematics import FLOOR
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
-from crms_fenicsx.model.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.materials import (
+    LINEAR,
+    IsotropicMembrane,
+    MembraneMaterial,
+    OrthotropicMembrane,
+)
 
 TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
 TENSED_FABRIC = OrthotropicMembrane(
@@ -65,7 +76,7 @@ PLACES = np.array([(0.4, 0.3, -0.2), (-0.3, 0.5, 0.1), (0.2, -0.4, 0.3)])
 """Shifts of its stress-free corners."""
 
 
-def no_stiffening(prestress=0.0, floor=FLOOR):
+def no_stiffening(prestress: float = 0.0, floor: float = FLOOR) -> Any:
     """As much of a `Stiffening` as terms read, without a mesh."""
     return SimpleNamespace(
         prestress=SimpleNamespace(value=prestress), floor=SimpleNamespace(value=floor)
@@ -75,14 +86,19 @@ def no_stiffening(prestress=0.0, floor=FLOOR):
 class ExactOnPoints(TermOnPoints):
     """A term with its second derivatives."""
 
-    def matrix(self, x):
+    def matrix(self, x: Array) -> Array:
         self.term.sums(x, self.sums)
         n, A = len(self.X), DenseBlocks(len(self.X))
         self.term.add_hessian(x, self.sums, A)
         return A.values.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
 
 
-def triangle_table(material, places=TRIANGLE, load=(0.0, 0.0, 0.0), shifts=(3, 4, 5)):
+def triangle_table(
+    material: MembraneMaterial,
+    places: Array = TRIANGLE,
+    load: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
+    shifts: Integers | tuple[int, ...] = (3, 4, 5),
+) -> ShiftedCells:
     """One cell with corners 0, 1, 2."""
     axes = axes_of(places, material.warp)
     return ShiftedCells(
@@ -97,13 +113,17 @@ def triangle_table(material, places=TRIANGLE, load=(0.0, 0.0, 0.0), shifts=(3, 4
     )
 
 
-def shifted_triangle(material, load=(0.0, 0.0, 0.0), kind=ExactOnPoints):
+def shifted_triangle(
+    material: MembraneMaterial,
+    load: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
+    kind: type[TermOnPoints] = ExactOnPoints,
+) -> ExactOnPoints:
     """One cell whose three corners shift: the term on its six points, corners first."""
     table = triangle_table(material, load=load)
     return kind(ShiftedMembraneEnergy(table, no_stiffening()), np.vstack([TRIANGLE, TRIANGLE]))
 
 
-def twin(material, u, w, load):
+def twin(material: MembraneMaterial, u: Array, w: Array, load: Array) -> float:
     """Energy of the triangle: its stress-free corners shift in its axes."""
     axes = axes_of(TRIANGLE, material.warp)
     flat = (TRIANGLE + w) @ axes.T
@@ -117,7 +137,7 @@ def twin(material, u, w, load):
     return moved + own / 2 * load @ u.mean(axis=0)
 
 
-def ways(x):
+def ways(x: Array) -> dict[str, Array]:
     """Random directions of corners and stress-free places, together and alone."""
     d = np.random.default_rng(4).normal(size=x.shape)
     half, alone, places = len(x) // 2, d.copy(), d.copy()
@@ -129,7 +149,9 @@ def ways(x):
 @every_material
 @every_state
 @pytest.mark.parametrize("load", [0 * LOAD, LOAD], ids=["bare", "loaded"])
-def test_energy_and_forces_are_the_twins(material, state, load):
+def test_energy_and_forces_are_the_twins(
+    material: MembraneMaterial, state: int, load: Array
+) -> None:
     f = shifted_triangle(material, load)
     x = np.vstack([MOVES[state], PLACES])
     energy, g = f.value(x)
@@ -149,7 +171,7 @@ def test_energy_and_forces_are_the_twins(material, state, load):
 @every_material
 @every_state
 @pytest.mark.parametrize("load", [0 * LOAD, LOAD], ids=["bare", "loaded"])
-def test_taylor(material, state, load):
+def test_taylor(material: MembraneMaterial, state: int, load: Array) -> None:
     """In x, X and both: gradient by the energy, second derivatives by the gradient."""
     f = shifted_triangle(material, load)
     x = np.vstack([MOVES[state], PLACES])
@@ -165,7 +187,9 @@ def test_taylor(material, state, load):
 @every_material
 @every_state
 @pytest.mark.parametrize("prestress", [0.0, 0.3])
-def test_stiffness_is_the_semidefinite_part(material, state, prestress):
+def test_stiffness_is_the_semidefinite_part(
+    material: MembraneMaterial, state: int, prestress: float
+) -> None:
     """Equal to the second derivatives but for their antisymmetric parts where section forces pull
     and there is no floor."""
     f = shifted_triangle(material, LOAD, TermOnPoints)
@@ -177,7 +201,7 @@ def test_stiffness_is_the_semidefinite_part(material, state, prestress):
     np.testing.assert_allclose(K @ together, 0, atol=1e-12 * np.abs(K).max())
 
 
-def fan(material):
+def fan(material: MembraneMaterial) -> ExactOnPoints:
     """Six flat cells around vertex 0, all of whose corners shift."""
     angle = np.arange(6) * np.pi / 3 + 0.2 * np.sin(np.arange(6))
     rim = np.column_stack([5 * np.cos(angle), 4 * np.sin(angle), 0 * angle])
@@ -189,7 +213,7 @@ def fan(material):
 
 
 @every_material
-def test_stiffness_of_even_tension_is_exact(material):
+def test_stiffness_of_even_tension_is_exact(material: MembraneMaterial) -> None:
     """The parts that the stiffness lacks cancel at a vertex within an even field."""
     f = fan(material)
     x = np.vstack([f.X[:7] * (0.2, 0.25, 0.0), np.zeros((7, 3))])
@@ -204,7 +228,7 @@ def test_stiffness_of_even_tension_is_exact(material):
 
 @every_material
 @every_state
-def test_rigid_motions(material, state):
+def test_rigid_motions(material: MembraneMaterial, state: int) -> None:
     """Of the current corners, of the stress-free ones within frozen axes, and of both."""
     f = shifted_triangle(material)
     x = np.vstack([MOVES[state], PLACES])
@@ -229,7 +253,7 @@ def test_rigid_motions(material, state):
 
 
 @pytest.mark.parametrize("material", [ISOTROPIC, STIFF, TENSED], ids=["relaxed", "raw", "tensed"])
-def test_isotropic_cells_may_turn_in_their_plane(material):
+def test_isotropic_cells_may_turn_in_their_plane(material: MembraneMaterial) -> None:
     f = shifted_triangle(material)
     x = np.vstack([MOVES[1], PLACES])
     energy, g = f.value(x)
@@ -246,7 +270,7 @@ def test_isotropic_cells_may_turn_in_their_plane(material):
 
 @every_material
 @every_state
-def test_a_translation_works_against_the_load_alone(material, state):
+def test_a_translation_works_against_the_load_alone(material: MembraneMaterial, state: int) -> None:
     """Of both places of a flat cell: the load stays on its area, from where it was."""
     flat = TRIANGLE * (1.0, 1.0, 0.0)
     f = ExactOnPoints(
@@ -264,7 +288,7 @@ def test_a_translation_works_against_the_load_alone(material, state):
 
 @every_material
 @every_state
-def test_the_moved_cell_has_the_same_energy(material, state):
+def test_the_moved_cell_has_the_same_energy(material: MembraneMaterial, state: int) -> None:
     """Once shifts in its plane are part of the mesh: forces and derivatives are those before."""
     f = shifted_triangle(material, LOAD)
     u = MOVES[state]
@@ -290,7 +314,7 @@ def test_the_moved_cell_has_the_same_energy(material, state):
     np.testing.assert_allclose(again, H, atol=1e-12 * np.abs(H).max())
 
 
-def test_units():
+def test_units() -> None:
     """A thousandth of the unit of length: energies are a thousand times as large, forces stay."""
     unit = 1e3
     f = shifted_triangle(TENSED_FABRIC, LOAD)
@@ -309,7 +333,7 @@ def test_units():
 
 
 @pytest.mark.parametrize("way", [1.0, 1.5], ids=["flat", "turned over"])
-def test_cells_that_collapse(way):
+def test_cells_that_collapse(way: float) -> None:
     """The energy is not a number, so that a line search shortens its step; other cells are well."""
     f = fan(ISOTROPIC)
     x = np.vstack([0.1 * f.X[:7], np.zeros((7, 3))])
@@ -325,8 +349,34 @@ def test_cells_that_collapse(way):
     assert np.isfinite(f.value(x)[0])
 
 
+def test_a_newton_step_is_halved_until_no_cell_collapses() -> None:
+    scene, unknowns, _, shifted = shifted_square(MPI.COMM_SELF, ISOTROPIC, lift=0.0)
+    n, X = unknowns.n_vertices, unknowns.X
+    middle = n + int(np.argmin(np.linalg.norm(X[:n] - (50.0, 50.0, 0.0), axis=1)))
+    unknowns.held[:] = True
+    unknowns.held[middle, :2] = False
+    potential = Potential(unknowns, scene.u, [shifted])
+    potential.x[:n] = 0.05 * X[:n]
+    potential.x[middle] = (1.0, 0.5, 0.0)
+    start, forces, x, g, step = (potential.x_vector.duplicate() for _ in range(5))
+    energy = potential.evaluate()
+    potential.free_gradient(forces)
+    potential.x_vector.copy(start)
+
+    def far(given: PETSc.Vec, d: PETSc.Vec) -> None:
+        given.copy(d)
+        d.scale(200.0 / given.norm())
+
+    h0: Any = SimpleNamespace(slackened=False, solve=far)
+    before = potential.evaluations
+    assert NewtonMethod(potential, h0, None, STRATEGY).step(start, forces, energy, x, g, step)
+    assert potential.evaluations - before > 4
+    assert potential.energy() < energy
+    potential.destroy()
+
+
 @every_material
-def test_corners_that_stay_have_no_blocks(material):
+def test_corners_that_stay_have_no_blocks(material: MembraneMaterial) -> None:
     """The same as if they shifted by nothing, in tables of fewer blocks."""
     whole = shifted_triangle(material, LOAD)
     x = np.vstack([MOVES[1], PLACES])
@@ -349,7 +399,20 @@ def test_corners_that_stay_have_no_blocks(material):
         np.testing.assert_allclose(f.matrix(same[own]), H, atol=1e-13 * np.abs(H).max())
 
 
-def test_tables():
+def test_some_cells_alone_may_get_a_stiffness() -> None:
+    f = fan(FABRIC)
+    x = np.vstack([0.1 * f.X[:7] + 0.1 * noise(f.X[:7], 1), 0.1 * noise(f.X[7:], 2)])
+    f.matrix(x)
+    values = f.term.elements.values.copy()
+    f.term.elements.values[:] = 7.0
+    f.term.active[:] = np.arange(6) == 2
+    f.matrix(x)
+    own = np.repeat(f.term.active, 36)
+    np.testing.assert_array_equal(f.term.elements.values[own], values[own])
+    assert np.all(f.term.elements.values[~own] == 7.0)
+
+
+def test_tables() -> None:
     """Parts and renumbered copies keep track of corners that stay."""
     parts = [triangle_table(FABRIC, shifts=shifts) for shifts in [(3, -1, 4), (-1, -1, 3)]]
     table = ShiftedCells.concatenated(parts)
@@ -366,7 +429,9 @@ def test_tables():
     np.testing.assert_array_equal(part.table.shifts, [(3, -1, 4)])
 
 
-def shifted_square(comm, material, frames=None, lift=8.0):
+def shifted_square(
+    comm: MPI.Intracomm, material: MembraneMaterial, frames: Array | None = None, lift: float = 8.0
+) -> tuple[Scene, Unknowns, MembraneEnergy, ShiftedMembraneEnergy]:
     """All cells of a square as shifted cells, whose vertices all shift, and the term of plain
     cells; blocks of the vertices and their shifts."""
     scene = Scene(irregular_square(comm, lift), material)
@@ -387,7 +452,9 @@ def shifted_square(comm, material, frames=None, lift=8.0):
 
 @pytest.mark.ranks
 @every_material
-def test_unshifted_cells_are_the_plain_ones(comm, material):
+def test_unshifted_cells_are_the_plain_ones(
+    comm: MPI.Intracomm, material: MembraneMaterial
+) -> None:
     """Energy, forces, results and stiffness, with floor and prestress; the load adds nothing."""
     scene, unknowns, plain, shifted = shifted_square(comm, material)
     shifted.table.weights[:] = LOAD
@@ -418,7 +485,7 @@ def test_unshifted_cells_are_the_plain_ones(comm, material):
     np.testing.assert_allclose(H[part], exact.matrix(x)[part], atol=1e-12 * np.abs(H).max())
 
 
-def spans(unknowns):
+def spans(unknowns: Unknowns) -> list[tuple[int, int]]:
     """First global block and number of vertices of each rank."""
     counts = unknowns.comm.allgather(unknowns.n_vertices)
     return list(zip(unknowns.starts[:-1].tolist(), counts, strict=True))
@@ -426,7 +493,7 @@ def spans(unknowns):
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("material", [ISOTROPIC, STIFF, FABRIC], ids=["wrinkling", "raw", "fabric"])
-def test_second_derivatives_on_a_mesh(comm, material):
+def test_second_derivatives_on_a_mesh(comm: MPI.Intracomm, material: MembraneMaterial) -> None:
     """Where cells are taut, wrinkled and slack at once, and shifted."""
     scene, unknowns, _, shifted = shifted_square(comm, material)
     shifted.table.weights[:] = 0.01 * LOAD
@@ -440,7 +507,9 @@ def test_second_derivatives_on_a_mesh(comm, material):
 
 @every_material
 @every_state
-def test_unshifted_cells_are_folded_ones_without_folds(material, state):
+def test_unshifted_cells_are_folded_ones_without_folds(
+    material: MembraneMaterial, state: int
+) -> None:
     f, sides = shifted_triangle(material), np.roll(TRIANGLE, -1, axis=0) - TRIANGLE
     t = f.term.table
     pairs = np.array([(0, 1), (1, 2), (2, 0)], dtype=np.int32)
@@ -467,13 +536,13 @@ def test_unshifted_cells_are_folded_ones_without_folds(material, state):
     np.testing.assert_allclose(H[:9, :9], K, atol=1e-12 * np.abs(K).max(initial=1.0))
 
 
-def extended(u):
+def extended(u: Array) -> Array:
     """The displacements of unshifted corners."""
     return np.vstack([u, 0 * u])
 
 
 @every_material
-def test_cells_with_shapes_of_their_own(material):
+def test_cells_with_shapes_of_their_own(material: MembraneMaterial) -> None:
     """Stress-free shapes of panels, whose images in the mesh are strained and oblique frames."""
     if material.warp is not None:
         material = replace(material, warp=(1.0, 0.0, 0.0))
@@ -496,7 +565,7 @@ def test_cells_with_shapes_of_their_own(material):
         assert stiffness_error(exact, x, d, h=1e-5) < 2e-6, way
 
 
-def test_a_mesh_at_rest_is_not_strained():
+def test_a_mesh_at_rest_is_not_strained() -> None:
     """To the last digit, however far from the origin, and with shifts along the mesh's plane, to
     rounding of these."""
     places = TRIANGLE * (1.0, 1.0, 0.0)
