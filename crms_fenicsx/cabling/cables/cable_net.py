@@ -101,8 +101,12 @@ class CableNet:
         Collective."""
         assert self.strip is not None
         u, placement, known = self.membrane.u.x.array, self.membrane.placement, self._shape
-        same = known is not None and known[0].strip is self.strip and known[2] == placement
-        same = same and np.array_equal(known[1], u)
+        same = (
+            known is not None
+            and known[0].strip is self.strip
+            and known[2] == placement
+            and np.array_equal(known[1], u)
+        )
         if known is None or not self.membrane.comm.allreduce(same, op=MPI.LAND):
             known = StripShape.of(self.membrane, self.strip), u.copy(), placement
             self._shape = known

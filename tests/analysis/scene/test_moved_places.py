@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,8 +92,8 @@ def pair(
     return ours, fresh
 
 
-def assert_close(found: object, due: object, rtol: float = 1e-12, scale: float = 0.0) -> None:
-    size = max(float(np.abs(due).max(initial=0.0)), scale)  # type: ignore[call-overload]
+def assert_close(found: Any, due: Any, rtol: float = 1e-12, scale: float = 0.0) -> None:
+    size = max(float(np.abs(due).max(initial=0.0)), scale)
     np.testing.assert_allclose(found, due, rtol=rtol, atol=rtol * size)
 
 
