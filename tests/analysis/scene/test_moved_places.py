@@ -19,7 +19,7 @@ from crms_fenicsx.energy.terms.pressure import moved_volume, rim_of
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, moved
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+from crms_fenicsx.foundation.runtime.compat import geometry_dofmap, with_nodes
 from crms_fenicsx.model.materials import MembraneMaterial
 
 Q = 0.3
@@ -80,6 +80,11 @@ def roofed(
     return Solver(scene, rtol=1e-11)
 
 
+def again(mesh: MembraneMesh) -> MembraneMesh:
+    """The same mesh for another scene; made anew it may be distributed otherwise."""
+    return replace(mesh, mesh=with_nodes(mesh.mesh, mesh.mesh.geometry.x.copy()), scenes=[])
+
+
 def pair(
     comm: MPI.Intracomm, material: MembraneMaterial, make: Callable[..., Solver] = roofed
 ) -> tuple[Solver, Solver]:
@@ -87,7 +92,7 @@ def pair(
     ours = make(lined_roof(comm), material)
     X = slid(ours.scene)
     place_stress_free(ours.scene, X)
-    fresh = make(moved(lined_roof(comm), ours.scene.V, X), material)
+    fresh = make(moved(ours.scene.mesh, ours.scene.V, X), material)
     np.testing.assert_array_equal(ours.scene.membrane.vertex_ids, fresh.scene.membrane.vertex_ids)
     return ours, fresh
 
@@ -178,7 +183,7 @@ def test_results_of_a_state(comm: MPI.Intracomm, name: str, cables: Sequence[str
     place_stress_free(first.scene, slid(first.scene))
     steps(first)
     scene = first.scene
-    mesh = moved(lined_roof(comm), scene.V, scene.membrane.stress_free)
+    mesh = moved(scene.mesh, scene.V, scene.membrane.stress_free)
     other = roofed(mesh, MATERIALS[name], cables)
     take_over(other.scene, scene)
     other.system.update()
@@ -241,7 +246,7 @@ def test_loads_by_stress_free_area_follow(comm: MPI.Intracomm) -> None:
     scene.put_load((0.0, 0.0, -0.1), name="snow", per="plan")
     areas, before = scene.membrane.cell_areas, {load.name: load for load in scene.loads}
     place_stress_free(scene, slid(scene))
-    fresh = roofed(moved(lined_roof(comm), scene.V, scene.membrane.stress_free), FABRIC).scene
+    fresh = roofed(moved(scene.mesh, scene.V, scene.membrane.stress_free), FABRIC).scene
     assert_close(scene.load("weight").forces, fresh.load("weight").forces)
     assert np.abs(scene.load("weight").forces - before["weight"].forces).max(initial=1.0) > 1e-3
     assert scene.load("snow") is before["snow"]
@@ -290,7 +295,7 @@ def test_water_wind_and_floor_find_the_other_mesh(comm: MPI.Intracomm) -> None:
         if move:
             X = slid(scene)
             place_stress_free(scene, X)
-            mesh = moved(lined_roof(comm), scene.V, X)
+            mesh = moved(scene.mesh, scene.V, X)
         scene.put_wind(0.2, -0.8)
         solver.advance(pressure=Q, load={"wind": 1.0, "pond": 1.0, "weight": 1.0})
         energies = [energy for name, energy in scene.energies.items() if name != "pressure"]
@@ -301,7 +306,8 @@ def test_water_wind_and_floor_find_the_other_mesh(comm: MPI.Intracomm) -> None:
 
 @pytest.mark.ranks
 def test_scales_and_origins_are_those_of_the_mesh_as_given(comm: MPI.Intracomm) -> None:
-    scene, same = (roofed(lined_roof(comm), FABRIC).scene for _ in range(2))
+    mesh = lined_roof(comm)
+    scene, same = (roofed(again(mesh), FABRIC).scene for _ in range(2))
     given, before = scene.membrane.given.copy(), scene.mesh.mesh.geometry.x.copy()
     assert scene.membrane.state.moved is None and scene.membrane.placement == 0
     X = slid(scene)
@@ -362,13 +368,14 @@ def assert_same_but_shares(one: Scene, other: Scene, rtol: float = 0.0) -> None:
 @pytest.mark.ranks
 def test_checkpoints_keep_the_places(comm: MPI.Intracomm, folder: Path) -> None:
     """They are read into a scene on the mesh as given, and the run goes on."""
-    solver = roofed(lined_roof(comm), FABRIC, ("A1", ACROSS))
+    mesh = lined_roof(comm)
+    solver = roofed(again(mesh), FABRIC, ("A1", ACROSS))
     scene = solver.scene
     solver.advance(pressure=0.5 * Q)
     place_stress_free(scene, slid(scene))
     solver.advance(pressure=Q, load={"weight": 1.0, "more": 0.5})
     solver.save(folder / "moved")
-    other = roofed(lined_roof(comm), FABRIC, ("A1", ACROSS))
+    other = roofed(mesh, FABRIC, ("A1", ACROSS))
     other.load(folder / "moved")
     assert_same_but_shares(other.scene, scene)
     read, due = (one.mesh.mesh.geometry.x for one in (other.scene, scene))
@@ -376,7 +383,7 @@ def test_checkpoints_keep_the_places(comm: MPI.Intracomm, folder: Path) -> None:
     for one in (solver, other):
         one.advance(load={"weight": 2.0})
     assert_same_but_shares(other.scene, scene, 1e-8)
-    on_moved = moved(lined_roof(comm), scene.V, scene.membrane.stress_free)
+    on_moved = moved(scene.mesh, scene.V, scene.membrane.stress_free)
     with pytest.raises(InputError, match=r"of another (mesh|scene: warp)"):
         roofed(on_moved, FABRIC, ("A1", ACROSS)).load(folder / "moved")
 
@@ -384,9 +391,9 @@ def test_checkpoints_keep_the_places(comm: MPI.Intracomm, folder: Path) -> None:
 @pytest.mark.ranks
 def test_calls_are_restored_with_the_places(comm: MPI.Intracomm, folder: Path) -> None:
     """The second run restores them all, from the journal."""
-    kept = []
+    mesh, kept = lined_roof(comm), []
     for resume in (False, True):
-        scene = roofed(lined_roof(comm), FABRIC).scene
+        scene = roofed(again(mesh), FABRIC).scene
         solver = Solver(scene, rtol=1e-11, results=folder / "out", resume=resume)
         solver.advance(pressure=0.5 * Q)
         place_stress_free(scene, slid(scene))
