@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.scene.scene import place_stress_free
 from crms_fenicsx.foundation.meshes.triangles import norm
 
 logger = logging.getLogger("crms_fenicsx")
@@ -50,7 +51,7 @@ class RowSliding:
         X[at[here]] += ways[here]
         if way > NEAR:
             X, x = self._moved(X, x)
-        membrane.place_stress_free(X)
+        place_stress_free(self.scene, X)
         membrane.u.x.array[:] = (x - X).ravel()
         logger.debug("rows slide by %.3g cells", way)
         return way

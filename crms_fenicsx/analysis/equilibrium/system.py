@@ -23,6 +23,7 @@ from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.stability import is_convex_from
+from crms_fenicsx.energy.terms.pressure import FollowerPressure
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -190,8 +191,13 @@ class System:
     def renew_base(self) -> None:
         """Start from the stress-free places that the membrane has now. Collective."""
         assert self.shifts is not None
+        self.membrane.renew_places()
+        if isinstance(self.pressure.term, FollowerPressure):
+            self.pressure.renew_places(self.pressure.term)
         self.shifts.renew(self.unknowns)
         self.read_scene()
+        self.renew_friction()
+        self._built_for = self.scene.versions.model_version, True
 
     def update(self) -> None:
         """Bring the potential to the scene's state for inspection."""
