@@ -1,0 +1,298 @@
+"""A mesh follows rows of its vertices within its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+
+from crms_fenicsx import meshes
+from crms_fenicsx.foundation.dofs.layout import vertex_places
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, rows_of
+from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+
+ranks = pytest.mark.ranks
+Field = Callable[[Array], Array]
+LINES = {
+    "A": np.array([(0.0, 0.31), (1.0, 0.47)]),
+    "B": np.array([(0.29, 0.0), (0.32, 1.0)]),
+    "C": np.array([(0.7, 0.0), (0.72, 1.0)]),
+}
+RISE = 0.15  # of the cap
+RADIUS = (0.25 + RISE**2) / (2 * RISE)
+
+
+class Sheet:
+    """A mesh with rows and its motion."""
+
+    def __init__(
+        self, mesh: meshes.MembraneMesh, sliding: tuple[int, ...] = (), place: Field = lambda p: p
+    ) -> None:
+        V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+        names = [name for name in LINES if name in mesh.edges]
+        self.rows = [np.array(row) for row in rows_of(mesh, "the test", names)]
+        self.first = place(vertex_places(V))
+        self.ids = np.zeros(len(self.first), dtype=np.int64)
+        self.ids[V.dofmap.list] = cell_vertex_ids(mesh.mesh)
+        self.fixed = np.zeros(len(self.first), dtype=bool)
+        ends = np.array([self.rows[k // 2][-(k % 2)] for k in sliding], dtype=np.int64)
+        self.motion = MeshMotion(V, self.first, self.rows, self.fixed, ends)
+        self.comm, self.own, self.cells = mesh.comm, V.dofmap.index_map.size_local, V.dofmap.list
+
+    def on(self, row: Integers) -> Integers:
+        """Local vertices of a row."""
+        return np.flatnonzero(np.isin(self.ids, row))
+
+    def shifted(
+        self, X: Array, x: Array, shift: Field, carry: Field = lambda p: p, row: int = 0
+    ) -> tuple[Array, Array]:
+        """Places after the vertices of a row have shifted from their first places, and those of
+        both kinds after the mesh has followed."""
+        k = self.on(self.rows[row])
+        X, x = X.copy(), x.copy()
+        X[k] = self.first[k] + shift(self.first[k])
+        x[k] = carry(X[k])
+        return self.motion.move(X, x)
+
+    def whole(self, values: Array) -> Array:
+        """Values of all vertices by number, on all ranks."""
+        parts = self.comm.allgather((self.ids[: self.own], values[: self.own]))
+        found = np.zeros((sum(len(part[0]) for part in parts), 3))
+        for ids, some in parts:
+            found[ids] = some
+        return found
+
+
+def square(comm: MPI.Intracomm, size: float = 0.07) -> meshes.MembraneMesh:
+    return meshes.along(meshes.rectangle(comm, 1.0, 1.0, size), LINES)
+
+
+def cap(comm: MPI.Intracomm, size: float = 0.07) -> meshes.MembraneMesh:
+    """With the first two lines, moved from the square's middle to the cap's."""
+    found = {}
+    for name in ("A", "B"):
+        a, b = LINES[name] - 0.5
+        t = np.roots([(b - a) @ (b - a), 2 * a @ (b - a), a @ a - 0.249])
+        found[name] = a + np.sort(t)[:, None] * (b - a)
+    return meshes.along(meshes.spherical_cap(comm, 0.5, RISE, size), found)
+
+
+def bow(height: float) -> Field:
+    """A sideways shift of the first row that ends at the square's rim."""
+
+    def shift(p: Array) -> Array:
+        return np.column_stack([0 * p[:, 0], height * np.sin(np.pi * p[:, 0]), 0 * p[:, 2]])
+
+    return shift
+
+
+def tilted(height: float) -> Field:
+    """The same on the cap, along the tangents in its middle."""
+
+    def shift(p: Array) -> Array:
+        # turned about an axis in the row's plane, so that it stays on the sphere
+        angle = height / RADIUS * np.cos(np.pi * np.hypot(*p[:, :2].T))
+        y, z = p[:, 1], p[:, 2] - RISE + RADIUS
+        c, s = np.cos(angle), np.sin(angle)
+        return np.column_stack([0 * y, c * y + s * z - y, c * z - s * y - z])
+
+    return shift
+
+
+@ranks
+def test_the_way_does_not_matter(comm: MPI.Intracomm) -> None:
+    """Rows that come back bring the mesh back, and steps lead to where one step leads."""
+    for sheet, shift in ((Sheet(square(comm)), bow), (Sheet(cap(comm)), tilted)):
+        X = x = sheet.first
+        for height in (0.04, 0.09, 0.13):
+            X, x = sheet.shifted(X, x, shift(height))
+        assert comm.allreduce(np.abs(X - sheet.first).max(), MPI.MAX) > 0.1
+        rows = sheet.on(np.concatenate(sheet.rows))
+        once = sheet.first.copy()
+        once[rows] = X[rows]
+        once, _ = sheet.motion.move(once, once)
+        np.testing.assert_allclose(X, once, atol=1e-13)
+        X[rows] = sheet.first[rows]
+        np.testing.assert_array_equal(sheet.motion.move(X, x)[0], sheet.first)
+
+
+def test_what_does_not_move_keeps_its_digits(comm: MPI.Intracomm) -> None:
+    sheet = Sheet(square(comm))
+    x = sheet.first * [1.1, 1.0, 1.0]
+    X, moved = sheet.motion.move(sheet.first, x)
+    np.testing.assert_array_equal(X, sheet.first)
+    np.testing.assert_array_equal(moved, x)
+    X, _ = sheet.shifted(sheet.first, sheet.first, bow(0.05))
+    assert (X[:, 1] != sheet.first[:, 1]).any()
+    np.testing.assert_array_equal(X[:, 2], 0.0)
+
+
+def test_rows_keep_their_proportions_and_crossings_their_places(comm: MPI.Intracomm) -> None:
+    sheet = Sheet(square(comm))
+    row, k = sheet.rows[0], sheet.on(sheet.rows[0])
+    squeezed = sheet.first.copy()
+    squeezed[k] += 0.3 * bow(0.1)(sheet.first[k])[:, [1, 0, 2]] + bow(0.05)(sheet.first[k])
+    X = sheet.whole(sheet.motion.move(squeezed, squeezed)[0])
+    first, given = sheet.whole(sheet.first), sheet.whole(squeezed)
+    stops = [k for k in range(len(row)) if (np.concatenate(sheet.rows) == row[k]).sum() > 1]
+    assert len(stops) == 2
+    np.testing.assert_array_equal(X[row[stops]], given[row[stops]])
+    for i, j in zip([0, *stops], [*stops, len(row) - 1], strict=True):
+        before, after, far = (
+            np.linalg.norm(np.diff(p[row[i : j + 1]], axis=0), axis=1) for p in (first, X, given)
+        )
+        ratios = after / before * before.sum() / after.sum()
+        assert np.ptp(far / before) > 0.02 and np.ptp(ratios) < 1e-12
+
+
+@ranks
+def test_affine_deformations_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
+    """No vertex leaves the deformed sheet, to rounding: in any units, at any origin."""
+    gradient = np.array([(1.3, 0.2, 0.0), (-0.1, 0.9, 0.0), (0.4, 0.3, 1.0)])
+    for unit, origin in ((1.0, 0.0), (1e3, 0.0), (1.0, 1e4)):
+
+        def place(p: Array, unit: float = unit, origin: float = origin) -> Array:
+            return np.asarray(unit * p + origin * np.array([1.0, -1.0, 0.0]))
+
+        def carry(p: Array) -> Array:
+            return np.asarray(p @ gradient.T + [0.0, 0.0, 0.5])
+
+        sheet = Sheet(square(comm), place=place)
+
+        def shift(p: Array, unit: float = unit, origin: float = origin) -> Array:
+            return unit * bow(0.1)((p - origin * np.array([1.0, -1.0, 0.0])) / unit)
+
+        X, x = sheet.shifted(sheet.first, carry(sheet.first), shift, carry)
+        size = unit + origin
+        assert comm.allreduce(np.abs(X - sheet.first).max(), MPI.MAX) > 0.09 * unit
+        np.testing.assert_allclose(x, carry(X), atol=1e-14 * size)
+        plain = Sheet(square(comm))
+        np.testing.assert_allclose(
+            X, place(plain.shifted(plain.first, plain.first, bow(0.1))[0]), atol=1e-13 * size
+        )
+
+
+def test_a_rigid_cap_stays_rigid(comm: MPI.Intracomm) -> None:
+    """The mesh moves on the sphere, as far off it as the first one's facets."""
+    sheet = Sheet(cap(comm))
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])[:, [1, 2, 0]]
+
+    def carry(p: Array) -> Array:
+        return np.asarray(p @ turn.T + [1.0, 2.0, 3.0])
+
+    X, x = sheet.shifted(sheet.first, carry(sheet.first), tilted(0.15), carry)
+    # the last motion of the rows, onto the surface, is along the mean normals of the facets
+    np.testing.assert_allclose(x, carry(X), atol=1e-13)
+
+    def off(p: Array) -> float:
+        return float(np.abs(np.linalg.norm(p - [0.0, 0.0, RISE - RADIUS], axis=1) - RADIUS).max())
+
+    assert off(X) <= 1.02 * off(sheet.first)
+
+
+def test_error_of_a_smooth_deformation(comm: MPI.Intracomm) -> None:
+    """A shift of a share of a cell errs by the second power of the size of the cells."""
+
+    def carry(p: Array) -> Array:
+        x, y = p[:, 0], p[:, 1]
+        up = 0.3 * np.sin(np.pi * x) * np.sin(np.pi * y)
+        return np.column_stack([x + 0.1 * np.sin(2 * x + y), y + 0.1 * x * y, up])
+
+    errors, sizes = [], [0.12, 0.06, 0.03]
+    for size in sizes:
+        sheet = Sheet(square(comm, size))
+        X, x = sheet.shifted(sheet.first, carry(sheet.first), bow(0.7 * size), carry)
+        errors.append(np.linalg.norm(x - carry(X)) / np.sqrt(len(x)))
+    rate = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert rate > 1.9 and errors[0] < 0.01, errors
+
+
+@pytest.mark.parametrize(("make", "shift"), [(square, bow), (cap, tilted)])
+def test_slides_of_three_cells(
+    comm: MPI.Intracomm, make: Callable[[MPI.Intracomm], meshes.MembraneMesh], shift: Callable
+) -> None:
+    """All cells keep two fifths of their area; a slide that turns some over is told."""
+    sheet = Sheet(make(comm))
+    (ratio, _), (before, _) = sheet.motion.quality(sheet.first)
+    assert ratio == pytest.approx(1.0)
+    X, _ = sheet.shifted(sheet.first, sheet.first, shift(0.21))
+    (ratio, _), (angle, _) = sheet.motion.quality(X)
+    assert 0.4 < ratio < 1.0 and 15.0 < angle < before
+    X, _ = sheet.shifted(X, X, shift(0.49))
+    (ratio, place), (angle, other) = sheet.motion.quality(X)
+    assert ratio < 0.0 and angle < 0.0
+    row = sheet.whole(X)[sheet.rows[0]]
+    for one in (place, other):  # the cell is beside the row
+        assert np.linalg.norm(row - one, axis=1).min() < 0.1
+
+
+@ranks
+def test_ranks_do_not_matter(comm: MPI.Intracomm) -> None:
+    for make, shift, sliding in ((square, bow, (1,)), (cap, tilted, ())):
+        found = []
+        for group in (comm, MPI.COMM_SELF):
+            sheet = Sheet(make(group), sliding)
+            end = [(0.0, 0.11, 0.0) if sliding else (0.0, 0.0, 0.0)]
+
+            def both(p: Array, shift: Callable = shift, end: list = end) -> Array:
+                return shift(0.1)(p) + (p[:, :1] > 0.999) * np.array(end)
+
+            X, x = sheet.shifted(sheet.first, sheet.first * [1.0, 1.1, 0.9], both)
+            found.append((sheet.whole(X), sheet.whole(x), sheet.motion.quality(X)))
+        for ours, alone in zip(found[0][:2], found[1][:2], strict=True):
+            np.testing.assert_allclose(ours, alone, atol=1e-12)
+        for (value, place), (same, there) in zip(found[0][2], found[1][2], strict=True):
+            assert value == pytest.approx(same, rel=1e-10)
+            np.testing.assert_allclose(place, there, atol=1e-12)
+
+
+def test_vertices_of_the_rim_make_way_for_an_end(comm: MPI.Intracomm) -> None:
+    """Those between corners and other ends; the rim keeps its shape, and displacements theirs."""
+    sheet = Sheet(square(comm), sliding=(1,))
+
+    def shift(p: Array) -> Array:
+        return p[:, :1] * np.array([[0.0, 0.2, 0.0]])
+
+    def carry(p: Array) -> Array:
+        return p + np.column_stack([0 * p[:, 0], 0 * p[:, 0], 0.3 * p[:, 1]])
+
+    X, x = sheet.shifted(sheet.first, carry(sheet.first), shift, carry)
+    right = np.isclose(sheet.first[:, 0], 1.0)
+    rim = right | np.isclose(sheet.first[:, :2], 0.0).any(axis=1)
+    rim |= np.isclose(sheet.first[:, 1], 1.0)
+    np.testing.assert_allclose(X[rim & ~right], sheet.first[rim & ~right], atol=1e-15)
+    old, new = sheet.first[right, 1], X[right, 1]
+    np.testing.assert_allclose(X[right, 0], 1.0, atol=1e-15)
+    end = sheet.first[sheet.on(sheet.rows[0][-1:]), 1][0]
+    wanted = np.interp(old, [0.0, end, 1.0], [0.0, end + 0.2, 1.0])
+    np.testing.assert_allclose(new, wanted, atol=1e-13)
+    np.testing.assert_allclose(x[right], carry(X[right]), atol=1e-13)
+    assert sheet.motion.quality(X)[0][0] > 0.3
+
+
+def test_a_row_goes_below_its_span(comm: MPI.Intracomm) -> None:
+    """Half a cell at a time, within the deformed sheet; crossings stay."""
+    sheet = Sheet(square(comm))
+    turn = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+    row, k = sheet.rows[0], sheet.on(sheet.rows[0])
+    bowed, _ = sheet.shifted(sheet.first, sheet.first, bow(0.09))
+    whole = sheet.whole(bowed)
+    start, end = (whole[row[j]] @ turn.T for j in (0, -1))
+    spans = [(row[1:-1], start, end)]
+    X, x = bowed, bowed @ turn.T
+    for _ in range(4):
+        last = X
+        X, x = sheet.motion.under(X, x, spans)
+        np.testing.assert_allclose(x, X @ turn.T, atol=1e-13)
+        assert np.linalg.norm(X - last, axis=1).max() < 0.05
+    crossings = np.isin(sheet.ids[k], np.concatenate(sheet.rows[1:]))
+    np.testing.assert_array_equal(X[k[crossings]], bowed[k[crossings]])
+    off = np.cross((end - start) / np.linalg.norm(end - start), x[k[~crossings]] - start)
+    np.testing.assert_allclose(off, 0.0, atol=1e-13)
+    others = np.setdiff1d(np.arange(len(X)), k)
+    np.testing.assert_array_equal(X[others], bowed[others])
