@@ -5,21 +5,14 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import numba
 import numpy as np
 from dolfinx import fem
 
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE, SmoothSurface
-from crms_fenicsx.foundation.meshes.triangles import (
-    closest,
-    cross,
-    dot,
-    double_areas,
-    lists,
-    mix,
-    norm,
-)
+from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, lists, mix, norm
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Integers, ints
 
 
@@ -84,18 +77,12 @@ class FirstSurface:
         """
         if self.flat:
             return places, np.broadcast_to(self.facets[:1], places.shape)
-        cells = self._home[vertices]
-        weights, left = np.zeros((len(cells), 3)), np.arange(len(cells))
-        for _ in range(100 + int(np.sqrt(len(self.cells)))):  # until all have arrived
-            at = self._weights(cells[left], places[left])
-            weights[left] = at
-            low = np.argmin(at, axis=1)
-            onward = self._beside[cells[left], (low + 1) % 3]
-            goes = (at[np.arange(len(left)), low] < -1e-9) & (onward >= 0)
-            cells[left[goes]] = onward[goes]
-            left = left[goes]
-            if not len(left):
-                break
+        weights, cells = np.empty((len(places), 3)), self._home[vertices]
+        smooth = self.smooth
+        walk(
+            np.ascontiguousarray(places), smooth.points, smooth.normals, self.cells, self.facets,
+            self._beside, cells, weights,
+        )  # fmt: skip
         inside = np.clip(weights, 0.0, 1.0)
         inside /= inside.sum(axis=1)[:, None]
         beyond = np.flatnonzero(weights.min(axis=1, initial=1.0) < -1e-9)
@@ -108,63 +95,107 @@ class FirstSurface:
         normals = np.where(unknown[:, None], self.facets[cells], normals)
         return mix(inside, self.smooth.points[corners]) + offsets, normals
 
-    def _weights(self, cells: Integers, places: Array) -> Array:
-        """Weights (k, 3) of the corners of cells (k,) where the normals through places meet their
-        planes."""
-        corners, facets = self.smooth.points[self.cells[cells]], self.facets[cells]
-        normals = self.smooth.normals[self.cells[cells]]
-        sides = corners[:, [1, 2, 0]] - corners
-        double = dot(facets, cross(sides[:, 0], sides[:, 1]))
-        height = dot(places - corners[:, 0], facets)
-        weights: Array = np.full((len(cells), 3), 1 / 3)
-        for _ in range(30):
-            inside = np.clip(weights, 0.0, 1.0)
-            mean = mix(inside / inside.sum(axis=1)[:, None], normals)
-            along = dot(mean, facets)
-            steep = along < 0.5 * norm(mean)
-            mean = np.where((steep | (along <= 0.0))[:, None], facets, mean)
-            foot = places - (height / dot(mean, facets))[:, None] * mean
-            ways = foot[:, None] - corners
-            last = weights
-            weights = dot(facets[:, None], cross(sides, ways))[:, [1, 2, 0]] / double[:, None]
-            if np.abs(weights - last).max(initial=0.0) < 1e-13:
-                break
-        return weights
+    def rim_lines(
+        self, wanted: Integers, stays: Booleans, stops: Booleans
+    ) -> tuple[Integers, list[Integers]]:
+        """Those of some vertices that can slide along the rim, and the lines of vertices on which
+        they do, between vertices that stay.
 
-    def rim_lines(self, sliding: Integers, stops: Booleans) -> list[Integers]:
-        """Lines of vertices along the rim on which sliding vertices lie, between vertices that
-        stay: those among `stops` (n,), corners and branches; on a smooth rim without any, the
-        vertex furthest from those that slide."""
+        Corners and branches of the rim stay, and those among `stays` (n,); of vertices that do not
+        slide also those among `stops` (n,). On a rim without any, the vertex furthest from those
+        that slide does."""
         beside: dict[int, list[int]] = {}
         for a, b in lists(self.rims):
             beside.setdefault(a, []).append(b)
             beside.setdefault(b, []).append(a)
+        sliding = [v for v in ints(wanted) if not (stays[v] or self._turns_at(v, beside))]
         lines: dict[tuple[int, ...], Integers] = {}
-        for start in ints(sliding):
+        for start in sliding:
             line = [start]
-            for onward in beside[start][:2]:
+            for onward in beside[start]:
                 line.reverse()
                 line.append(onward)
-                while not (line[-1] in (line[0], start) or self._ends_at(line[-1], stops, beside)):
+                while line[-1] in sliding or not (
+                    stops[line[-1]] or self._turns_at(line[-1], beside)
+                ):
+                    if line[-1] == start:
+                        break
                     line.append(next(v for v in beside[line[-1]] if v != line[-2]))
                 if line[-1] == start:
-                    line = _opened(line[:-1], set(ints(sliding)))
+                    line = _opened(line[:-1], sliding)
                     break
             if line[0] > line[-1] or (line[0] == line[-1] and line[1] > line[-2]):
                 line.reverse()
             lines[tuple(line)] = np.array(line)
-        return list(lines.values())
+        return np.array(sliding, dtype=np.int64), list(lines.values())
 
-    def _ends_at(self, vertex: int, stops: Booleans, beside: dict[int, list[int]]) -> bool:
-        """Whether a vertex stays, or the rim branches or turns there as a crease does."""
-        others = beside[vertex]
-        if stops[vertex] or len(others) != 2:
+    def _turns_at(self, vertex: int, beside: dict[int, list[int]]) -> bool:
+        """Whether the rim, if it is there at all, branches at a vertex or turns as a crease."""
+        others = beside.get(vertex, [])
+        if len(others) != 2:
             return True
         steps = np.diff(self.smooth.points[[others[0], vertex, others[1]]], axis=0)
         return bool(dot(steps[0], steps[1]) < CREASE * np.prod(norm(steps)))
 
 
-def _opened(loop: list[int], sliding: set[int]) -> list[int]:
+@numba.njit(cache=True)
+def walk(places, points, normals, corners, facets, beside, cells, weights):  # type: ignore[no-untyped-def]
+    """Walk for each place (k, 3) from a cell (k,) to that in whose plane the interpolated normal
+    through the place meets it, and write this cell and the weights (k, 3) of its corners. Where
+    the rim is in the way, the walk ends with a negative weight."""
+    to, foot, at, last = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for k in range(len(places)):
+        for _ in range(len(corners)):
+            c = cells[k]
+            one, two, three = points[corners[c, 0]], points[corners[c, 1]], points[corners[c, 2]]
+            f = facets[c]
+            double, height = 0.0, 0.0
+            for i in range(3):
+                p, q = (i + 1) % 3, (i + 2) % 3
+                double += f[i] * (
+                    (two[p] - one[p]) * (three[q] - one[q])
+                    - (two[q] - one[q]) * (three[p] - one[p])
+                )
+                height += f[i] * (places[k, i] - one[i])
+            at[:] = 1.0 / 3.0
+            for _ in range(30):
+                along, size, total = 0.0, 0.0, 0.0
+                for i in range(3):
+                    total += min(max(at[i], 0.0), 1.0)
+                for i in range(3):
+                    to[i] = 0.0
+                    for j in range(3):
+                        to[i] += min(max(at[j], 0.0), 1.0) / total * normals[corners[c, j], i]
+                    along += to[i] * f[i]
+                    size += to[i] ** 2
+                if along <= 0.5 * np.sqrt(size):  # no normals, or far from the cell's
+                    to[:] = f
+                    along = 1.0
+                for i in range(3):
+                    foot[i] = places[k, i] - height / along * to[i]
+                last[:] = at
+                change = 0.0
+                for j in range(3):
+                    a, b = points[corners[c, (j + 1) % 3]], points[corners[c, (j + 2) % 3]]
+                    at[j] = 0.0
+                    for i in range(3):
+                        p, q = (i + 1) % 3, (i + 2) % 3
+                        at[j] += f[i] * (
+                            (b[p] - a[p]) * (foot[q] - a[q]) - (b[q] - a[q]) * (foot[p] - a[p])
+                        )
+                    at[j] /= double
+                    change = max(change, abs(at[j] - last[j]))
+                if change < 1e-13:
+                    break
+            low = np.argmin(at)
+            onward = beside[c, (low + 1) % 3]
+            if at[low] >= -1e-9 or onward < 0:
+                break
+            cells[k] = onward
+        weights[k] = at
+
+
+def _opened(loop: list[int], sliding: list[int]) -> list[int]:
     """A loop of vertices as a line that begins and ends at one far from those that slide."""
     n, found = len(loop), [k for k, v in enumerate(loop) if v in sliding]
     ways = [min(min((k - f) % n, (f - k) % n) for f in found) for k in range(n)]

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numba
 import numpy as np
 from dolfinx import fem, la
 
@@ -38,6 +39,9 @@ class MeshMotion:
 
     Vertices have their numbers in the mesh as given (`ids`), the same on all ranks; arrays (n, 3)
     are by local degree of freedom, with ghosts. All methods are collective.
+
+    Attributes: `sliding` (k,): the vertices that slide along the rim; `size` (n,): mean length of
+    the first edges around each vertex.
     """
 
     def __init__(
@@ -50,8 +54,8 @@ class MeshMotion:
     ) -> None:
         """Take the stress-free places `first` (n, 3) of the first mesh; the vertices along each
         row, where crossing rows share one; vertices `fixed` (n,) that never move, beside those of
-        rims, seams and creases, which are found here; and the rows' ends that slide along the
-        rim."""
+        rims, seams and creases, which are found here; and the rows' ends that slide along the rim,
+        if they do not lie at a corner of it."""
         self._V, self._first = V, first
         self._ids = np.zeros(len(first), dtype=np.int64)
         self._ids[V.dofmap.list] = cell_vertex_ids(V.mesh)
@@ -64,11 +68,9 @@ class MeshMotion:
         for row in rows:
             count[np.unique(row)] += 1
         stops = stays | surface.rim | (count > 1)
-        at_rim = stays | (count > 0)
-        at_rim[sliding] = False
-        self._rims = surface.rim_lines(sliding, at_rim)
+        self.sliding, self._rims = surface.rim_lines(sliding, stays, stays | (count > 0))
         self._slides = np.zeros(len(stays), dtype=bool)
-        self._slides[sliding] = True
+        self._slides[self.sliding] = True
         lines = np.concatenate([np.zeros(0, dtype=np.int64), *rows, *self._rims])
         self._numbers = np.unique(lines)
         self._pieces = RowPieces(
@@ -89,7 +91,7 @@ class MeshMotion:
         self._others = np.flatnonzero(~known[self._ids])
         stiffness = surface.lengths**-2.0  # small cells change less
         self._extension = HarmonicExtension(V, self._ids, surface.edges, stiffness, known)
-        self._least = surface.least[self._ids]
+        self.size, self._least = surface.size[self._ids], surface.least[self._ids]
         self._stars = la.vector(V.dofmap.index_map, 16, dtype=np.float64)
 
     def destroy(self) -> None:
@@ -109,10 +111,10 @@ class MeshMotion:
             self._slide(line, at, now)
         final, numbers = at.copy(), self._numbers
         final[self._within] = self._on_surface(at, numbers)[self._within]
-        k, before, after, shares = self._pieces.spread(
+        k, found, before, after, shares = self._pieces.spread(
             final, lambda k, p: self._surface.onto(numbers[k], p)[0]
         )
-        final[k] = self._surface.onto(numbers[k], mixed(final, before, after, shares))[0]
+        final[k] = found
         for places in (at, now):
             places[k] = mixed(places, before, after, shares)
         X[self._local], x[self._local] = at[self._place], now[self._place]
@@ -127,6 +129,16 @@ class MeshMotion:
         x[moves] += (gradients * step[moves, None]).sum(axis=2)
         X[moves] = new[moves]
         return X, x
+
+    def rim_tangents(self, X: Array) -> Array:
+        """Unit tangents (k, 3) of the rim at the `sliding` vertices."""
+        at, tangents = self._gathered(X), np.zeros((len(self.sliding), 3))
+        for line in self._rims:
+            places = at[np.searchsorted(self._numbers, line)]
+            inner = np.flatnonzero(self._slides[line])
+            k = [ints(self.sliding).index(v) for v in ints(line[inner])]
+            tangents[k] = _unit(places[inner + 1] - places[inner - 1])
+        return tangents
 
     def under(self, X: Array, x: Array, spans: Sequence[Span]) -> tuple[Array, Array]:
         """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved sideways
@@ -211,23 +223,43 @@ class MeshMotion:
     def _mean_gradients(self, X: Array, x: Array) -> tuple[Array, Array, Array]:
         """Deformation gradients (n, 3, 3) at the vertices, means of the cells around by area, which
         take normals to normals, and the normals (n, 3) of both surfaces."""
-        cells = self._V.dofmap.list[: self._V.mesh.topology.index_map(2).size_local]
-        A, B, a, b = (p[cells[:, k]] - p[cells[:, 0]] for p in (X, x) for k in (1, 2))
-        doubles = cross(A, B), cross(a, b)
-        area, (N, n) = norm(doubles[0]), (_unit(double) for double in doubles)
-        terms = ((a, cross(B, N)), (b, cross(N, A)), (area[:, None] * n, N))
-        gradient = np.zeros((len(cells), 3, 3))
-        for to, of in terms:
-            gradient += to[:, :, None] * of[:, None, :]
-        shares = np.concatenate([gradient.reshape(-1, 9), *doubles, area[:, None]], axis=1)
         total = self._stars.array.reshape(-1, 16)
         total[:] = 0.0
-        for k in range(3):
-            np.add.at(total, cells[:, k], shares)
+        own = self._V.mesh.topology.index_map(2).size_local
+        add_stars(self._V.dofmap.list[:own], X, x, total)
         self._stars.scatter_reverse(la.InsertMode.add)
         self._stars.scatter_forward()
         means = total[:, :9] / total[:, 15:]
         return means.reshape(-1, 3, 3), _unit(total[:, 9:12]), _unit(total[:, 12:15])
+
+
+@numba.njit(cache=True)
+def add_stars(cells, X, x, total):  # type: ignore[no-untyped-def]
+    """Add to each corner's row (16,) of all cells: the deformation gradient, which takes the normal
+    to the normal, times the area twice; the area vectors of both shapes twice; and the area."""
+    share = np.empty(16)
+    for c in range(len(cells)):
+        i, j, k = cells[c]
+        A, B, a, b = X[j] - X[i], X[k] - X[i], x[j] - x[i], x[k] - x[i]
+        D, d = cross_product(A, B), cross_product(a, b)
+        area, size = np.sqrt((D**2).sum()), np.sqrt((d**2).sum())
+        N, n = D / max(area, 1e-300), d / max(size, 1e-300)
+        first, second = cross_product(B, N), cross_product(N, A)
+        for p in range(3):
+            for q in range(3):
+                share[3 * p + q] = a[p] * first[q] + b[p] * second[q] + area * n[p] * N[q]
+        share[9:12], share[12:15], share[15] = D, d, area
+        for vertex in (i, j, k):
+            for p in range(16):
+                total[vertex, p] += share[p]
+
+
+@numba.njit(cache=True)
+def cross_product(a, b):  # type: ignore[no-untyped-def]
+    """The cross product of two vectors (3,)."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _pieces(row: Integers, stops: Booleans) -> list[Integers]:

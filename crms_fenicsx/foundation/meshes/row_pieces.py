@@ -9,8 +9,9 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.triangles import dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints, pointers
 
-Between = tuple[Integers, Integers, Integers, Array]
-"""Points (k,), those before and after each, and the weights (k,) of the latter."""
+Between = tuple[Integers, Array, Integers, Integers, Array]
+"""Points (k,) and their places (k, 3), the points between whose former places they are, and the
+weights (k,) of the second ones of these."""
 
 
 class RowPieces:
@@ -28,9 +29,9 @@ class RowPieces:
         self._shares, _ = self._arcs(first[self.points], every)
 
     def spread(self, places: Array, onto: Callable[[Integers, Array], Array]) -> Between:
-        """Points of pieces that have lost their proportions, and between which of the given places
-        (m, 3) they have them again, on a surface onto which a function takes points (k,) at places
-        (k, 3)."""
+        """Where the points of pieces that have lost their proportions come to lie so that they have
+        them again, on a surface onto which a function takes points (k,) from places (k, 3) in
+        between their former ones (m, 3)."""
         line = places[self.points]
         kept = np.flatnonzero(self._kept(line))
         known, total = self._arcs(line[kept], kept)
@@ -40,20 +41,19 @@ class RowPieces:
         changed[self._of[change]] = True
         inner = np.flatnonzero(changed[self._of])
         inner = inner[(self._shares[inner] > 0.0) & (self._shares[inner] < 1.0)]
-        arcs, every = self._shares.copy(), np.arange(len(line))
-        for _ in range(20):
+        arcs, every, new = self._shares.copy(), np.arange(len(line)), line.copy()
+        for last in (*9 * (False,), True):
             k, weights = self._within(arcs, known, kept)
-            new = line.copy()
-            new[inner] = mixed(line, kept[k[inner]], kept[k[inner] + 1], weights[inner])
-            new[inner] = onto(self.points[inner], new[inner])
+            before, after = kept[k[inner]], kept[k[inner] + 1]
+            new[inner] = onto(self.points[inner], mixed(line, before, after, weights[inner]))
             chords, total = self._arcs(new, every)
-            if not (np.abs(chords - self._shares) * total > self._least)[inner].any():
+            off = np.abs(chords - self._shares) * total > self._least
+            if last or not off[inner].any():
                 break
             k, weights = self._within(self._shares, chords, every)
             arcs = (1.0 - weights) * arcs[k] + weights * arcs[k + 1]
-        k, weights = self._within(arcs, known, kept)
-        points, k = self.points, k[inner]
-        return points[inner], points[kept[k]], points[kept[k + 1]], weights[inner]
+        points = self.points
+        return points[inner], new[inner], points[before], points[after], weights[inner]
 
     def _within(self, wanted: Array, known: Array, points: Integers) -> tuple[Integers, Array]:
         """For all points, those of some (k,) before them, by arc lengths as shares of the piece's,
