@@ -40,7 +40,7 @@ class Sheet:
         self.ids[V.dofmap.list] = cell_vertex_ids(mesh.mesh)
         self.fixed = np.zeros(len(self.first), dtype=bool)
         ends = np.array([self.rows[k // 2][-(k % 2)] for k in sliding], dtype=np.int64)
-        self.motion = MeshMotion(V, self.first, self.rows, self.fixed, ends)
+        self.V, self.motion = V, MeshMotion(V, self.first, self.rows, self.fixed, ends)
         self.comm, self.own, self.cells = mesh.comm, V.dofmap.index_map.size_local, V.dofmap.list
 
     def on(self, row: Integers) -> Integers:
@@ -275,6 +275,59 @@ def test_vertices_of_the_rim_make_way_for_an_end(comm: MPI.Intracomm) -> None:
     assert sheet.motion.quality(X)[0][0] > 0.3
 
 
+@pytest.mark.parametrize("sliding", [(1,), (0, 1, 2, 3)])
+def test_ends_slide_around_a_cap(comm: MPI.Intracomm, sliding: tuple[int, ...]) -> None:
+    """Its rim has no corners; what does not slide stays, or the vertices in between."""
+    sheet = Sheet(cap(comm), sliding)
+    ends = sheet.motion.sliding
+    assert len(ends) == len(sliding)
+    tangents = sheet.motion.rim_tangents(sheet.first)
+    whole = sheet.whole(sheet.first)
+    radii = whole[ends] / np.linalg.norm(whole[ends], axis=1)[:, None]
+    np.testing.assert_allclose(np.linalg.norm(tangents, axis=1), 1.0)
+    np.testing.assert_allclose((tangents * radii).sum(axis=1), 0.0, atol=0.1)
+    X, angle = sheet.first.copy(), 0.1
+    k = np.isin(sheet.ids, ends)
+    c, s = np.cos(angle), np.sin(angle)
+    X[k] = X[k] @ np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)]).T
+    X, x = sheet.motion.move(X, X)
+    np.testing.assert_allclose(x, X, atol=1e-13)
+    radii = np.linalg.norm(sheet.whole(X), axis=1)
+    rim = np.isclose(whole[:, 2], 0.0, atol=1e-12)
+    assert 0.5 * np.cos(0.07 / 0.5) < radii[rim].min() and radii[rim].max() < 0.5 + 1e-14
+    turns = np.arctan2(*sheet.whole(X)[rim, 1::-1].T) - np.arctan2(*whole[rim, 1::-1].T)
+    turns = (turns + np.pi) % (2 * np.pi) - np.pi
+    assert turns.min() > -1e-9 and turns.max() == pytest.approx(angle, abs=1e-3)
+    assert (np.abs(turns) < 1e-9).sum() >= 1
+    assert sheet.motion.quality(X)[0][0] > 0.3
+
+
+def test_ends_at_corners_do_not_slide(comm: MPI.Intracomm) -> None:
+    """Nor those inside."""
+    mesh = meshes.rectangle(comm, 1.0, 1.0, 0.25, structured=True)
+    mesh = meshes.along(mesh, {"A": [(0.0, 0.0), (1.0, 1.0)], "B": [(0.5, 0.5), (1.0, 0.5)]})
+    sheet = Sheet(mesh, sliding=(0, 1, 2, 3))
+    ends = sheet.whole(sheet.first)[sheet.motion.sliding]
+    np.testing.assert_allclose(ends, [(1.0, 0.5, 0.0)], atol=1e-15)
+
+
+def test_fixed_vertices_stay(comm: MPI.Intracomm) -> None:
+    """Those of rows as well: the row is spread on either side."""
+    sheet = Sheet(square(comm))
+    place = np.linalg.norm(sheet.first - [0.5, 0.8, 0.0], axis=1)
+    on_row = sheet.on(sheet.rows[0])
+    middle = on_row[np.abs(sheet.first[on_row, 0] - 0.55) < 0.05]
+    fixed = place < 0.1
+    fixed[middle] = True
+    assert fixed.sum() > 3
+    motion = MeshMotion(sheet.V, sheet.first, sheet.rows, fixed, np.zeros(0, dtype=np.int64))
+    X = sheet.first + bow(0.1)(sheet.first) * np.isin(sheet.ids, sheet.rows[0])[:, None]
+    X[middle] = sheet.first[middle]
+    new, _ = motion.move(X, X)
+    np.testing.assert_array_equal(new[fixed], sheet.first[fixed])
+    assert (new != sheet.first).any(axis=1).sum() > 0.3 * len(new)
+
+
 def test_a_row_goes_below_its_span(comm: MPI.Intracomm) -> None:
     """Half a cell at a time, within the deformed sheet; crossings stay."""
     sheet = Sheet(square(comm))
@@ -296,3 +349,51 @@ def test_a_row_goes_below_its_span(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(off, 0.0, atol=1e-13)
     others = np.setdiff1d(np.arange(len(X)), k)
     np.testing.assert_array_equal(X[others], bowed[others])
+
+
+def test_the_walk_ends_where_the_normal_meets_a_cell() -> None:
+    """As found by trying all cells, with less thrift."""
+    sheet = Sheet(cap(MPI.COMM_SELF))
+    surface, draws = sheet.motion._surface, np.random.default_rng(4)
+    inner = np.flatnonzero(np.hypot(*surface.smooth.points[:, :2].T) < 0.35)
+    places = surface.smooth.points[inner] + draws.uniform(-0.08, 0.08, (len(inner), 3))
+    new, normals = surface.onto(inner, places)
+    x, n = surface.smooth.points[surface.cells], surface.smooth.normals[surface.cells]
+    checked = 0
+    for place, found, normal in zip(places, new, normals, strict=True):
+        weights = np.full((len(x), 3), 1 / 3)
+        for _ in range(50):
+            inside = np.clip(weights, 0.0, 1.0)
+            inside /= inside.sum(axis=1)[:, None]
+            mean = np.einsum("mc,mci->mi", inside, n)
+            mean[np.linalg.norm(mean, axis=1) == 0.0] = [0.0, 0.0, 1.0]
+            matrix = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], -mean], axis=2)
+            s, t = np.linalg.solve(matrix, (place - x[:, 0])[..., None])[:, :2, 0].T
+            weights = np.stack([1.0 - s - t, s, t], axis=1)
+        hit = np.flatnonzero(weights.min(axis=1) > 1e-6)
+        if len(hit) == 1:
+            up = mean[hit[0]] / np.linalg.norm(mean[hit[0]])
+            offset, _ = surface.smooth.raised(surface.cells[hit], weights[hit])
+            np.testing.assert_allclose(found, weights[hit[0]] @ x[hit[0]] + offset[0], atol=1e-12)
+            np.testing.assert_allclose(normal, up, atol=1e-12)
+            checked += 1
+    assert checked > 0.9 * len(places)
+
+
+def test_mean_gradients_of_a_vertex() -> None:
+    sheet = Sheet(cap(MPI.COMM_SELF))
+    X = sheet.first
+    x = X + 0.1 * np.sin(3.0 * X[:, [1, 2, 0]])
+    gradients, normals, current = sheet.motion._mean_gradients(X, x)
+    for vertex in (5, 40, 77):
+        total, sums, area = np.zeros((3, 3)), np.zeros((2, 3)), 0.0
+        for i, j, k in sheet.cells[(sheet.cells == vertex).any(axis=1)]:
+            N, n = (np.cross(p[j] - p[i], p[k] - p[i]) for p in (X, x))
+            old = np.stack([X[j] - X[i], X[k] - X[i], N / np.linalg.norm(N)], axis=1)
+            new = np.stack([x[j] - x[i], x[k] - x[i], n / np.linalg.norm(n)], axis=1)
+            total += np.linalg.norm(N) * new @ np.linalg.inv(old)
+            area += np.linalg.norm(N)
+            sums += [N, n]
+        np.testing.assert_allclose(gradients[vertex], total / area, atol=1e-13)
+        for found, some in zip((normals, current), sums, strict=True):
+            np.testing.assert_allclose(found[vertex], some / np.linalg.norm(some), atol=1e-13)
