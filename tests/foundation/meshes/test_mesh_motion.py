@@ -11,7 +11,8 @@ from mpi4py import MPI
 
 from crms_fenicsx import meshes
 from crms_fenicsx.foundation.dofs.layout import vertex_places
-from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, rows_of
+from crms_fenicsx.foundation.meshes.edge_table import edges_of
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, gathered, rows_of
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
@@ -153,6 +154,8 @@ def test_rows_keep_their_proportions_and_crossings_their_places(comm: MPI.Intrac
 def test_affine_deformations_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
     """No vertex leaves the deformed sheet, to rounding: in any units, at any origin."""
     gradient = np.array([(1.3, 0.2, 0.0), (-0.1, 0.9, 0.0), (0.4, 0.3, 1.0)])
+    mesh = square(comm)
+    plain = Sheet(mesh)
     for unit, origin in ((1.0, 0.0), (1e3, 0.0), (1.0, 1e4)):
 
         def place(p: Array, unit: float = unit, origin: float = origin) -> Array:
@@ -161,7 +164,7 @@ def test_affine_deformations_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
         def carry(p: Array) -> Array:
             return np.asarray(p @ gradient.T + [0.0, 0.0, 0.5])
 
-        sheet = Sheet(square(comm), place=place)
+        sheet = Sheet(mesh, place=place)
 
         def shift(p: Array, unit: float = unit, origin: float = origin) -> Array:
             return unit * bow(0.1)((p - origin * np.array([1.0, -1.0, 0.0])) / unit)
@@ -170,7 +173,6 @@ def test_affine_deformations_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
         size = unit + origin
         assert comm.allreduce(np.abs(X - sheet.first).max(), MPI.MAX) > 0.09 * unit
         np.testing.assert_allclose(x, carry(X), atol=1e-14 * size)
-        plain = Sheet(square(comm))
         np.testing.assert_allclose(
             X, place(plain.shifted(plain.first, plain.first, bow(0.1))[0]), atol=1e-13 * size
         )
@@ -231,22 +233,39 @@ def test_slides_of_three_cells(
         assert np.linalg.norm(row - one, axis=1).min() < 0.1
 
 
+def shared(mesh: meshes.MembraneMesh, comm: MPI.Intracomm, kind: str) -> meshes.MembraneMesh:
+    """A mesh of one process with each cell on any rank, or all on the last ones."""
+    surface, _ = gathered(mesh)
+    m = len(surface.cells)
+    wanted = np.random.default_rng(3).integers(0, comm.size, m)
+    if kind == "last":
+        wanted = np.maximum(wanted, min(1, comm.size - 1))
+    edges = {name: edges_of(keys) for name, keys in surface.edges.items() if name in LINES}
+    return meshes.from_arrays(comm, surface.points, surface.cells, edges=edges, ranks=wanted)
+
+
 @ranks
-def test_ranks_do_not_matter(comm: MPI.Intracomm) -> None:
+@pytest.mark.parametrize("kind", ["scattered", "last"])
+def test_ranks_do_not_matter(comm: MPI.Intracomm, kind: str) -> None:
     for make, shift, sliding in ((square, bow, (1,)), (cap, tilted, ())):
         found = []
-        for group in (comm, MPI.COMM_SELF):
-            sheet = Sheet(make(group), sliding)
+        alone = make(MPI.COMM_SELF)
+        for mesh in (shared(alone, comm, kind), alone):
+            sheet = Sheet(mesh, sliding)
             end = [(0.0, 0.11, 0.0) if sliding else (0.0, 0.0, 0.0)]
 
             def both(p: Array, shift: Callable = shift, end: list = end) -> Array:
                 return shift(0.1)(p) + (p[:, :1] > 0.999) * np.array(end)
 
             X, x = sheet.shifted(sheet.first, sheet.first * [1.0, 1.1, 0.9], both)
-            found.append((sheet.whole(X), sheet.whole(x), sheet.motion.quality(X)))
-        for ours, alone in zip(found[0][:2], found[1][:2], strict=True):
-            np.testing.assert_allclose(ours, alone, atol=1e-12)
-        for (value, place), (same, there) in zip(found[0][2], found[1][2], strict=True):
+            row = sheet.rows[1]
+            at, now = sheet.whole(X)[row], sheet.whole(x)[row]
+            under = sheet.motion.under(X, x, [(row[1:-1], now[0], now[-1] + [0.02, 0.03, 0.0])])
+            found.append((*map(sheet.whole, (X, x, *under)), at, sheet.motion.quality(X)))
+        for ours, others in zip(found[0][:5], found[1][:5], strict=True):
+            np.testing.assert_allclose(ours, others, atol=1e-12)
+        assert np.abs(found[0][0] - found[0][2]).max() > 1e-3
+        for (value, place), (same, there) in zip(found[0][5], found[1][5], strict=True):
             assert value == pytest.approx(same, rel=1e-10)
             np.testing.assert_allclose(place, there, atol=1e-12)
 
