@@ -170,16 +170,14 @@ class MeshMotion:
         """The smallest ratio of a cell's area to its first one, negative where it is turned over,
         and the smallest angle (degrees), each with the place of the cell."""
         surface, topology = self._surface, self._V.mesh.topology
-        normals = surface.smooth.normals[self._ids]
-        moved = np.flatnonzero(norm(X - self._first) > self._least)
-        normals[moved] = surface.onto(self._ids[moved], X[moved])[1]
         own = topology.index_map(2).size_local
         cells = self._V.dofmap.list[:own]
-        upward = normals[cells].sum(axis=1)
-        unknown = norm(upward) == 0.0
-        upward[unknown] = surface.facets[topology.original_cell_index[:own][unknown]]
-        corners = X[cells]
+        corners, upward = X[cells], surface.facets[topology.original_cell_index[:own]].copy()
         areas, first = double_areas(corners), norm(double_areas(self._first[cells]))
+        turned = np.flatnonzero(dot(areas, upward) < 0.5 * norm(areas))
+        vertices = cells[turned].ravel()
+        normals = surface.onto(self._ids[vertices], X[vertices])[1]
+        upward[turned] = normals.reshape(-1, 3, 3).sum(axis=1)
         signs = np.sign(dot(areas, upward))
         angles = np.degrees(np.arcsin(shapes(corners)[1]))
         worst = []
