@@ -32,13 +32,15 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, in
 
 Span = tuple[Integers, Array, Array]
 """Numbers of row vertices under a span, in order, and the places (3,) of its ends."""
+Worst = tuple[float, Array, list[int]]
+"""A cell's value, its place (3,), and the rows within two cells of it, the nearest first."""
 
 
 class MeshMotion:
     """Moves the vertices of a mesh with rows of vertices that the caller shifts.
 
-    Vertices have their numbers in the mesh as given (`ids`), the same on all ranks; arrays (n, 3)
-    are by local degree of freedom, with ghosts. All methods are collective.
+    Vertices have their numbers in the mesh as given, the same on all ranks; arrays (n, 3) are by
+    local degree of freedom, with ghosts. All methods are collective.
 
     Attributes: `sliding` (k,): the vertices that slide along the rim; `size` (n,): mean length of
     the first edges around each vertex.
@@ -73,6 +75,7 @@ class MeshMotion:
         self._slides[self.sliding] = True
         lines = np.concatenate([np.zeros(0, dtype=np.int64), *rows, *self._rims])
         self._numbers = np.unique(lines)
+        self._rows = [np.searchsorted(self._numbers, row) for row in rows]
         self._pieces = RowPieces(
             [
                 np.searchsorted(self._numbers, piece)
@@ -166,9 +169,9 @@ class MeshMotion:
             x[local] += way * carried
         return X, x
 
-    def quality(self, X: Array) -> tuple[tuple[float, Array], tuple[float, Array]]:
-        """The smallest ratio of a cell's area to its first one, negative where it is turned over,
-        and the smallest angle (degrees), each with the place of the cell."""
+    def quality(self, X: Array) -> tuple[Worst, Worst]:
+        """The smallest ratio of a cell's area to its first one, and the smallest angle (degrees);
+        both are negative where a cell is turned over."""
         surface, topology = self._surface, self._V.mesh.topology
         own = topology.index_map(2).size_local
         cells = self._V.dofmap.list[:own]
@@ -180,12 +183,18 @@ class MeshMotion:
         upward[turned] = normals.reshape(-1, 3, 3).sum(axis=1)
         signs = np.sign(dot(areas, upward))
         angles = np.degrees(np.arcsin(shapes(corners)[1]))
-        worst = []
+        at, size = self._gathered(X), self._surface.size[self._numbers]
+        worst: list[Worst] = []
         for values in (signs * norm(areas) / first, signs * angles):
+            values[np.isnan(values)] = -np.inf
             k = int(np.argmin(values)) if own else -1
-            mine = (values[k], corners[k].mean(axis=0)) if own else (np.inf, np.zeros(3))
+            mine = (float(values[k]), corners[k].mean(axis=0)) if own else (np.inf, np.zeros(3))
             every = self._V.mesh.comm.allgather(mine)
-            worst.append(min(every, key=lambda one: float(one[0])))
+            value, place = min(every, key=lambda one: one[0])
+            gaps = norm(at - place) / size
+            near = [float(gaps[row].min()) for row in self._rows]
+            rows = sorted((gap, k) for k, gap in enumerate(near) if gap < 2.0)
+            worst.append((value, place, [k for _, k in rows]))
         return worst[0], worst[1]
 
     def _gathered(self, places: Array) -> Array:

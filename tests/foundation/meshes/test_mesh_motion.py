@@ -18,6 +18,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 ranks = pytest.mark.ranks
 Field = Callable[[Array], Array]
+Coordinates = tuple[float, float, float]
 LINES = {
     "A": np.array([(0.0, 0.31), (1.0, 0.47)]),
     "B": np.array([(0.29, 0.0), (0.32, 1.0)]),
@@ -216,18 +217,21 @@ def test_error_of_a_smooth_deformation(comm: MPI.Intracomm) -> None:
 
 @pytest.mark.parametrize(("make", "shift"), [(square, bow), (cap, tilted)])
 def test_slides_of_three_cells(
-    comm: MPI.Intracomm, make: Callable[[MPI.Intracomm], meshes.MembraneMesh], shift: Callable
+    comm: MPI.Intracomm,
+    make: Callable[[MPI.Intracomm], meshes.MembraneMesh],
+    shift: Callable[[float], Field],
 ) -> None:
     """All cells keep two fifths of their area; a slide that turns some over is told."""
     sheet = Sheet(make(comm))
-    (ratio, _), (before, _) = sheet.motion.quality(sheet.first)
+    (ratio, *_), (before, *_) = sheet.motion.quality(sheet.first)
     assert ratio == pytest.approx(1.0)
     X, _ = sheet.shifted(sheet.first, sheet.first, shift(0.21))
-    (ratio, _), (angle, _) = sheet.motion.quality(X)
+    (ratio, *_), (angle, *_) = sheet.motion.quality(X)
     assert 0.4 < ratio < 1.0 and 15.0 < angle < before
     X, _ = sheet.shifted(X, X, shift(0.49))
-    (ratio, place), (angle, other) = sheet.motion.quality(X)
-    assert ratio < 0.0 and angle < 0.0
+    (ratio, place, rows), (angle, other, _) = sheet.motion.quality(X)
+    assert ratio < 0.0 and angle < 0.0 and 0 in rows
+    assert sheet.motion.quality(np.nan * X)[0][0] == -np.inf
     row = sheet.whole(X)[sheet.rows[0]]
     for one in (place, other):  # the cell is beside the row
         assert np.linalg.norm(row - one, axis=1).min() < 0.1
@@ -254,7 +258,9 @@ def test_ranks_do_not_matter(comm: MPI.Intracomm, kind: str) -> None:
             sheet = Sheet(mesh, sliding)
             end = [(0.0, 0.11, 0.0) if sliding else (0.0, 0.0, 0.0)]
 
-            def both(p: Array, shift: Callable = shift, end: list = end) -> Array:
+            def both(
+                p: Array, shift: Callable[[float], Field] = shift, end: list[Coordinates] = end
+            ) -> Array:
                 return shift(0.1)(p) + (p[:, :1] > 0.999) * np.array(end)
 
             X, x = sheet.shifted(sheet.first, sheet.first * [1.0, 1.1, 0.9], both)
@@ -265,8 +271,8 @@ def test_ranks_do_not_matter(comm: MPI.Intracomm, kind: str) -> None:
         for ours, others in zip(found[0][:5], found[1][:5], strict=True):
             np.testing.assert_allclose(ours, others, atol=1e-12)
         assert np.abs(found[0][0] - found[0][2]).max() > 1e-3
-        for (value, place), (same, there) in zip(found[0][5], found[1][5], strict=True):
-            assert value == pytest.approx(same, rel=1e-10)
+        for (value, place, rows), (same, there, near) in zip(*(f[5] for f in found), strict=True):
+            assert value == pytest.approx(same, rel=1e-10) and rows == near
             np.testing.assert_allclose(place, there, atol=1e-12)
 
 
