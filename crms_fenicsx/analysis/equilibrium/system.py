@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
     from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
     from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+    from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
     from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
     from crms_fenicsx.cabling.cables.element_tables import CableTables
 
@@ -75,6 +76,7 @@ class System:
         self.unknowns: Unknowns
         self.potential: Potential
         self.minimizer: Minimizer | None = None
+        self._rows: RowSliding | None = None
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
@@ -187,6 +189,27 @@ class System:
         for part in self.parts:
             part.read_scene(self.potential)
         self.potential.place()
+
+    def largest_shift(self) -> float:
+        """Largest shift of a stress-free place in the last solve, relative to the cell size.
+        Collective."""
+        return 0.0 if self.shifts is None else self.shifts.largest(self.potential)
+
+    def follow_rows(self) -> float:
+        """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
+        `largest_shift`. Collective."""
+        if self.shifts is None:
+            return 0.0
+        if self._rows is None:
+            from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
+
+            self._rows = RowSliding(self.scene)
+        return self._rows.follow(self.shifts, self.potential)
+
+    @property
+    def collapse(self) -> str:
+        """Why the last motion of the mesh cannot be used; "" if it can."""
+        return "" if self._rows is None else self._rows.collapse
 
     def renew_base(self) -> None:
         """Start from the stress-free places that the membrane has now. Collective."""
