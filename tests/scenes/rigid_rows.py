@@ -39,7 +39,8 @@ def row_mesh(
     ).reshape(-1, 3)
     number = np.arange(5 * (n + 1)).reshape(n + 1, 5)
     a, b, c, d = (
-        part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+        part.ravel()
+        for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     )
     i, j = np.indices((n, 4)).reshape(2, -1)
     up = ((i + j) % 2 == 0)[:, None] if diagonals == "alternating" else np.ones((4 * n, 1), bool)

@@ -257,10 +257,11 @@ def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     shifts = numbering.shift_blocks_at(rows[at_vertex])
     pointers = np.append(pointers, pointers[-1] + 1 + np.arange(len(shifts)))
     places = np.append(points.place[of_edges] + 1, np.zeros(len(shifts)))
-    slope, offset, bound, eps, *across = law[:, np.append(on_edge, at_vertex)].copy()
+    law = law[:, np.append(on_edge, at_vertex)]
+    slope, offset, bound, eps = law[:4].copy()
     return Slips(
         pointers.astype(np.int32), np.append(blocks, shifts).astype(np.int32),
-        places.astype(np.int32), slope, offset, bound, eps, np.stack(across, axis=1),
+        places.astype(np.int32), slope, offset, bound, eps, law[4:].T.copy(),
     )  # fmt: skip
 
 

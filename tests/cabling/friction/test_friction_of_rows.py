@@ -208,9 +208,7 @@ def test_a_row_sticks_as_its_load_turns(comm: MPI.Intracomm) -> None:
 
 
 @pytest.mark.parametrize("choices", [{"hold": "pocket"}, {"slide": False}])
-def test_rows_that_are_held_have_no_friction(
-    comm: MPI.Intracomm, choices: dict[str, Any]
-) -> None:
+def test_rows_that_are_held_have_no_friction(comm: MPI.Intracomm, choices: dict[str, Any]) -> None:
     places = []
     for friction in (0.0, 0.1):
         scene, cable, solver = square(comm, friction, **choices)
