@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.harmonic_extension import HarmonicExtension
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.row_pieces import RowPieces, mixed
 from crms_fenicsx.foundation.meshes.triangles import (
     arc_lengths,
@@ -91,6 +92,8 @@ class MeshMotion:
         self._single = ~(stays | surface.rim) & (count == 1)
         known = stays | (norm(surface.smooth.normals) == 0.0)
         known[self._numbers] = True
+        label = connected_labels(len(known), *surface.edges.T)
+        known |= np.bincount(label, known)[label] == 0.0  # closed parts without rows stay
         self._others = np.flatnonzero(~known[self._ids])
         stiffness = surface.lengths**-2.0  # small cells change less
         self._extension = HarmonicExtension(V, self._ids, surface.edges, stiffness, known)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from dolfinx import fem
+from grids import grid, numbered, triangles
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
@@ -334,6 +335,29 @@ def test_ends_at_corners_do_not_slide(comm: MPI.Intracomm) -> None:
     sheet = Sheet(mesh, sliding=(0, 1, 2, 3))
     ends = sheet.whole(sheet.first)[sheet.motion.sliding]
     np.testing.assert_allclose(ends, [(1.0, 0.5, 0.0)], atol=1e-15)
+
+
+def test_closed_parts_without_rows_stay(comm: MPI.Intracomm) -> None:
+    line = np.linspace(0.0, 1.0, 8)
+    points, cells = grid(line, line)
+    numbers = np.pad(numbered(30, 24), ((0, 1), (0, 1)), mode="wrap")
+    u, v = (a.ravel() for a in np.meshgrid(np.arange(30) / 30, np.arange(24) / 24, indexing="ij"))
+    away = 1.0 + 0.5 * np.cos(2 * np.pi * v)
+    around = 2 * np.pi * u
+    ring = np.stack(
+        [away * np.cos(around) + 4.0, away * np.sin(around), 0.5 * np.sin(2 * np.pi * v)], 1
+    )
+    mesh = meshes.from_arrays(
+        comm, np.concatenate([points, ring]), np.concatenate([cells, triangles(numbers) + 64]),
+        edges={"A": [(k, k + 8) for k in range(3, 59, 8)]},
+        outside=meshes.AwayFrom((4.0, 0.0, -1.0)),
+    )  # fmt: skip
+    sheet = Sheet(mesh)
+    X, x = sheet.shifted(sheet.first, sheet.first, bow(0.05))
+    np.testing.assert_allclose(x, X, atol=1e-14)
+    moved = (X != sheet.first).any(axis=1)
+    assert comm.allreduce(moved[: sheet.own].sum()) == 36
+    assert (sheet.first[moved, 0] < 1.0).all()
 
 
 def test_fixed_vertices_stay(comm: MPI.Intracomm) -> None:
