@@ -337,6 +337,20 @@ def test_ends_at_corners_do_not_slide(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(ends, [(1.0, 0.5, 0.0)], atol=1e-15)
 
 
+def test_rows_with_corners_stay_as_well(comm: MPI.Intracomm) -> None:
+    """A sharp one beside a crossing is no sign that this has moved."""
+    line = np.linspace(0.0, 1.0, 8)
+    points, cells = grid(line, line)
+    there = [(k, k + 8) for k in (3, 11, 19, 27)]
+    back = [(35, 26), (26, 17), (17, 8)]  # along diagonals
+    mesh = meshes.from_arrays(
+        comm, points, cells, edges={"A": [*there, *back], "B": [(k, k + 1) for k in range(24, 31)]}
+    )
+    sheet = Sheet(mesh)
+    X, _ = sheet.motion.move(sheet.first, sheet.first)
+    np.testing.assert_array_equal(X, sheet.first)
+
+
 def test_closed_parts_without_rows_stay(comm: MPI.Intracomm) -> None:
     line = np.linspace(0.0, 1.0, 8)
     points, cells = grid(line, line)
