@@ -27,7 +27,7 @@ class RowPieces:
         self._of = np.repeat(np.arange(len(pieces)), counts)
         every = np.arange(len(self.points))
         self._shares, _ = self._arcs(first[self.points], every)
-        self._sharp = np.zeros(len(every), dtype=bool)
+        self._sharp: Booleans = np.zeros(len(every), dtype=bool)
         self._sharp = self._turned(first[self.points])
 
     def spread(self, places: Array, onto: Callable[[Integers, Array], Array]) -> Between:
