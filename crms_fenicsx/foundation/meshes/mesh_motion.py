@@ -88,8 +88,8 @@ class MeshMotion:
         )
         self._local = np.flatnonzero(np.isin(self._ids, self._numbers))
         self._place = np.searchsorted(self._numbers, self._ids[self._local])
-        self._within = ~(stays | surface.rim)[self._numbers]
-        self._single = ~(stays | surface.rim) & (count == 1)
+        free = ~(stays | surface.rim)
+        self._within, self._single = free[self._numbers], free & (count == 1)
         known = stays | (norm(surface.smooth.normals) == 0.0)
         known[self._numbers] = True
         label = connected_labels(len(known), *surface.edges.T)
@@ -115,8 +115,8 @@ class MeshMotion:
         at, now = self._gathered(X), self._gathered(x)
         for line in self._rims:
             self._slide(line, at, now)
-        final, numbers = at.copy(), self._numbers
-        final[self._within] = self._on_surface(at, numbers)[self._within]
+        final, numbers, within = at.copy(), self._numbers, self._within
+        final[within] = self._on_surface(at[within], numbers[within])
         k, found, before, after, shares = self._pieces.spread(
             final, lambda k, p: self._surface.onto(numbers[k], p)[0]
         )
@@ -127,7 +127,8 @@ class MeshMotion:
         moved = np.zeros_like(self._surface.smooth.points)
         moved[numbers] = final - self._surface.smooth.points[numbers]
         new = self._first + self._extension.of(moved)
-        new[self._others] = self._on_surface(new, self._ids)[self._others]
+        others = self._others
+        new[others] = self._on_surface(new[others], self._ids[others])
         new[self._local] = final[self._place]
         step = new - X
         moves = np.flatnonzero(norm(step) > self._least)
