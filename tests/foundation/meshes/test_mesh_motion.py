@@ -199,6 +199,26 @@ def test_a_rigid_cap_stays_rigid(comm: MPI.Intracomm) -> None:
     assert off(X) <= 1.02 * off(sheet.first)
 
 
+@pytest.mark.parametrize(("unit", "away"), [(1e3, 0.0), (1.0, 1e4), (1.0, 1e6)])
+def test_units_and_origins(comm: MPI.Intracomm, unit: float, away: float) -> None:
+    origin, mesh = away * np.array([1.0, -1.0, 0.5]), cap(comm)
+
+    def place(p: Array) -> Array:
+        return np.asarray(unit * p + origin)
+
+    def shift(p: Array) -> Array:
+        return unit * tilted(0.1)((p - origin) / unit)
+
+    plain, other = Sheet(mesh), Sheet(mesh, place=place)
+    X, _ = plain.shifted(plain.first, plain.first, tilted(0.1))
+    Y, y = other.shifted(other.first, other.first, shift)
+    assert np.abs(X - plain.first).max() > 0.09
+    np.testing.assert_allclose(Y, place(X), atol=1e-14 * (unit + 1e2 * away))
+    np.testing.assert_allclose(y, Y, atol=1e-14 * (unit + 1e2 * away))
+    again, _ = other.motion.move(Y, y)
+    np.testing.assert_allclose(again, Y, atol=1e-14 * (unit + 1e2 * away))
+
+
 def test_error_of_a_smooth_deformation(comm: MPI.Intracomm) -> None:
     """A shift of a share of a cell errs by the second power of the size of the cells."""
 
