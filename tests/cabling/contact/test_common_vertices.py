@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from grids import alternating, grid, numbered
-from lines_in_order import random_net, tightened, who_lies_on_whom
+from lines_in_order import net_on_a_form, random_net, tightened, who_lies_on_whom
 from mpi4py import MPI
 from taylor import gradient_order
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
+from crms_fenicsx.cabling.contact import active_set
 from crms_fenicsx.energy.minimization.taylor import TermsOnLayout
 from crms_fenicsx.foundation.runtime.arrays import Array
 
@@ -79,6 +80,54 @@ def test_in_random_nets_every_cable_lies_where_it_belongs(
     assert found.on_sheet + found.in_air + found.apart >= 6
     checks = {check.name: check.value for check in solver.steps[-1].verification.checks}
     assert checks.get("depth below another cable", 0.0) < 1e-6
+
+
+@pytest.mark.parametrize("seed", [1, 18])
+def test_units_and_places_change_nothing(comm: MPI.Intracomm, seed: int) -> None:
+    """In N and mm, and 1100 km from the origin."""
+    found, tensions = [], []
+    for unit, origin in ((1.0, (0.0,) * 3), (1e3, (0.0,) * 3), (1.0, (5e5, 1e6, 100.0))):
+        scene, net = random_net(seed, 8, comm, unit, origin)
+        solver, cables = tightened(scene, net, 1.5, unit)
+        assert solver.steps[-1].verification.passed
+        found.append(who_lies_on_whom(scene, cables))
+        tensions.append([cable.tension / unit for cable in cables])
+        assert found[-1][:3] == found[0][:3] and found[-1].depth < 1e-6
+    for other in tensions[1:]:
+        assert other == pytest.approx(tensions[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_on_a_found_form_every_cable_lies_where_it_belongs(comm: MPI.Intracomm, seed: int) -> None:
+    scene, net = net_on_a_form(seed, 8, comm)
+    solver, cables = tightened(scene, net, 1.5)
+    found = who_lies_on_whom(scene, cables)
+    assert found.depth < 1e-6 and found.below < 1e-6
+    assert found.unbalanced < 1e-6 and found.pull < 1e-3
+    assert found.on_sheet + found.in_air + found.apart >= 6
+    assert solver.steps[-1].verification.passed
+
+
+def test_a_cable_below_one_that_it_lies_over_is_told(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the search does not let them touch, one passes through the other in the air, by as much
+    as the check says."""
+    with monkeypatch.context() as patch:
+        patch.setattr(active_set, "joining", lambda *_: set())
+        solver, cables = saddle(comm, [LOW, HIGH])
+        solver.advance(L0={cables[LOW]: 0.97 * cables[LOW].L0})
+    hollow, round_ = heights(cables)
+    assert hollow > round_ + 0.01
+    name = "depth below another cable"
+    (told,) = (c for c in solver.steps[-1].verification.doubtful if c.name == name)
+    assert told.where == HIGH
+    depth = who_lies_on_whom(solver.scene, list(cables.values())).depth
+    assert told.value == pytest.approx(depth, rel=0.01)  # sizes of cells differ
+    solver.advance()
+    assert name not in {check.name for check in solver.steps[-1].verification.doubtful}
+    hollow, round_ = heights(cables)
+    assert round_ > hollow - 1e-9
 
 
 def test_the_cable_on_top_leaves_by_its_own_pull(comm: MPI.Intracomm) -> None:
