@@ -56,15 +56,24 @@ def random_net(
 
 
 def net_on_a_form(
-    seed: int, cells: int, comm: MPI.Intracomm
+    seed: int,
+    cells: int,
+    comm: MPI.Intracomm,
+    unit: float = 1.0,
+    origin: Sequence[float] = (0.0,) * 2,
 ) -> tuple[Scene, list[tuple[str, int]]]:
     """A random net on the saddle that a form search finds, cut along its lines."""
     draws = np.random.default_rng(seed)
-    mesh = meshes.rectangle(comm, SIDE, SIDE, SIDE / cells, structured=True)
-    rim = {"boundary": lambda x: np.stack([0 * x[0], 0 * x[0], heights("saddle", x[0], x[1])])}
-    lines, names = _random_lines(draws, 1.0, (0.0,) * 3)
-    form = find_form(mesh, stress=4.0, fixed=["boundary"], lifted=rim).along(lines)
-    return form.scene(_fabric(4.0)), names
+    side, corner = SIDE * unit, (unit * origin[0], unit * origin[1])
+    mesh = meshes.rectangle(comm, side, side, side / cells, corner=corner, structured=True)
+
+    def lifted(x: Floats) -> Floats:
+        plan = (x[:2] - np.array(corner)[:, None]) / unit
+        return np.stack([0 * x[0], 0 * x[0], unit * heights("saddle", *plan)])
+
+    lines, names = _random_lines(draws, unit, origin)
+    form = find_form(mesh, stress=4.0, fixed=["boundary"], lifted={"boundary": lifted})
+    return form.along(lines).scene(_fabric(4.0)), names
 
 
 def _fabric(prestress: float) -> IsotropicMembrane:
