@@ -38,14 +38,13 @@ from typing import Any, TypeVar
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
+from roofs import cap, covered, great_circles, suction
 
 from crms_fenicsx import (
     Cable,
     InputError,
-    IsotropicMembrane,
     OrthotropicMembrane,
     PathWarning,
-    Scene,
     Solver,
     meshes,
     nets,
@@ -56,7 +55,7 @@ from crms_fenicsx.foundation.meshes.cutting.spreading import shapes
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD
-RADIUS, HEIGHT, SPACING, CABLES = 100.0, 28.0, 8.5, 14
+CABLES = 14  # of a family
 PRESSURES = (0.3, 0.5)
 UNKNOWNS = (16_000, 40_000, 119_000)
 CALM, STORM, TIGHTENED = 0.3, 0.4, 0.99
@@ -74,35 +73,11 @@ def timed(function: Callable[[], Result]) -> tuple[float, Result]:
 # --- dome ------------------------------------------------------------------------------------
 
 
-def great_circles() -> dict[str, Any]:
-    """The lines of the dome's cables, in plan."""
-    offsets = SPACING * (np.arange(CABLES) - (CABLES - 1) / 2)
-    return {
-        f"{family}{k + 1}": nets.great_circle(RADIUS, HEIGHT, angle, offset)
-        for family, angle in (("A", np.pi / 4), ("B", -np.pi / 4))
-        for k, offset in enumerate(offsets)
-    }
-
-
 def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
     """The dome's net."""
-    lines = great_circles()
+    lines = great_circles(CABLES)
     families = [[line for name, line in lines.items() if name[0] == one] for one in "AB"]
     return nets.from_paths(covered(mesh), families)
-
-
-def covered(mesh: meshes.MembraneMesh) -> Scene:
-    """The dome without cables."""
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
-    return scene
-
-
-def cap(unknowns: float) -> meshes.MembraneMesh:
-    """The dome's mesh before it is cut."""
-    area = np.pi * (RADIUS**2 + HEIGHT**2)
-    size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
-    return meshes.spherical_cap(COMM, radius=RADIUS, height=HEIGHT, size=size)
 
 
 @dataclass
@@ -199,7 +174,7 @@ SIZES = {"36 x 36": (1.2, 0.8), "36 x 54": (2.0, 1.4)}
 def diagonal_wind(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pressure coefficients of a wind from the south west."""
     away = (normals[0] + normals[1]) / np.sqrt(2.0)
-    return np.interp(away, [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4])
+    return suction(away)
 
 
 @dataclass
@@ -280,7 +255,7 @@ def roofs(scale: float) -> Iterator[tuple[str, meshes.MembraneMesh, dict[str, An
     yield f"hall 36 x 36, equal meshes, {1.5 * wider:.2g} m", form.mesh, net.paths
     mesh, lines = tent(0.6 * wider)
     yield f"tent, {len(lines)} lines, {0.6 * wider:.2g} m", mesh, lines
-    yield f"dome, 28 cables, {1e5 * scale:.0f} unknowns", cap(1e5 * scale), great_circles()
+    yield f"dome, 28 cables, {1e5 * scale:.0f} unknowns", cap(1e5 * scale), great_circles(CABLES)
 
 
 def tent(size: float) -> tuple[meshes.MembraneMesh, dict[str, Any]]:

@@ -12,13 +12,7 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.cutting.chord_crossings import meet
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
-    LEAST,
-    CutMesh,
-    Row,
-    side_turns,
-    vertex_normals,
-)
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
@@ -30,8 +24,15 @@ from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     with_merged_ends,
 )
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
+from crms_fenicsx.foundation.meshes.plan_lines import TURN
 from crms_fenicsx.foundation.meshes.surface import EMPTY
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm, shapes
+from crms_fenicsx.foundation.meshes.triangles import (
+    arc_lengths,
+    norm,
+    shapes,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, ints
@@ -46,8 +47,6 @@ from crms_fenicsx.foundation.runtime.errors import (
 from crms_fenicsx.foundation.surface.closest_point import SNAP
 from crms_fenicsx.foundation.surface.trace import checked_route
 
-TURN = float(np.radians(0.5))
-"""Angle by which a line turns sideways that counts as a bend."""
 logger = logging.getLogger("crms_fenicsx")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 LEAST = 10.0, 15.0
@@ -66,30 +66,3 @@ class CutMesh:
         new = self.surface.divided(self.points[used], number[self.cells], self.parents, edges)
         points = {name: number[ids] for name, ids in self.surface.point_groups.items()}
         return replace(new, point_groups=points)
-
-
-def vertex_normals(points: Array, cells: Integers) -> Array:
-    """Unit normals (n, 3) at vertices, of the cells around weighted by their angles: so a line over
-    an edge turns by the same angle as when both cells lie in one plane."""
-    corners = points[cells]
-    normals = double_areas(corners)
-    normals /= norm(normals)[:, None]
-    total = np.zeros_like(points)
-    for k in range(3):
-        u, v = (corners[:, (k + i) % 3] - corners[:, k] for i in (1, 2))
-        angle = np.arctan2(norm(cross(u, v)), dot(u, v))
-        for i in range(3):
-            total[:, i] += np.bincount(cells[:, k], angle * normals[:, i], len(points))
-    size = norm(total)
-    return np.asarray(total / np.where(size > 0.0, size, 1.0)[:, None])
-
-
-def side_turns(places: Array, normals: Array) -> Array:
-    """Angles (k,) by which a polyline (k, 3) turns sideways at its points on a surface with unit
-    normals (k, 3); zero at the ends."""
-    steps = np.diff(places, axis=0)
-    turns = np.zeros(len(places))
-    before, after = steps[:-1], steps[1:]
-    flat = [one - dot(one, normals[1:-1])[:, None] * normals[1:-1] for one in (before, after)]
-    turns[1:-1] = np.arctan2(dot(cross(*flat), normals[1:-1]), dot(*flat))
-    return turns

@@ -15,6 +15,7 @@ from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.plan_lines import APART, MEETS
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
+    closest_on_segments,
     flattened,
     longest_sides,
     norm,
@@ -162,10 +163,7 @@ def _target(
 
 def _closest_on(segments: Array, place: Array) -> tuple[Array, float]:
     """The closest point (3,) of segments (k, 2, 3), and its distance."""
-    start, side = segments[:, 0], segments[:, 1] - segments[:, 0]
-    t = np.einsum("ij,ij->i", place - start, side) / np.einsum("ij,ij->i", side, side)
-    on = start + np.clip(t, 0.0, 1.0)[:, None] * side
-    gaps = norm(on - place)
+    _, on, gaps = closest_on_segments(segments[:, 0], segments[:, 1] - segments[:, 0], place)
     nearest = int(np.argmin(gaps))
     return on[nearest], float(gaps[nearest])
 
