@@ -1,5 +1,5 @@
 """Vertices of a cut mesh spread: along rows and straight rims, and between them on the given
-surface."""
+surface; and raised to the surface that this approximates."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
+from crms_fenicsx.foundation.meshes.surface import Projection
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
@@ -132,3 +134,29 @@ def shapes(corners: Array) -> tuple[Array, Array]:
     sides = np.sort(norm(corners[:, [1, 2, 0]] - corners), axis=1)
     sines = area / np.maximum(sides[:, 1] * sides[:, 2], 1e-300)
     return normals / np.maximum(area, 1e-300)[:, None], sines
+
+
+def raise_vertices(mesh: CutMesh, onto: Projection) -> None:
+    """Move all vertices but those where the given mesh has one from its facets and rims to the
+    surface and rims that these approximate; none if its vertices lie elsewhere, as those of a form
+    found from it do."""
+    given, x = mesh.surface, mesh.points
+    rims = [np.isin(np.arange(len(x)), _rim(cells)) for cells in (given.cells, mesh.cells)]
+    n = len(given.points)
+    apart = norm(onto(given.points.T, rims[0][:n]).T - given.points)
+    if (apart > 1e-6 * mesh.size[:n]).any():
+        return
+    moved = np.unique(mesh.cells)
+    old = moved[moved < n]
+    moved = np.setdiff1d(moved, old[(x[old] == given.points[old]).all(axis=1)])
+    new = x.copy()
+    new[moved] = onto(x[moved].T, rims[1][moved]).T
+    turned = dot(double_areas(new[mesh.cells]), double_areas(x[mesh.cells])) <= 0.0
+    new[mesh.cells[turned]] = x[mesh.cells[turned]]
+    mesh.points = new
+
+
+def _rim(cells: Integers) -> Integers:
+    """Vertices at the rims of cells (m, 3)."""
+    table = EdgeTable.of(cells)
+    return np.unique(table.vertices[table.counts == 1])
