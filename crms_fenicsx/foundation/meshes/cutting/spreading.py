@@ -7,9 +7,9 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
-from crms_fenicsx.foundation.meshes.surface import Projection
+from crms_fenicsx.foundation.meshes.surface import BOUNDARY, Projection
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
@@ -140,23 +140,19 @@ def raise_vertices(mesh: CutMesh, onto: Projection) -> None:
     """Move all vertices but those where the given mesh has one from its facets and rims to the
     surface and rims that these approximate; none if its vertices lie elsewhere, as those of a form
     found from it do."""
-    given, x = mesh.surface, mesh.points
-    rims = [np.isin(np.arange(len(x)), _rim(cells)) for cells in (given.cells, mesh.cells)]
+    given, table, x = mesh.surface, EdgeTable.of(mesh.cells), mesh.points
     n = len(given.points)
-    apart = norm(onto(given.points.T, rims[0][:n]).T - given.points)
+    on_rim, old_on_rim = np.zeros((2, len(x)), dtype=bool)
+    on_rim[table.vertices[table.counts == 1]] = True
+    old_on_rim[np.array(edges_of(given.edges[BOUNDARY]), dtype=np.int64)] = True
+    apart = norm(onto(given.points.T, old_on_rim[:n]).T - given.points)
     if (apart > 1e-6 * mesh.size[:n]).any():
         return
-    moved = np.unique(mesh.cells)
-    old = moved[moved < n]
-    moved = np.setdiff1d(moved, old[(x[old] == given.points[old]).all(axis=1)])
+    moved = np.zeros(len(x), dtype=bool)
+    moved[mesh.cells] = True
+    moved[:n] &= (x[:n] != given.points).any(axis=1)
     new = x.copy()
-    new[moved] = onto(x[moved].T, rims[1][moved]).T
+    new[moved] = onto(x[moved].T, on_rim[moved]).T
     turned = dot(double_areas(new[mesh.cells]), double_areas(x[mesh.cells])) <= 0.0
     new[mesh.cells[turned]] = x[mesh.cells[turned]]
     mesh.points = new
-
-
-def _rim(cells: Integers) -> Integers:
-    """Vertices at the rims of cells (m, 3)."""
-    table = EdgeTable.of(cells)
-    return np.unique(table.vertices[table.counts == 1])
