@@ -294,13 +294,11 @@ def alike(way: str, on_rim: int, shortened: float, turn: float = 0.0) -> NDArray
         mesh = meshes.along(mesh, lines)
     roof = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
     roof.fix("boundary")
-    kind, kept = Cable(EA=20e3), {"hold": "pocket", "L0": shortened * length}
-    cables = [
-        roof.lay_cable(kind, path, name=name, **kept)
-        if way == "folded"
-        else roof.lay_cable(kind, along=name, **kept)
-        for name, path in lines.items()
-    ]
+    cables = []
+    for name, path in lines.items():
+        where: Any = {"path": path, "name": name} if way == "folded" else {"along": name}
+        cable = Cable(EA=20e3)
+        cables.append(roof.lay_cable(cable, L0=shortened * length, hold="pocket", **where))
     Solver(roof).advance(pressure=0.5)
     return np.array([cable.tension for cable in cables])
 

@@ -60,6 +60,7 @@ def arc(start: float, end: float, n: int = 200) -> Floats:
     return np.asarray(centre + places)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("shape", ["cap", "air hall", "ellipse", "form", "moved form"])
 def test_new_vertices_lie_on_the_surface_that_the_mesh_knows(
     comm: MPI.Intracomm, shape: str
