@@ -7,9 +7,9 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
-from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
-from crms_fenicsx.foundation.meshes.surface import BOUNDARY, Projection
+from crms_fenicsx.foundation.meshes.surface import Projection
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
@@ -138,19 +138,12 @@ def shapes(corners: Array) -> tuple[Array, Array]:
 
 def raise_vertices(mesh: CutMesh, onto: Projection) -> None:
     """Move all vertices but those where the given mesh has one from its facets and rims to the
-    surface and rims that these approximate; none if its vertices lie elsewhere, as those of a form
-    found from it do."""
-    given, table, x = mesh.surface, EdgeTable.of(mesh.cells), mesh.points
-    n = len(given.points)
-    on_rim, old_on_rim = np.zeros((2, len(x)), dtype=bool)
-    on_rim[table.vertices[table.counts == 1]] = True
-    old_on_rim[np.array(edges_of(given.edges[BOUNDARY]), dtype=np.int64)] = True
-    apart = norm(onto(given.points.T, old_on_rim[:n]).T - given.points)
-    if (apart > 1e-6 * mesh.size[:n]).any():
-        return
-    moved = np.zeros(len(x), dtype=bool)
+    surface and rims that these approximate."""
+    table, given, x = EdgeTable.of(mesh.cells), mesh.surface.points, mesh.points
+    moved, on_rim = np.zeros((2, len(x)), dtype=bool)
     moved[mesh.cells] = True
-    moved[:n] &= (x[:n] != given.points).any(axis=1)
+    moved[: len(given)] &= (x[: len(given)] != given).any(axis=1)
+    on_rim[table.vertices[table.counts == 1]] = True
     new = x.copy()
     new[moved] = onto(x[moved].T, on_rim[moved]).T
     turned = dot(double_areas(new[mesh.cells]), double_areas(x[mesh.cells])) <= 0.0
