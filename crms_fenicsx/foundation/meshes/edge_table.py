@@ -19,8 +19,8 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 
 def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     """Return for each vertex pair, shape (k, 2), an integer that does not depend on its order."""
-    pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
-    return (pairs[:, 0] << 32) | pairs[:, 1]
+    p, q = pairs.astype(np.int64).reshape(-1, 2).T
+    return (np.minimum(p, q) << 32) | np.maximum(p, q)
 
 
 def edges_of(keys: Integers) -> list[tuple[int, int]]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row, Stars, around
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 
 class Spreading:
@@ -30,12 +30,9 @@ class Spreading:
             on_row[row.vertices] = True
         self.slides = self._sliding(on_row)
         self.rows = [(row, self._may_slide(row)) for row in mesh.rows.values()]
-        given = mesh.surface.cells
-        order = np.argsort(given.ravel(), kind="stable")
-        counts = np.bincount(given.ravel(), minlength=len(mesh.surface.points))[self.free]
-        first = pointers(np.bincount(given.ravel(), minlength=len(mesh.surface.points)))[self.free]
-        self.owner = np.repeat(np.arange(len(self.free)), counts)
-        self.star = given[order[runs(first, counts)] // 3]
+        given = mesh.surface
+        self.owner, cells = Stars(given.cells, len(given.points)).of(self.free)
+        self.star = given.points[given.cells[cells]]
 
     def _sliding(self, on_row: Booleans) -> Integers:
         """Vertices near rows on other feature lines, with their neighbours along these, (k, 3)."""
@@ -57,8 +54,7 @@ class Spreading:
         those between rows onto the given surface."""
         mesh = self.mesh
         x, new = mesh.points, mesh.points.copy()
-        rows = np.flatnonzero(self.near[mesh.cells].any(axis=1))
-        cells = mesh.cells[rows]
+        cells = mesh.cells[around(mesh.cells, self.near)]
         n = len(x)
         total, count = np.zeros((n, 3)), np.zeros(n)
         for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
@@ -85,7 +81,7 @@ class Spreading:
 
     def _on_surface(self, places: Array) -> Array:
         """The closest points of the given cells around each free vertex (k, 3)."""
-        _, found, gaps = closest(self.mesh.surface.points[self.star], places[self.owner])
+        _, found, gaps = closest(self.star, places[self.owner])
         order = np.lexsort((gaps, self.owner))
         best = order[np.unique(self.owner[order], return_index=True)[1]]
         return found[best]
