@@ -15,12 +15,13 @@ from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.plan_lines import APART, MEETS
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
+    arc_lengths,
     flattened,
     longest_sides,
     norm,
     vectors,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
@@ -71,12 +72,9 @@ class Tracer:
         flat = route.shape[1] == 2
         course = np.pad(route, ((0, 0), (0, 1))) if flat else route
         balls = self.flat_balls if flat else self.balls
-        size = float(self.longest.max())
-        legs = norm(course[1:] - course[:-1])
-        steps = np.ceil(legs / size).astype(np.int64) + 1
-        leg = np.repeat(np.arange(len(legs)), steps)
-        part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
-        at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
+        size, known = float(self.longest.max()), arc_lengths(course)
+        arcs = np.linspace(0.0, known[-1], int(known[-1] / size) + 2)
+        at = np.stack([np.interp(arcs, known, x) for x in course.T], axis=1)
         return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
