@@ -6,10 +6,9 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, Stars, around
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE, SHORT
-from crms_fenicsx.foundation.meshes.cutting.spreading import shapes
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
-from crms_fenicsx.foundation.meshes.triangles import dot, norm
+from crms_fenicsx.foundation.meshes.triangles import dot, norm, shapes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.surface.closest_point import SNAP
 
