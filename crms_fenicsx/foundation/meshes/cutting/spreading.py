@@ -16,8 +16,16 @@ class Spreading:
     """Places for the vertices near rows."""
 
     def __init__(self, mesh: CutMesh) -> None:
+        from scipy.sparse import csr_array  # takes longer to import than scripts without lines need
+
         self.mesh = mesh
         self.near = mesh.band(2)
+        self.cells = mesh.cells[around(mesh.cells, self.near)]
+        self.shapes = shapes(mesh.points[self.cells])
+        n, (a, b, c) = len(self.near), self.cells.T
+        sides = np.concatenate([a, b, c, b, c, a]), np.concatenate([b, c, a, a, b, c])
+        counts = np.bincount(sides[0], minlength=n)
+        self.means = csr_array((1.0 / counts[sides[0]], sides), (n, n))  # of neighbours
         features = mesh.features
         free = self.near.copy()
         free[list(features.fixed)] = False
@@ -54,15 +62,8 @@ class Spreading:
         those between rows onto the given surface."""
         mesh = self.mesh
         x, new = mesh.points, mesh.points.copy()
-        cells = mesh.cells[around(mesh.cells, self.near)]
-        n = len(x)
-        total, count = np.zeros((n, 3)), np.zeros(n)
-        for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
-            count += np.bincount(cells[:, a], minlength=n)
-            for k in range(3):
-                total[:, k] += np.bincount(cells[:, a], x[cells[:, b], k], minlength=n)
         f = self.free
-        new[f] = 0.5 * (x[f] + total[f] / count[f, None])
+        new[f] = 0.5 * (x[f] + (self.means @ x)[f])
         if last:
             new[f] = self._on_surface(new[f])
         self._slide(new)
@@ -73,7 +74,7 @@ class Spreading:
             at[inner] = 0.5 * at[inner] + 0.25 * (at[inner - 1] + at[inner + 1])
             new[row.vertices[inner]] = row.on(at[inner])
             arcs.append(at)
-        self._keep_cells(cells, new)
+        self._keep_cells(new)
         for (row, may), at in zip(self.rows, arcs, strict=True):
             moved = may & (new[row.vertices] != x[row.vertices]).any(axis=1)
             row.at[moved] = at[moved]
@@ -106,16 +107,15 @@ class Spreading:
         )
         new[v[fits]] = place[fits]
 
-    def _keep_cells(self, cells: Integers, new: Array) -> None:
+    def _keep_cells(self, new: Array) -> None:
         """Take back moves after which a cell's smallest angle is too small and smaller."""
-        x = self.mesh.points
-        normals, before = shapes(x[cells])
+        x, (normals, before) = self.mesh.points, self.shapes
         least = np.sin(np.radians(LEAST[1]))
         for _ in range(20):
-            turned, after = shapes(new[cells])
+            self.shapes = turned, after = shapes(new[self.cells])
             bad = (dot(turned, normals) <= 0.5) | ((after < before) & (after < least))
             if not bad.any():
                 return
-            back = np.unique(cells[bad])
+            back = np.unique(self.cells[bad])
             new[back] = x[back]
-        new[:] = x
+        new[:], self.shapes = x, (normals, before)
