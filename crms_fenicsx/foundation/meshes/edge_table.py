@@ -74,8 +74,10 @@ class EdgeTable:
         sides = cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         side_keys = edge_keys(sides)
         order = np.argsort(side_keys, kind="stable")
-        keys, start, counts = np.unique(side_keys[order], return_index=True, return_counts=True)
-        vertices = np.sort(sides[order[start]], axis=1)
+        sorted_keys = side_keys[order]
+        first = np.flatnonzero(np.diff(sorted_keys, prepend=-1))  # of each edge's sides
+        keys, counts = sorted_keys[first], np.diff(first, append=len(order))
+        vertices = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1)
         return cls(keys, vertices, counts, sides[:, 0] < sides[:, 1], order)
 
     def linked_sides(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

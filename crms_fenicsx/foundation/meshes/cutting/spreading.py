@@ -83,9 +83,9 @@ class Spreading:
     def _on_surface(self, places: Array) -> Array:
         """The closest points of the given cells around each free vertex (k, 3)."""
         _, found, gaps = closest(self.star, places[self.owner])
-        order = np.lexsort((gaps, self.owner))
-        best = order[np.unique(self.owner[order], return_index=True)[1]]
-        return found[best]
+        least = np.minimum.reduceat(gaps, np.flatnonzero(np.diff(self.owner, prepend=-1)))
+        best = np.flatnonzero(gaps == least[self.owner])
+        return found[best[np.diff(self.owner[best], prepend=-1) > 0]]
 
     def _slide(self, new: Array) -> None:
         """Move vertices of other feature lines along these, where they are nearly straight."""

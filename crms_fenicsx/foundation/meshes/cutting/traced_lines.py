@@ -15,13 +15,12 @@ from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.plan_lines import APART, MEETS
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
-    arc_lengths,
     flattened,
     longest_sides,
     norm,
     vectors,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, runs
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
@@ -72,9 +71,11 @@ class Tracer:
         flat = route.shape[1] == 2
         course = np.pad(route, ((0, 0), (0, 1))) if flat else route
         balls = self.flat_balls if flat else self.balls
-        size, known = float(self.longest.max()), arc_lengths(course)
-        arcs = np.linspace(0.0, known[-1], int(known[-1] / size) + 2)
-        at = np.stack([np.interp(arcs, known, x) for x in course.T], axis=1)
+        size, legs = float(self.longest.max()), np.diff(course, axis=0)
+        steps = np.ceil(norm(legs) / size).astype(np.int64)
+        part = runs(np.zeros_like(steps), steps) / steps.repeat(steps)
+        at = course[:-1].repeat(steps, axis=0) + part[:, None] * legs.repeat(steps, axis=0)
+        at = np.concatenate([at, course[-1:]])
         return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
