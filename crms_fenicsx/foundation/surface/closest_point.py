@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ class Balls:
         widest = self.radius.max(initial=0.0)
         found = self._tree.query_ball_point(targets, reach + widest, return_sorted=True)
         target = np.repeat(np.arange(len(targets)), [len(own) for own in found])
-        ball = np.concatenate([np.zeros(0, dtype=np.int64), *found]).astype(np.int64)
+        ball = np.fromiter(chain.from_iterable(found), dtype=np.int64)
         near = norm(self.centre[ball] - targets[target]) - self.radius[ball] <= reach[target]
         return target[near], ball[near]
 
