@@ -25,7 +25,7 @@ from crms_fenicsx.foundation.meshes.triangles import (
     mix,
     norm,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, flags, ints
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
@@ -328,8 +328,8 @@ def places_in_space(
     heights = dot(offset, np.array(normals))
     aside = norm(offset - heights[:, None] * normals)
     # facets deviate from a smooth surface along its normal
-    is_aside = aside > np.maximum(surface.snap * altitude, 0.5 * np.abs(heights))
-    is_off = distance > ON_SURFACE * longest
+    is_aside = flags(aside > np.maximum(surface.snap * altitude, 0.5 * np.abs(heights)))
+    is_off = flags(distance > ON_SURFACE * longest)
     places = []
     for i, (foot, height, off) in enumerate(zip(feet, heights, is_off, strict=True)):
         if i in known:

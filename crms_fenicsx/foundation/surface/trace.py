@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.foundation.meshes.triangles import dot, flattened, longest_sides, norm
+from crms_fenicsx.foundation.meshes.triangles import dot, flattened, longest_sides, norm, vectors
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, floats
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import (
@@ -197,7 +197,7 @@ def _refuse_shortcuts(
     # A route that returns through the same cells cannot be represented by edge crossings: both
     # ways cancel, which is right at a corner inside a cell, but not for a longer part of a route.
     x = path.positions(surface.ids, surface.points)
-    starts, sides = x[:-1].tolist(), np.diff(x, axis=0).tolist()
+    starts, sides = (list(map(floats, vectors(rows))) for rows in (x[:-1], np.diff(x, axis=0)))
     longest = floats(longest_sides(surface.points[surface.cells]))
     k, passed = 0, 0.0  # the path's segment that is reached, and the fraction passed of it
     for i, place in enumerate(places):

@@ -16,7 +16,7 @@ from crms_fenicsx.foundation.surface.closest_point import SNAP
 def collapse(mesh: CutMesh) -> None:
     """Collapse the short edges near rows, of those close to each other the shortest first."""
     near = mesh.band(1)
-    lines, active, count = _FeatureLines(mesh), near, len(near)
+    lines, active, count = _LineEnds(mesh), near, len(near)
     gone = np.zeros(count, dtype=bool)
     while active.any():
         edges = _ShortEdges(mesh, lines, near, active)
@@ -42,8 +42,8 @@ def collapse(mesh: CutMesh) -> None:
         row.vertices, row.at, row.pinned = row.vertices[stay], row.at[stay], row.pinned[stay]
 
 
-class _FeatureLines:
-    """Feature lines, as arrays over the vertices (n,)."""
+class _LineEnds:
+    """Where feature lines lead from their vertices, as arrays over all vertices (n,)."""
 
     def __init__(self, mesh: CutMesh) -> None:
         features, n = mesh.features, len(mesh.points)
@@ -70,9 +70,7 @@ class _FeatureLines:
 class _ShortEdges:
     """Short edges between near vertices, one of each active, the shortest first."""
 
-    def __init__(
-        self, mesh: CutMesh, lines: _FeatureLines, near: Booleans, active: Booleans
-    ) -> None:
+    def __init__(self, mesh: CutMesh, lines: _LineEnds, near: Booleans, active: Booleans) -> None:
         self.x, self.size, self.lines = mesh.points, mesh.size, lines
         sides = _sides(mesh.cells[around(mesh.cells, active)])
         p, q = sides.T
