@@ -69,7 +69,7 @@ class MembraneMesh:
         Projection of new vertices in refinement on the approximated surface: the generator's, on
         rank 0, or a user's function, on all ranks; None if unknown.
     given
-        Nodes as given, once a scene uses the mesh, as lines that slide move them: none or one array.
+        Nodes as given, once a scene uses the mesh, whose lines move them: none or one array.
     """
 
     mesh: dolfinx.mesh.Mesh
