@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.orientation import UPWARD, Outside, connected_labels
 from crms_fenicsx.foundation.meshes.surface import (
+    BOUNDARY,
     EMPTY,
     CheckedSurface,
     Projection,
@@ -67,8 +68,8 @@ class MembraneMesh:
     project
         Projection of new vertices in refinement on the approximated surface: the generator's, on
         rank 0, or a user's function, on all ranks; None if unknown.
-    scenes
-        Whether each scene made on it has moved its vertices, as lines that slide do.
+    given
+        Nodes as given, once a scene uses the mesh, whose lines move them: none or one array.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -77,7 +78,7 @@ class MembraneMesh:
     points: Mapping[str, Indices]
     hidden: Indices
     project: Projection | None = None
-    scenes: list[bool] = dataclasses.field(default_factory=list, compare=False)
+    given: list[Array] = dataclasses.field(default_factory=list, compare=False)
 
     def __repr__(self) -> str:
         """One-line summary; not collective."""
@@ -105,6 +106,15 @@ class MembraneMesh:
             within = [names[i] for i in (j, k) if common[i, i] == common[j, k]]
             found[names[k], names[j]] = within[0] if len(within) == 1 else None
         return MappingProxyType(found)
+
+    def of_scene(self) -> MembraneMesh:
+        """This mesh for the first scene, and for each further one a mesh with nodes of its own,
+        which the lines of another scene do not move."""
+        if not self.given:
+            self.given.append(self.mesh.geometry.x.copy())
+            return self
+        nodes = self.given[0]
+        return dataclasses.replace(self, mesh=with_nodes(self.mesh, nodes.copy()), given=[nodes])
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -288,10 +298,20 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 
 
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
-    """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`."""
+    """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`; its
+    projection is left out unless they lie where that leaves them. Collective."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
-    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes), scenes=[])
+    new = dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes), given=[])
+    if not mesh.comm.bcast(mesh.project is not None):
+        return new
+    surface, left = gathered(new)[0], False
+    with raised_together(mesh.comm):
+        if mesh.comm.rank == 0 and mesh.project is not None:
+            x = surface.points
+            on_rim = np.isin(np.arange(len(x)), edges_of(surface.edges[BOUNDARY]))
+            left = bool(np.abs(mesh.project(x.T, on_rim).T - x).max() > 1e-6 * np.ptp(x))
+    return dataclasses.replace(new, project=None) if mesh.comm.bcast(left) else new
 
 
 def redistributed(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
