@@ -91,7 +91,7 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            elif not changes:
+            elif not changes and not looked:  # a look may have changed paths
                 system.write_scene()
             way = system.follow_rows()
             if system.collapse:
