@@ -34,6 +34,14 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 
+def clamped_nodes(nodes: NodeTable, cables: Sequence[LaidCable]) -> Booleans:
+    """Whether a clamp joins each node to another, (n,): these only lift off together."""
+    clamped = np.zeros(len(nodes.kind), dtype=bool)
+    for start, cable in zip(nodes.starts, cables, strict=False):
+        clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
+    return clamped
+
+
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
     """Cell size around a vertex or an edge (length)."""
     return float(shape.normals_and_sizes([support])[1][0])
@@ -114,7 +122,8 @@ class Polylines:
     ) -> tuple[Integers, Array]:
         """Contacts of cables at vertices that they share: rows (m, k) from the uppermost cable to
         the lowest, padded with -1, and the outward sums (m, k) of the pulls of each and those above
-        it, relative to their largest tension; -inf where not all these nodes `may` (n,) lift off.
+        it, relative to their largest tension; -inf where not all these nodes `may` (n,) lift off,
+        and where a cable would leave those that it is clamped to.
         """
         nodes = self.nodes
         rows, starts = stacks(nodes, cables)
@@ -138,7 +147,9 @@ class Polylines:
         sums[at] = np.where(may[rows] & (pulls > -1.0), pulls * tension, -np.inf)
         largest[at] = tension
         largest = np.maximum(np.maximum.accumulate(largest, axis=1), 1e-300)
-        return table, np.cumsum(sums, axis=1) / largest
+        joined = np.cumsum((table >= 0) & clamped_nodes(nodes, cables)[table], axis=1)
+        leaves = (joined > 0) & (joined < joined[:, -1:])
+        return table, np.where(leaves, -np.inf, np.cumsum(sums, axis=1) / largest)
 
     def gaps(
         self, shape: StripShape, crossings: Sequence[Crossing], reach: int
