@@ -34,6 +34,7 @@ KERNELS = (
     "crms_fenicsx.energy.terms.paper.step_folded_membrane",
     "crms_fenicsx.energy.terms.ponding",
     "crms_fenicsx.energy.terms.segments",
+    "crms_fenicsx.energy.terms.shifted_membrane",
     "crms_fenicsx.energy.terms.compiled_laws",
     "crms_fenicsx.energy.terms.compiled_laws",
 )

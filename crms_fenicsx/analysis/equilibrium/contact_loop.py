@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, RowSliding
+from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, SETTLED, RowSliding
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
@@ -51,7 +51,7 @@ class ContactLoop:
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
-        looked = False
+        looked, way = False, 0.0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked
@@ -61,7 +61,8 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            changes += self._rows.follow(0.0 if changes else NEAR)
+            if self._rows.way > NEAR:
+                return True
             if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
@@ -77,6 +78,8 @@ class ContactLoop:
                     self.sliding.straighten()
                 system.rebuild()
                 system.read_scene()
+            elif way > 0.0:
+                system.renew_base()
             if system.has_history:  # every term starts the step from there
                 _restore_positions(self.scene, self.start)
                 system.read_scene()
@@ -89,8 +92,10 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-                changes += self._rows.follow(0.0)
-            if not changes:
+            way = self._rows.follow()
+            if not changes and 0.0 < way <= SETTLED:
+                system.renew_base()
+            if not changes and way <= SETTLED:
                 if not looked and look is not None:
                     look(False)
                 return total

@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.foundation.meshes.triangles import norm
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -24,17 +25,23 @@ class RowSliding:
     def __init__(self, system: System) -> None:
         self.system, self.scene = system, system.scene
 
-    def follow(self, least: float) -> list[str]:
-        """Move the stress-free places by the shifts found, if some are at `least` this large, and
-        the mesh around them unless all are small; return the changes in words. Collective."""
+    @property
+    def way(self) -> float:
+        """Largest shift in the last solve, relative to the cell size. Collective."""
         shifts = self.system.shifts
         if shifts is None:
-            return []
+            return 0.0
+        ways = norm(shifts.shifts(self.system.potential))
+        return float((ways / shifts.numbering.shifts.sizes).max(initial=0.0))
+
+    def follow(self) -> float:
+        """Move the stress-free places by the shifts of the last solve, and the mesh around them
+        unless all are small; return the largest, relative to the cell size. Collective."""
+        shifts, way = self.system.shifts, self.way
+        if shifts is None or way == 0.0:
+            return 0.0
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
         ways = shifts.shifts(self.system.potential)
-        way = float((np.linalg.norm(ways, axis=1) / rows.sizes).max(initial=0.0))
-        if way <= least:
-            return []
         X, x = membrane.stress_free.copy(), membrane.positions()
         order = np.argsort(membrane.vertex_ids)
         at = np.searchsorted(membrane.vertex_ids[order], rows.vertices)
@@ -46,12 +53,7 @@ class RowSliding:
         membrane.place_stress_free(X)
         membrane.u.x.array[:] = (x - X).ravel()
         logger.debug("rows slide by %.3g cells", way)
-        if way > SETTLED:
-            return ["rows slide"]
-        self.system.rebuild()
-        self.system.read_scene()
-        self.system.write_scene()
-        return []
+        return way
 
     def _moved(self, X, x):
         return X, x

@@ -9,8 +9,10 @@ from mpi4py import MPI
 from crms_fenicsx.analysis.equilibrium.contribution import Contribution, MembraneContribution
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
+from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
+from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 
@@ -24,7 +26,7 @@ class ShiftContribution(Contribution):
         self, scene: Scene, membrane: MembraneContribution, numbering: CableNumbering
     ) -> None:
         super().__init__(scene)
-        self.numbering, unknowns_of = numbering, numbering.vertex_blocks
+        self.numbering, self._membrane = numbering, membrane.energy
         strip, rank = numbering.strip, scene.comm.rank
         simplices = strip.simplices
         at = np.full(len(simplices.vertices), -1)
@@ -32,9 +34,18 @@ class ShiftContribution(Contribution):
         mine = np.flatnonzero((strip.owner == rank) & (at[simplices.cells] >= 0).any(axis=1))
         corners = simplices.cells[mine]
         cells = strip.local[mine].astype(np.int32)
-        table = ShiftedCells.of(membrane.energy, cells, unknowns_of[corners], at[corners])
+        table = ShiftedCells.of(membrane.energy, cells, 
+            numbering.vertex_blocks[corners].astype(np.int32), at[corners].astype(np.int32))
         self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
         membrane.energy.plain.x.array[cells] = 0.0
+
+    def renew(self, unknowns: Unknowns) -> None:
+        """Start from the membrane's present stress-free places. Collective."""
+        scene, numbering = self.scene, self.numbering
+        shape = scene.net.strip_shape()
+        numbering.renew_places(unknowns, shape)
+        numbering.shifts = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:
         self.numbering.place_shifts(potential.unknowns)

@@ -187,6 +187,12 @@ class System:
             part.read_scene(self.potential)
         self.potential.place()
 
+    def renew_base(self) -> None:
+        """Start from the stress-free places that the membrane has now. Collective."""
+        assert self.shifts is not None
+        self.shifts.renew(self.unknowns)
+        self.read_scene()
+
     def update(self) -> None:
         """Bring the potential to the scene's state for inspection."""
         known = self._built_for[0] == self.scene.versions.model_version

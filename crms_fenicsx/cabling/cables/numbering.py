@@ -26,7 +26,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
     positions_of,
 )
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts
-from crms_fenicsx.cabling.cables.strip import NOBODY, Strip
+from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns, vertex_places
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, pointers, runs
@@ -262,6 +262,12 @@ class CableNumbering:
         self.place_shifts(unknowns)
         self.place_points(unknowns.X)
         return unknowns
+
+    def renew_places(self, unknowns: Unknowns, shape: StripShape) -> None:
+        """Read the stress-free places of the vertices again."""
+        unknowns.X[unknowns.vertex_blocks()] = vertex_places(self.u.function_space)
+        far = [self.strip.row_of[v] for v in self.far_vertices]
+        unknowns.X[unknowns.far_vertex_blocks()[: len(far)]] = shape.stress_free[far]
 
     def place_shifts(self, unknowns: Unknowns) -> None:
         """Put the shifts of this rank where their vertices are now, which tied ones follow."""

@@ -4,8 +4,9 @@ A cable has little lateral restraint short of the next vertex, and two points at
 edge are so close that their distance does not control the next one. Newton's step moves such points
 far beyond the quadratic model, and the line search then shortens the whole step. So springs tie
 
-* each sliding point to its place on its edge, and
-* the ends of each straight segment of a cable to each other.
+* each sliding point to its place on its edge,
+* the ends of each straight segment of a cable to each other, and
+* each stress-free place that shifts to where it is.
 
 With them the unbalanced force on a point alone moves it by a fraction of the edge, or by the
 segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
@@ -29,8 +30,8 @@ from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1
-"""Fraction of its edge by which the unbalanced force alone moves a sliding point; 0.02 to 0.2
-perform alike."""
+"""Fraction of its edge, or of the cell size, by which the unbalanced force alone moves a sliding
+point; 0.02 to 0.2 perform alike."""
 
 REACH = 0.9
 """Fraction of the way to the edge's end that a sliding point may go in a Newton step."""
@@ -44,7 +45,9 @@ class Springs(ElementTable):
     sliders: Indices
     fractions: Array
     segments: Indices  # (m, 2) blocks at the ends of straight cable segments
-    addresses = ("sliders", "segments")
+    shifts: Indices  # (k,) blocks of stress-free places
+    sizes: Array  # (k,) cell sizes there (length)
+    addresses = ("sliders", "segments", "shifts")
 
 
 class Damping:
@@ -57,13 +60,17 @@ class Damping:
         rows, cols = np.repeat(springs.sliders, 3, axis=1), np.tile(springs.sliders, 3)
         self._on_edges = BlockPattern(rows.ravel(), cols.ravel(), shares.reshape(-1, 9))
         self._along = SegmentPattern(springs.segments)
-        self.patterns = (self._on_edges, self._along)
+        self._of_shifts = BlockPattern(springs.shifts, springs.shifts)
+        self.patterns = (self._on_edges, self._along, self._of_shifts)
 
     def elements_on(self, chosen: Booleans) -> Springs:
         """Springs that touch the chosen blocks, (n_local,)."""
         s = self.springs
         own, parts = chosen[s.sliders[:, 0]], chosen[s.segments].any(axis=1)
-        return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
+        shifts = chosen[s.shifts]
+        return Springs(
+            s.sliders[own], s.fractions[own], s.segments[parts], s.shifts[shifts], s.sizes[shifts]
+        )
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: BlockSink) -> None:
         """Add the springs' stiffness to the matrix. Shapes: x, g (n_local, 3)."""
@@ -80,6 +87,9 @@ class Damping:
         stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
         np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.values)
         self._along.add(A)
+        stiffness = _ratio(force[self.springs.shifts], SLIDE * self.springs.sizes)
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._of_shifts.values)
+        self._of_shifts.add(A)
 
     def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
         """Move sliding points in `x` back that on the way from `x0` come too near an edge's end;
