@@ -247,7 +247,8 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
     exact, offsets, values, active, orthotropic,
 ):  # fmt: skip
     """Second derivatives of each active cell if `exact`, else their semidefinite part, with the
-    tensile parts of the section forces only, plus `prestress` in all directions."""
+    tensile parts of the section forces only, plus `prestress` in all directions, which holds the
+    stress-free places, too: in an unstressed cell they could move with the corners at will."""
     C, b, slots = np.empty((3, 3)), np.empty((3, 2)), np.empty(3, np.int64)
     for c in range(len(shifts)):
         if not active[c]:
@@ -272,7 +273,7 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
             x, y = A * n[j, 0], A * n[j, 1]
             for k in range(3):
                 b[k, 0], b[k, 1] = C[k, 0] * x + C[k, 2] * y, C[k, 1] * y + C[k, 2] * x
-            g0, g1 = t0 * x + t2 * y, t2 * x + t1 * y
+            g0, g1, p0, p1 = t0 * x + t2 * y, t2 * x + t1 * y, prestress * x, prestress * y
             for i in range(3):
                 x, y = n[i, 0], n[i, 1]
                 d00, d01 = x * b[0, 0] + y * b[2, 0], x * b[0, 1] + y * b[2, 1]
@@ -293,7 +294,8 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
                     _put(
                         blocks, size, slots[i], slots[j], axes[c], axes[c],
                         c00 * h00 + c01 * h10, c00 * h01 + c01 * h11 + q,
-                        c01 * h00 + c11 * h10 - q, c01 * h01 + c11 * h11, 0.0,
+                        c01 * h00 + c11 * h10 - q, c01 * h01 + c11 * h11,
+                        0.0 if exact else x * p0 + y * p1,
                     )  # fmt: skip
         if exact and np.any(weights[c]):
             _add_weights(blocks, size, slots, weights[c], A / 3, n, axes[c])
