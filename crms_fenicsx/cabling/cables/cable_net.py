@@ -218,8 +218,8 @@ class CableNet:
         self._divide_again()
 
     def _divide_again(self) -> None:
-        """Rearrange the crossings for changed clamps, unless all cables are slack."""
-        if any(cable.taut for cable in self.cables):
+        """Rearrange the crossings for changed clamps, unless all cables are slack off lines."""
+        if any(cable.taut or cable.state.laid.line is not None for cable in self.cables):
             self.arrange_crossings()
 
     def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, floats
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.cable import Bonds, Clamp, ClampedParts
 from crms_fenicsx.model.cable_state import Crossing
@@ -162,8 +163,8 @@ def with_clamps(
 def divide(
     cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
 ) -> tuple[Clamp, ...]:
-    """Divide taut cables at the nodes of their clamps and return the clamps at their current
-    places; clamps of slack cables have no effect."""
+    """Divide cables at the nodes of their clamps and return the clamps at their current places;
+    off lines of the mesh clamps of slack cables have no effect."""
     nodes: dict[str, dict[str, int]] = defaultdict(dict)
     for cable in cables:
         for k, node in enumerate(cable.state.nodes):
@@ -206,13 +207,13 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
-    """Nodes of two taut cables at a clamp's vertex, or at the common one nearest to it."""
+    """Nodes of two cables at a clamp's vertex, or of taut ones at the common one nearest to it."""
     a, b = (cables[name] for name in clamp.cables)
-    if not (a.taut and b.taut):
-        return {}
     if clamp.vertex is not None:
         at = {cable.name: _nodes_at_vertices(cable)[clamp.vertex] for cable in (a, b)}
         return at if not any(cables[name].state.lifted[k] for name, k in at.items()) else {}
+    if not (a.taut and b.taut):
+        return {}
     of_a, of_b = (
         {c.state.nodes[k].point: k for k in c.contacts() if c.state.nodes[k].kind == "vertex"}
         for c in (a, b)
@@ -223,6 +224,14 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
         if point in of_b
     ]
     return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
+
+
+def clamped_nodes(nodes: NodeTable, cables: Sequence[LaidCable]) -> Booleans:
+    """Whether a clamp joins each node to another, (n,): these only lift off together."""
+    clamped = np.zeros(len(nodes.kind), dtype=bool)
+    for start, cable in zip(nodes.starts, cables, strict=False):
+        clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
+    return clamped
 
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:

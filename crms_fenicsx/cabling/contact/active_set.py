@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
 from crms_fenicsx.cabling.cables.points_on_edges import (
     VERTEX,
@@ -209,7 +210,7 @@ class ActiveSet:
         net, nodes = self.net, lines.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
         folded = np.array([cable.state.laid.line is None for cable in net.cables], dtype=bool)
-        clamped = contact.clamped_nodes(nodes, net.cables) & folded[nodes.cable]
+        clamped = clamped_nodes(nodes, net.cables) & folded[nodes.cable]
         may = held[nodes.cable] & ~clamped
         alone = nodes.ids(lines.released(shape, may & ~lines.shared))
         pulling = [(id, [id]) for id in alone] + self._pulling_together(shape, lines, may)

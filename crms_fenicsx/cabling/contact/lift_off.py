@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
 from crms_fenicsx.cabling.cables.points_on_edges import (
     ANCHOR,
@@ -32,14 +33,6 @@ from crms_fenicsx.foundation.surface.points import CellPoint
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
-
-
-def clamped_nodes(nodes: NodeTable, cables: Sequence[LaidCable]) -> Booleans:
-    """Whether a clamp joins each node to another, (n,): these only lift off together."""
-    clamped = np.zeros(len(nodes.kind), dtype=bool)
-    for start, cable in zip(nodes.starts, cables, strict=False):
-        clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
-    return clamped
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
@@ -215,7 +208,8 @@ def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
     if not cable.lifts_off:
         return []
-    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.state.nodes), dtype=bool)))
+    lines = Polylines.of([cable])
+    return ints(lines.released(shape, ~clamped_nodes(lines.nodes, [cable])))
 
 
 def captured(cable: LaidCable, shape: StripShape, height: float | None = None) -> dict[int, Gap]:
