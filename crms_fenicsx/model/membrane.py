@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.mesh import MeshTags, meshtags
 from mpi4py import MPI
 
@@ -71,6 +71,8 @@ class MembraneState:
     held: Annotated[Booleans, Rows.VERTICES, 3] = field(repr=False)
     held_edges: Annotated[Booleans, Rows.EDGES] = field(repr=False)
     materials: tuple[MembraneMaterial, ...]  # by material number
+    # displacements of the stress-free places from those of the mesh as given; None before any moved
+    moved: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
 
 
 class Membrane:
@@ -107,6 +109,17 @@ class Membrane:
         self.strengths: dict[str, Strengths] = {}
         self.strength_factors: dict[str, float] = {}
         self.patches: dict[str, float] = {}
+        # stress-free places in the mesh as given, displacements from there as in `MembraneState`,
+        # and how often these have changed: the key of data that depend on them
+        self.given = self.stress_free
+        self.moved: Array | None = None
+        self.placement = 0
+        if any(mesh.scenes):
+            raise InputError(
+                "Scene: sliding lines of another scene have moved the vertices of this mesh; make "
+                "a mesh for each scene."
+            )
+        mesh.scenes.append(False)
 
     def strength_factor(self, factors: Mapping[str, float]) -> float:
         """The largest divisor of the strengths of the loads whose factors are not 0; 1 without."""
@@ -131,7 +144,7 @@ class Membrane:
         """Copy of the variable data."""
         return MembraneState(
             self.u.x.array.reshape(-1, 3).copy(), self.held.copy(), self.held_edges.copy(),
-            tuple(self.materials.values()),
+            tuple(self.materials.values()), self.moved,
         )  # fmt: skip
 
     @state.setter
@@ -139,6 +152,39 @@ class Membrane:
         self.u.x.array[:], self.held[:] = state.u.ravel(), state.held
         self.held_edges[:] = state.held_edges
         self.materials.update(zip(self.materials, state.materials, strict=True))
+        if state.moved is not self.moved:
+            self._move(state.moved)
+
+    def place_stress_free(self, X: Array) -> None:
+        """Move the stress-free places of the vertices to X (n, 3), by local degree of freedom with
+        ghosts; displacements stay. Scenes do it by `place_stress_free` there. Collective."""
+        if self.frames is not None:
+            raise InputError(
+                "lines of the mesh slide, but its cells have stress-free shapes of their own, from "
+                "patterns.sew, which cannot follow; hold the lines with slide=False."
+            )
+        owned = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+        owned.array[:] = (X - self.given).ravel()
+        owned.scatter_forward()
+        self._move(owned.array.reshape(-1, 3).copy())
+
+    def _move(self, moved: Array | None) -> None:
+        """Place the vertices at given displacements from the mesh as given. Collective."""
+        if len(self.mesh.scenes) > 1:
+            raise InputError(
+                f"lines of the mesh slide and move its vertices, but {len(self.mesh.scenes)} "
+                "scenes were made on it; make a mesh for each scene."
+            )
+        # origin and scale, collective at first: always those of the mesh as given
+        _ = self.centre, self.size
+        X = self.given if moved is None else self.given + moved
+        self.mesh.mesh.geometry.x[geometry_dofmap(self.mesh.mesh)] = X[self.V.dofmap.list]
+        for name in ("stress_free", "cell_areas"):
+            self.__dict__.pop(name, None)
+        if moved is not None:
+            moved.flags.writeable = False  # states share it
+        self.moved, self.placement = moved, self.placement + 1
+        self.mesh.scenes[0] = moved is not None
 
     @cached_property
     def open_edges(self) -> OpenEdges:
@@ -151,13 +197,6 @@ class Membrane:
         positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
-
-    def place_stress_free(self, X: Array) -> None:
-        """TEMPORARY."""
-        mesh = self.mesh.mesh
-        mesh.geometry.x[geometry_dofmap(mesh)] = X[self.V.dofmap.list]
-        for name in ("stress_free", "cell_areas"):
-            self.__dict__.pop(name, None)
 
     @cached_property
     def cell_areas(self) -> Array:
@@ -185,20 +224,25 @@ class Membrane:
 
     @cached_property
     def centre(self) -> Array:
-        """Mean stress-free position (length), the origin of volumes. Collective."""
+        """Mean position in the mesh as given (length), the origin of volumes. Collective."""
         vertices = self.V.dofmap.index_map
         total = self.comm.allreduce(self.stress_free[: vertices.size_local].sum(axis=0))
         return np.asarray(total / vertices.size_global)
 
     @cached_property
     def size(self) -> float:
-        """Square root of the stress-free area (length). Collective."""
+        """Square root of the area of the mesh as given (length). Collective."""
         areas = np.linalg.norm(area_vectors(self.mesh.mesh), axis=1)
         return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
 
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.stress_free + self.u.x.array.reshape(-1, 3)
+
+    def positions_in(self, state: MembraneState) -> Array:
+        """The same in another state of this membrane."""
+        X = self.given if state.moved is None else self.given + state.moved
+        return np.asarray(X + state.u)
 
     @property
     def owned_u(self) -> Array:

@@ -49,6 +49,8 @@ class MembraneLoad:
     factor: float = 0.0  # load factor, changed by load steps
     # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
+    material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
 
     @property
     def is_active_wind(self) -> bool:
@@ -61,6 +63,13 @@ class MembraneLoad:
             return self
         shape = _Shape(membrane)
         return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
+
+    def on_stress_free_areas(self, membrane: Membrane) -> MembraneLoad:
+        """The load with forces of the present stress-free areas; unchanged if it is of others."""
+        if self.material is None:
+            return self
+        loads = membrane.cell_areas[:, None] * self.material
+        return replace(self, forces=_Shape(membrane).nodal(loads))
 
 
 class _Shape:
@@ -122,7 +131,10 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    return shape.load(name, loads)
+    load = shape.load(name, loads)
+    if per != "material":
+        return load
+    return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
 
 
 def wind_load(

@@ -24,7 +24,7 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
-from crms_fenicsx.foundation.meshes.triangles import area_vectors
+from crms_fenicsx.foundation.meshes.triangles import cell_normals
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.surface.points import VertexPoint
 from crms_fenicsx.results.quantities import cell_tensors, summed
@@ -64,14 +64,14 @@ class ErrorEstimator:
         self._scene, mesh = scene, scene.mesh.mesh
         self._space = fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,)))
         self._dofs: Indices = self._space.dofmap.list
-        vectors = area_vectors(mesh)
-        self._areas: Array = scene.membrane.cell_areas
-        self._normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-        tags = scene.membrane.cell_tags
-        self._tags = np.zeros(len(vectors)) if tags is None else tags.values.astype(float)
+        tags, n = scene.membrane.cell_tags, mesh.topology.index_map(2).size_local
+        self._areas, self._normals = scene.membrane.cell_areas, cell_normals(mesh)
+        self._tags = np.zeros(n) if tags is None else tags.values.astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
         """Estimated error of the scene's present state. Collective."""
+        self._areas = self._scene.membrane.cell_areas  # which may have moved
+        self._normals = cell_normals(self._scene.mesh.mesh)
         tensors = cell_tensors(system)
         frames, axes, images = tensors.frames, tensors.axes, tensors.images
         folded = tensors.folded

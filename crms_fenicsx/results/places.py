@@ -23,7 +23,6 @@ from crms_fenicsx.foundation.meshes.triangles import (
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.checks import counted, span
-from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, RIM, Balls
 from crms_fenicsx.results.quantities import shown_briefly
@@ -70,6 +69,7 @@ class Places:
     # positions, stress_free: (k, 3) current and stress-free, on all ranks (length)
     positions: Array
     stress_free: Array
+    corners: Array  # (n, 3) first the stress-free vertices by local degree of freedom (length)
     # (k,) distances from the requested points, relative to their facets' longest sides
     gaps: Array
 
@@ -81,11 +81,8 @@ class Places:
 
     def interpolated(self, function: fem.Function) -> Array:
         """Values of a linear function on the stress-free mesh, (k,). Collective."""
-        V = function.function_space
-        dofs: Indices = V.dofmap.list[self.cells[self.mine]]
-        corners = np.zeros((len(function.x.array), 3))
-        corners[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
-        weights, _, _ = closest(corners[dofs], self.stress_free[self.mine])
+        dofs: Indices = function.function_space.dofmap.list[self.cells[self.mine]]
+        weights, _, _ = closest(self.corners[dofs], self.stress_free[self.mine])
         found = np.zeros(len(self.mine))
         found[self.mine] = (weights * function.x.array[dofs]).sum(axis=1)
         return np.asarray(self.comm.allreduce(found))
@@ -137,7 +134,8 @@ def nearest_places(
     positions, stress_free = (np.asarray(comm.allreduce(found)) for found in given)
     cells = np.zeros(len(targets), dtype=np.int64)
     cells[mine] = surface.parents[rows[mine]]
-    return Places(comm, mine, cells, positions, stress_free, best[:, 0] / size)
+    gaps = best[:, 0] / size
+    return Places(comm, mine, cells, positions, stress_free, surface.stress_free, gaps)
 
 
 def _checked(points: ArrayLike) -> tuple[Array, bool]:

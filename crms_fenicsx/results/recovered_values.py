@@ -198,7 +198,7 @@ def judged_utilisation(results: MembraneResults, patches: dict[str, Patch]) -> J
     """Recover the utilisation and mark the corners in reinforcement. Collective."""
     corners = recovered(results, "utilisation")
     dofs = results.membrane.V.dofmap.list[: len(corners)]
-    patched = reinforced(results.membrane.stress_free, patches)[dofs]
+    patched = reinforced(results.surface.stress_free, patches)[dofs]
     away = np.abs(corners - results.values("utilisation")[:, None])
     spread = np.max(away, axis=1, initial=0.0, where=~patched)
     return JudgedUtilisation(corners, patched, spread)
@@ -209,7 +209,7 @@ def at_facets(results: MembraneResults, corners: Array) -> Array:
     between those at its corners (n, 3)."""
     surface = results.surface
     dofs = results.membrane.V.dofmap.list[surface.parents]
-    x = results.membrane.stress_free[dofs]
+    x = surface.stress_free[dofs]
     places = surface.stress_free[surface.triangles]
     sides = x[:, 1:] - x[:, :1]
     product = np.einsum("nai,nbi->nab", sides, sides)

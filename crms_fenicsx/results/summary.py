@@ -289,7 +289,7 @@ def summary(system: System) -> Summary:
 def _patch_summaries(
     results: MembraneResults, used: JudgedUtilisation, corners: Mapping[str, Patch]
 ) -> dict[str, PatchSummary]:
-    places = results.membrane.stress_free[results.membrane.V.dofmap.list[: len(used.corners)]]
+    places = results.surface.stress_free[results.membrane.V.dofmap.list[: len(used.corners)]]
     found = {}
     for name, patch in corners.items():
         own = used.corners[reinforced(places, {name: patch}) & np.isfinite(used.corners)]

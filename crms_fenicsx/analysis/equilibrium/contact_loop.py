@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, SETTLED, RowSliding
+from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, SETTLED
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
@@ -36,7 +36,6 @@ class ContactLoop:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
         self._projections = 0
-        self._rows = RowSliding(system)
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -61,7 +60,7 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            if self._rows.way > NEAR:
+            if system.largest_shift() > NEAR:
                 return True
             if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
@@ -92,7 +91,9 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            way = self._rows.follow()
+            way = system.follow_rows()
+            if system.collapse:
+                return replace(total, converged=False, reason=system.collapse)
             if not changes and 0.0 < way <= SETTLED:
                 system.renew_base()
             if not changes and way <= SETTLED:

@@ -17,7 +17,13 @@ from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.nodal_forces import NodalForces
-from crms_fenicsx.energy.terms.pressure import FollowerPressure, RimPressure, rim_of
+from crms_fenicsx.energy.terms.pressure import (
+    FollowerPressure,
+    Rim,
+    RimPressure,
+    moved_volume,
+    rim_of,
+)
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.model.materials import UFL_LAW
@@ -67,6 +73,7 @@ class MembraneContribution(Contribution):
             self.energy = self.stepwise = StepMembraneEnergy(*parts)
         self.folded_energy = np.zeros(1)
         self.plain: PlainCells | None = None
+        self._placement = scene.membrane.placement
         history = scene.step_history
         if self.stepwise is not None and history is not None:
             assert history.cells is not None
@@ -77,6 +84,7 @@ class MembraneContribution(Contribution):
         """The term, in the scene's materials, without folded cells, which have their own terms."""
         energy, self.plain = self.energy, None
         energy.renew_materials()
+        self.renew_places()
         energy.plain.x.array[:] = 1.0
         if folds is not None:
             energy.plain.x.array[folds.folded.cells] = 0.0
@@ -90,6 +98,12 @@ class MembraneContribution(Contribution):
             self.folded_energy[0] = 0.0
         energy.elementwise = None if self.plain is None else self.plain.membrane()
         return [energy]
+
+    def renew_places(self) -> None:
+        """Follow the stress-free places of the vertices, if they have moved."""
+        if self._placement != self.scene.membrane.placement:
+            self.energy.renew_places()
+            self._placement = self.scene.membrane.placement
 
     def read_scene(self, potential: Potential) -> None:
         blocks = potential.unknowns.vertex_blocks()
@@ -173,16 +187,23 @@ class PressureContribution(Contribution):
                 self.term.volume_n += float(self.folded_volume[0])
                 self.folded_volume[0] = 0.0
             return [self.term]
+        rim = self.renew_places(self.term)
         plain = self.membrane.plain
         self.term.elementwise = None if plain is None else plain.pressure(self.term)
         if self.scene.air.sealed is None:
-            return [self.term, *self._rim_terms()]
+            return [self.term, *self._rim_terms(rim)]
         from crms_fenicsx.energy.terms.sealed_pressure import SealedPressure
 
         self.value.value = 1.0
-        others = [*self._rim_terms(), *([] if folds is None else [self.term_on(folds)])]
+        others = [*self._rim_terms(rim), *([] if folds is None else [self.term_on(folds)])]
         self.sealed = SealedPressure(self.scene.air.sealed, self.term, others, self.value)
         return [self.sealed]
+
+    def renew_places(self, term: FollowerPressure) -> Rim:
+        """Follow the stress-free places of the vertices; return the rim. Collective."""
+        rim = rim_of(self.scene.membrane)
+        term.moved = moved_volume(self.scene.membrane, rim)
+        return rim
 
     def _make_term(self) -> FollowerPressure | StepPressure:
         scene = self.scene
@@ -194,8 +215,7 @@ class PressureContribution(Contribution):
         term.volume_n = self._volume
         return term
 
-    def _rim_terms(self) -> list[EnergyTerm]:
-        rim = rim_of(self.scene.membrane)
+    def _rim_terms(self, rim: Rim) -> list[EnergyTerm]:
         if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
             return []
         return [RimPressure(rim, self.value, self.scene.membrane.centre)]

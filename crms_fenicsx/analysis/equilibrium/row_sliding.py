@@ -6,8 +6,15 @@ import logging
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
+from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
+from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
+from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Booleans
+from crms_fenicsx.foundation.runtime.errors import as_text
+from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -20,40 +27,66 @@ SETTLED = 1e-6
 
 
 class RowSliding:
-    """Moves the stress-free mesh with its rows after a solve."""
+    """Moves the stress-free mesh of a scene with its rows after a solve.
 
-    def __init__(self, system: System) -> None:
-        self.system, self.scene = system, system.scene
+    Attributes: `collapse`: why the last motion cannot be used; "" if it can.
+    """
 
-    @property
-    def way(self) -> float:
-        """Largest shift in the last solve, relative to the cell size. Collective."""
-        shifts = self.system.shifts
-        if shifts is None:
-            return 0.0
-        ways = norm(shifts.shifts(self.system.potential))
-        return float((ways / shifts.numbering.shifts.sizes).max(initial=0.0))
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.collapse = scene, ""
+        self._motion: MeshMotion | None = None
+        self._rows: tuple[LaidCable, ...] = ()
 
-    def follow(self) -> float:
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self._motion is not None:
+            self._motion.destroy()
+        self._motion = None
+
+    def follow(self, shifts: ShiftContribution, potential: Potential) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
         unless all are small; return the largest, relative to the cell size. Collective."""
-        shifts, way = self.system.shifts, self.way
-        if shifts is None or way == 0.0:
-            return 0.0
+        self.collapse = ""
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
-        ways = shifts.shifts(self.system.potential)
+        ways = shifts.shifts(potential)
+        way = float((norm(ways) / rows.sizes).max(initial=0.0))
+        if way == 0.0:
+            return 0.0
         X, x = membrane.stress_free.copy(), membrane.positions()
-        order = np.argsort(membrane.vertex_ids)
-        at = np.searchsorted(membrane.vertex_ids[order], rows.vertices)
-        at = order[np.minimum(at, len(order) - 1)]
-        here = membrane.vertex_ids[at] == rows.vertices
-        X[at[here]] += ways[here]
+        here = self._here(shifts)
+        at = np.searchsorted(rows.vertices, membrane.vertex_ids[here])
+        X[here] += ways[at]
         if way > NEAR:
-            X, x = self._moved(X, x)
-        membrane.place_stress_free(X)
+            motion = self._renewed()
+            X, x = motion.move(X, x)
+            (ratio, place, near), _ = motion.quality(X)
+            if ratio <= 0.0:
+                names = ", ".join(self._rows[k].name for k in near[:2]) or "the cables"
+                self.collapse = (
+                    f"{names} would slide so far that cells near {as_text(place)} collapse; lay "
+                    "them nearer to where they come to rest, or hold the lines with slide=False"
+                )
+        place_stress_free(self.scene, X)
         membrane.u.x.array[:] = (x - X).ravel()
         logger.debug("rows slide by %.3g cells", way)
         return way
 
-    def _moved(self, X, x):
-        return X, x
+    def _here(self, shifts: ShiftContribution) -> Booleans:
+        """Whether each local vertex shifts, (n,)."""
+        return np.isin(self.scene.membrane.vertex_ids, shifts.numbering.shifts.vertices)
+
+    def _renewed(self) -> MeshMotion:
+        """The motion of the mesh with the present rows. Collective."""
+        scene, membrane = self.scene, self.scene.membrane
+        rows = tuple(cable for cable in scene.cables if cable.state.laid.line is not None)
+        if self._motion is None or rows != self._rows:
+            self.destroy()
+            self._rows = rows
+            vertices = [
+                np.array([k.support[0] for k in row.state.nodes if k.kind == "vertex"])
+                for row in rows
+            ]
+            fixed = fixed_vertices(membrane)
+            none = np.zeros(0, dtype=np.int64)
+            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, none)
+        return self._motion

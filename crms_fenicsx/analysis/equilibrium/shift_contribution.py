@@ -13,6 +13,7 @@ from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 
@@ -52,6 +53,11 @@ class ShiftContribution(Contribution):
         self.numbering.hold(potential.unknowns)
         here = self.numbering.shift_blocks
         potential.x[here[here >= 0]] = 0.0
+
+    def largest(self, potential: Potential) -> float:
+        """Largest shift, relative to the cell size. Collective."""
+        rows = self.numbering.shifts
+        return float((norm(self.shifts(potential)) / rows.sizes).max(initial=0.0))
 
     def shifts(self, potential: Potential) -> Array:
         """Shifts (m, 3) of the stress-free places on all ranks (length). Collective."""

@@ -23,6 +23,7 @@ from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.stability import is_convex_from
+from crms_fenicsx.energy.terms.pressure import FollowerPressure
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.frame_contribution import BarContribution
     from crms_fenicsx.analysis.equilibrium.friction_contribution import FrictionContribution
     from crms_fenicsx.analysis.equilibrium.pond_contribution import PondContribution
+    from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
     from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
     from crms_fenicsx.cabling.cables.element_tables import CableTables
 
@@ -74,6 +76,7 @@ class System:
         self.unknowns: Unknowns
         self.potential: Potential
         self.minimizer: Minimizer | None = None
+        self._rows: RowSliding | None = None
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
@@ -187,11 +190,37 @@ class System:
             part.read_scene(self.potential)
         self.potential.place()
 
+    def largest_shift(self) -> float:
+        """Largest shift of a stress-free place in the last solve, relative to the cell size.
+        Collective."""
+        return 0.0 if self.shifts is None else self.shifts.largest(self.potential)
+
+    def follow_rows(self) -> float:
+        """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
+        `largest_shift`. Collective."""
+        if self.shifts is None:
+            return 0.0
+        if self._rows is None:
+            from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
+
+            self._rows = RowSliding(self.scene)
+        return self._rows.follow(self.shifts, self.potential)
+
+    @property
+    def collapse(self) -> str:
+        """Why the last motion of the mesh cannot be used; "" if it can."""
+        return "" if self._rows is None else self._rows.collapse
+
     def renew_base(self) -> None:
         """Start from the stress-free places that the membrane has now. Collective."""
         assert self.shifts is not None
+        self.membrane.renew_places()
+        if isinstance(self.pressure.term, FollowerPressure):
+            self.pressure.renew_places(self.pressure.term)
         self.shifts.renew(self.unknowns)
         self.read_scene()
+        self.renew_friction()
+        self._built_for = self.scene.versions.model_version, True
 
     def update(self) -> None:
         """Bring the potential to the scene's state for inspection."""

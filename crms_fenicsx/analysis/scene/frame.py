@@ -234,7 +234,7 @@ class Frame:
             membrane = self.membrane
             own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
             same = own == vertex.number
-            away = np.abs(membrane.stress_free[: len(own)] - vertex.place).max(axis=1)
+            away = np.abs(membrane.given[: len(own)] - vertex.place).max(axis=1)
             found = np.flatnonzero(same & (away <= SAME_PLACE * membrane.size))
             mine = (membrane.comm.rank, int(found[0])) if len(found) else None
             homes = [home for home in membrane.comm.allgather(mine) if home is not None]
@@ -261,7 +261,7 @@ class Frame:
 
     def _vertex(self, number: int, dofs: Array) -> MeshVertex:
         """A vertex from its local degree of freedom, given on the owning rank only."""
-        place = self.membrane.stress_free[int(dofs[0])] if len(dofs) else None
+        place = self.membrane.given[int(dofs[0])] if len(dofs) else None
         x, y, z = next(p for p in self.membrane.comm.allgather(place) if p is not None)
         return MeshVertex(number, (float(x), float(y), float(z)))
 

@@ -341,6 +341,10 @@ class Loads(Stateful[LoadsState]):
         )
         self.versions.change_model(acts=factor != 0.0)
 
+    def follow_stress_free_places(self) -> None:
+        """Renew the forces of loads by stress-free area."""
+        self.update(loads=tuple(load.on_stress_free_areas(self.membrane) for load in self))
+
     def add(self, load: MembraneLoad) -> None:
         """Add a load made on the current shape."""
         self.update(loads=(*self.state.loads, load))

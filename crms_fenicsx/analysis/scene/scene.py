@@ -867,3 +867,18 @@ class Scene:
         if solved and not self.versions.are_settled(self.membrane.owned_u):
             words.append(UNBALANCED)
         return f"Scene({'; '.join(words)})"
+
+
+def place_stress_free(scene: Scene, X: Array) -> None:
+    """Move the stress-free places of a scene's vertices to X, (n, 3) with ghosts, as lines that
+    slide with their cables do; displacements stay. Everything that depends on them follows in the
+    next load step or inspection. Collective."""
+    if "step" in (scene.strain_law, scene.pressure_law):
+        raise InputError(
+            "lines of the mesh slide and move its stress-free vertices, which the step-wise laws "
+            'of the membrane cannot follow; use strain="total" and pressure="total", or hold the '
+            "lines with slide=False."
+        )
+    scene.membrane.place_stress_free(X)
+    scene.loads.follow_stress_free_places()
+    scene.versions.change_model()

@@ -147,8 +147,9 @@ class SnapThroughSearch:
     def _largest_displacement(self, before: SceneState, after: SceneState) -> tuple[float, Array]:
         """Largest displacement (length) of a vertex or joint, and its place before. Collective."""
         own = self.scene.V.dofmap.index_map.size_local
-        places: Array = self.scene.membrane.stress_free[:own] + before.u.reshape(-1, 3)[:own]
-        moved: Array = (after.u - before.u).reshape(-1, 3)[:own]
+        membrane = self.scene.membrane
+        places: Array = membrane.positions_in(before.membrane)[:own]
+        moved: Array = membrane.positions_in(after.membrane)[:own] - places
         if before.frame.joints:
             joints = np.array([joint.position for joint in before.frame.joints.values()])
             ends = np.array([joint.position for joint in after.frame.joints.values()])
@@ -172,7 +173,7 @@ class SnapThroughSearch:
         )
         scene, heights = self.scene, []
         for state in (before, after):
-            z = scene.membrane.stress_free[:, 2] + state.u.reshape(-1, 3)[:, 2]
+            z = scene.membrane.positions_in(state.membrane)[:, 2]
             heights.append(scene.comm.allreduce(float(z.min(initial=np.inf)), op=MPI.MIN))
         if scene.floor_level is None and heights[1] < heights[0] - 0.1 * size:
             words += f"; where the ground would stop it, add scene.floor({heights[0]:.4g}) before"

@@ -53,7 +53,8 @@ class CableNet:
         self.clamps: tuple[Clamp, ...] = ()  # between pairs of cables
         self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
         self._nodes: NodeTable | None = None
-        self._shape: tuple[StripShape, Array] | None = None  # the last, and displacements there
+        # the last, with the displacements and the placement of stress-free vertices there
+        self._shape: tuple[StripShape, Array, int] | None = None
 
     @property
     def nodes(self) -> NodeTable:
@@ -99,10 +100,16 @@ class CableNet:
         """Current positions of the strip's vertices, gathered only if they have changed.
         Collective."""
         assert self.strip is not None
-        u, known = self.membrane.positions(), self._shape
-        same = known is not None and known[0].strip is self.strip and np.array_equal(known[1], u)
+        u, placement, known = self.membrane.u.x.array, self.membrane.placement, self._shape
+        same = (
+            known is not None
+            and known[0].strip is self.strip
+            and known[2] == placement
+            and np.array_equal(known[1], u)
+        )
         if known is None or not self.membrane.comm.allreduce(same, op=MPI.LAND):
-            known = self._shape = StripShape.of(self.membrane, self.strip), u.copy()
+            known = StripShape.of(self.membrane, self.strip), u.copy(), placement
+            self._shape = known
         return known[0]
 
     def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
-from crms_fenicsx.energy.terms.pressure import gain, rim_of
+from crms_fenicsx.energy.terms.pressure import gain, moved_volume, rim_of, volume_change
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
 from crms_fenicsx.foundation.surface.polygons import Polygons, best_fan, fan_facets
 
@@ -93,8 +92,8 @@ def current_surface(net: CableNet) -> CurrentSurface:
 
 
 def gained_volume(net: CableNet) -> float:
-    """Volume between the stress-free and the current cells under pressure (length cubed), on which
-    a pressure p does the work p V. Collective."""
+    """Volume between the stress-free cells under pressure, as given, and the current ones (length
+    cubed), on which a pressure p does the work p V. Collective."""
     # With a rim that is held or slides in planes, this is the volume between the surfaces and the
     # planes; otherwise it includes the volume swept by the rim as seen from the centre.
     membrane = net.membrane
@@ -105,24 +104,14 @@ def gained_volume(net: CableNet) -> float:
     plain[shape.cells] = False
     cells = V.dofmap.list[:owned]
     X, u = shape.stress_free - membrane.centre, shape.points - shape.stress_free
-    local = _volume_change(X, u, cells[plain]).sum()
+    local = volume_change(X, u, cells[plain]).sum()
     starts, corners, cell = shape.pieces
     pressed = np.flatnonzero(membrane.pressed[cell])
     sizes = np.diff(starts)[pressed]
     facets, weights = fan_facets(pointers(sizes), corners[runs(starts[pressed], sizes)])
     # The pieces of a folded cell make up the cell when stress-free: their changes add up.
-    local += np.sum(weights * _volume_change(X, u, facets))
+    local += np.sum(weights * volume_change(X, u, facets))
     rim = rim_of(membrane)
     local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
+    local += moved_volume(membrane, rim)
     return float(membrane.comm.allreduce(float(local)))
-
-
-def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
-    """Change (n,) of the volumes between triangles and the origin, without cancellation."""
-    a, h = X[triangles], u[triangles]
-    d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
-    n0 = np.cross(d[:, 0], d[:, 1])
-    change = np.cross(d[:, 0], s[:, 1]) + np.cross(s[:, 0], d[:, 1]) + np.cross(s[:, 0], s[:, 1])
-    at, moved = a.mean(axis=1), h.mean(axis=1)
-    volume: Array = np.sum(moved * (n0 + change) + at * change, axis=1) / 6
-    return volume

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from dolfinx import la
 from mpi4py import MPI
 
 from crms_fenicsx.cabling.cables.clamping import clamped_nodes
@@ -139,6 +140,24 @@ def _held_and_fixed(
     crossed = np.isin(strip.vertices, folds)
     fixed = (fixed > held) | (least < most) | crossed
     return held.astype(bool), fixed.astype(bool)
+
+
+def fixed_vertices(membrane: Membrane) -> Booleans:
+    """Whether the stress-free place of each local vertex (n,) must stay in all motions of the mesh:
+    where it is held, but not within held areas, and on the borders of parts. Collective."""
+    own = membrane.mesh.mesh.topology.index_map(2).size_local
+    dofs = membrane.V.dofmap.list[:own]
+    free = ~membrane.held.all(axis=1)[dofs].all(axis=1)
+    kinds = _kinds(membrane)[:own].astype(float)
+    sums = la.vector(membrane.V.dofmap.index_map, 4, dtype=np.float64)
+    total = sums.array.reshape(-1, 4)
+    for k, values in enumerate((free, np.ones(own), kinds, kinds**2)):
+        np.add.at(total[:, k], dofs, values[:, None])
+    sums.scatter_reverse(la.InsertMode.add)
+    sums.scatter_forward()
+    n_free, count, mean, square = total.T
+    borders = square * count - mean**2 > 0.5
+    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders)
 
 
 def _kinds(membrane: Membrane) -> Indices:

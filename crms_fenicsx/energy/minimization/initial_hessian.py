@@ -28,6 +28,7 @@ from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.compat import direct_solver
 
 QUIET = {"mat_cholmod_print": "0"}
 """Stops CHOLMOD from printing that a matrix is indefinite; errors are raised anyway."""
@@ -60,14 +61,6 @@ def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
     x, g = potential.x[:n], potential.g[:n]
     pressed: npt.NDArray[np.bool_] = ((x <= lower[:n]) & (g > 0)) | ((x >= upper[:n]) & (g < 0))
     return pressed
-
-
-def direct_solver(comm: MPI.Comm) -> str:
-    """Default package for factorising K: the fastest that this PETSc has."""
-    has = PETSc.Sys.hasExternalPackage
-    if comm.size == 1 and (has("cholmod") or has("suitesparse")):
-        return "cholmod"
-    return "mumps" if has("mumps") else "petsc"
 
 
 def _set_defaults(prefix: str, values: dict[str, str]) -> None:

@@ -262,13 +262,23 @@ class TensionField:
         self.u, self.cells, self.axes, self.rest = u, cells, axes, rest
         self.parameters, self.row = parameters, row
         self.dofs = np.ascontiguousarray(u.function_space.dofmap.list[cells])
-        x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
-        self.shapes = np.linalg.inv(np.einsum("nki,nai->nka", x[:, 1:] - x[:, :1], duals))
+        self.shapes = self._shapes(duals)
         self.strains = np.zeros((len(cells), 3))
         self.values = fem.Function(fem.functionspace(mesh, ("DG", 0, (5,))))
         """Energy per area, section forces (S11, S22, S12) and state of each cell."""
         self.tangents = fem.Function(fem.functionspace(mesh, ("DG", 0, (3, 3))))
         """Consistent tangent of each cell, in Voigt order."""
+
+    def place(self, axes: Array) -> None:
+        """Use these orthonormal axes of the present stress-free shape of the mesh."""
+        self.axes, self.shapes = axes, self._shapes(axes)
+
+    def _shapes(self, duals: Array) -> Array:
+        """What maps differences of u along two sides to slopes along the axes, (n, 2, 2)."""
+        mesh = self.u.function_space.mesh
+        x = mesh.geometry.x[geometry_dofmap(mesh)[self.cells]]
+        sides = np.einsum("nki,nai->nka", x[:, 1:] - x[:, :1], duals)
+        return np.asarray(np.linalg.inv(sides))
 
     def update(self) -> None:
         """Evaluate the law at the current displacement."""

@@ -10,21 +10,23 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.foundation.meshes.triangles import cell_normals
+from crms_fenicsx.foundation.meshes.triangles import double_areas
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.model.materials import MembraneMaterial
 
 
-def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int32]) -> fem.Function:
-    """Unit warp directions in the surface, one per cell (DG0)."""
-    space = fem.functionspace(mesh, ("DG", 0, (3,)))
-    field = fem.Function(space)
-    normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
+def warp_directions(
+    comm: MPI.Intracomm, material: MembraneMaterial, corners: Array, cells: npt.NDArray[np.int32]
+) -> Array:
+    """Unit warp directions (n, 3) in all cells with corners (n, 3, 3), checked in `cells`."""
+    normal, centre = double_areas(corners), corners.mean(axis=1)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
     warp = material.warp
-    with raised_together(mesh.comm):  # invalid values may occur on one rank only
+    with raised_together(comm):  # invalid values may occur on one rank only
         given = (
             np.asarray(warp(centre.T), dtype=float).T
             if callable(warp)
@@ -43,8 +45,7 @@ def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int3
                 f"warp: the direction {given[bad[0]]} is normal to the membrane at "
                 f"{centre[bad[0]]}; pass a direction that is nowhere normal to it."
             )
-    field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
-    return field
+    return np.asarray(flat / np.maximum(length, 1e-300)[:, None])
 
 
 def tangent_basis(mesh: Any, warp: fem.Function | None) -> tuple[Any, Any]:

@@ -18,7 +18,7 @@ from crms_fenicsx.energy.terms.kinematics import (
     dual_axes,
     tangent_basis,
     tensile_part,
-    warp_field,
+    warp_directions,
 )
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, FormPattern
@@ -71,13 +71,13 @@ class MembraneEnergy(EnergyTerm):
         self.cell_tags = cell_tags
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
         self.warps: dict[int, fem.Function | None] = {}
+        vectors = fem.functionspace(mesh, ("DG", 0, (3,)))
         for tag, material in materials.items():
-            own = cells if cell_tags is None else cell_tags.find(tag)
             free = material.warp is None or frames is not None
-            self.warps[tag] = None if free else warp_field(mesh, material, own)
+            self.warps[tag] = None if free else fem.Function(vectors)
+        self._renew_warps()
+        self._area = self._area_in_mesh()
         self.tension_field = self._tension_field(cells)
-        areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
-        self._area = float(areas.sum())
         self._rest = float(np.abs(self.rest_strains(cells)).max(initial=0.0))
         self._sewn = None if frames is None else self._sewn_fields(frames)
         self._parameters = {
@@ -89,6 +89,30 @@ class MembraneEnergy(EnergyTerm):
         prepare = None if self.tension_field is None else self.tension_field.update
         self.integral = Integral(V, self._variation, prepare, cell_tags, self._inputs("energy"))
         self._cell_values: dict[int, fem.Expression] = {}
+
+    def renew_places(self) -> None:
+        """Follow the stress-free places of the vertices, which have moved in the mesh."""
+        self._renew_warps()
+        self._area = self._area_in_mesh()
+        if self.tension_field is not None:
+            self.tension_field.place(self.material_axes(self.tension_field.cells))
+
+    def _renew_warps(self) -> None:
+        """Compute the warp directions in the present mesh. Collective."""
+        mesh = self.u.function_space.mesh
+        cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        corners = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)], dtype=float)
+        for tag, warp in self.warps.items():
+            if warp is not None:
+                own = cells if self.cell_tags is None else self.cell_tags.find(tag)
+                ways = warp_directions(mesh.comm, self.materials[tag], corners, own)
+                warp.x.array[:] = ways.ravel()
+
+    def _area_in_mesh(self) -> float:
+        """Area of this rank's own cells in the present mesh."""
+        mesh = self.u.function_space.mesh
+        own = mesh.topology.index_map(2).size_local
+        return float(np.linalg.norm(area_vectors(mesh)[:own], axis=1).sum())
 
     def _inputs(self, form: str) -> FormInputs | None:
         """What a form takes from the mesh; None with a material of the user's own law."""

@@ -48,16 +48,18 @@ class FollowerPressure(EnergyTerm):
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, if the
     `open_edges` are held; for edges that slide in planes `RimPressure` adds the missing part. V is
-    measured from `origin`; V0 is that of the stress-free surface, so that the energy is the work
-    done since, independent of the origin.
+    measured from `origin`; V0 is that of the stress-free surface of the mesh as given, so that the
+    energy is the work done since, independent of the origin.
 
-    Attributes: `integral`: the volume gained, and the gradient of the potential. Shapes and units:
-    pressure (force per area), origin (3,) (length).
+    Attributes: `integral`: the volume gained, and the gradient of the potential; `moved`: this
+    rank's part of `moved_volume`. Shapes and units: pressure (force per area), origin (3,)
+    (length).
     """
 
     name = "pressure"
     exact_hessian = True
     integral: Integral
+    moved = 0.0
 
     def __init__(
         self,
@@ -102,7 +104,7 @@ class FollowerPressure(EnergyTerm):
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""
-        out[0] = self.integral.value
+        out[0] = self.integral.value + self.moved
 
     def energy(self, sums: Array) -> float:
         """Minus the work of the pressure since the stress-free shape (force x length)."""
@@ -114,7 +116,7 @@ class FollowerPressure(EnergyTerm):
 
 
 @dataclass(frozen=True)
-class _Rim:
+class Rim:
     """This rank's part of the rim."""
 
     # (m, 3) coordinates in each product, as three times the local degree of freedom plus direction
@@ -126,7 +128,7 @@ class _Rim:
     sliding: Indices  # (k,) local edges that are not held, but slide in a plane
 
 
-def rim_of(membrane: Membrane) -> _Rim:
+def rim_of(membrane: Membrane) -> Rim:
     """Classify a membrane's open edges by how they are held in its current shape. Collective."""
     edges, V, held = membrane.open_edges, membrane.V, membrane.held
     places, size = membrane.positions(), membrane.size
@@ -158,7 +160,7 @@ def rim_of(membrane: Membrane) -> _Rim:
     components, factors = (np.concatenate(parts) for parts in zip(*products, strict=True))
     loose = np.concatenate(free)
     loose = loose[~np.all(held[loose], axis=1)]
-    return _Rim(components, factors, loose, edges.numbers[~closed])
+    return Rim(components, factors, loose, edges.numbers[~closed])
 
 
 def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indices, Array]:
@@ -178,7 +180,7 @@ class RimPressure(EnergyTerm):
 
     name = "pressure"
 
-    def __init__(self, rim: _Rim, pressure: fem.Constant, origin: Array) -> None:
+    def __init__(self, rim: Rim, pressure: fem.Constant, origin: Array) -> None:
         self.rim, self.pressure, self.origin = rim, pressure, origin
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -209,3 +211,25 @@ def gain(X: Array, x: Array) -> Array:
     """``prod(X + x) - prod(X)`` of rows of three, without cancellation."""
     (A, B, C), (a, b, c) = X.T, x.T
     return np.asarray(a * (B + b) * (C + c) + A * (b * (C + c) + B * c))
+
+
+def volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
+    """Change (n,) of the volumes between triangles and the origin, without cancellation."""
+    a, h = X[triangles], u[triangles]
+    d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
+    n0 = np.cross(d[:, 0], d[:, 1])
+    change = np.cross(d[:, 0], s[:, 1]) + np.cross(s[:, 0], d[:, 1]) + np.cross(s[:, 0], s[:, 1])
+    at, moved = a.mean(axis=1), h.mean(axis=1)
+    volume: Array = np.sum(moved * (n0 + change) + at * change, axis=1) / 6
+    return volume
+
+
+def moved_volume(membrane: Membrane, rim: Rim) -> float:
+    """This rank's part of the volume between the pressurised cells of the mesh as given and of the
+    present stress-free shape (length cubed): volumes are gained since the first."""
+    if membrane.moved is None:
+        return 0.0
+    cells, X = membrane.V.dofmap.list, membrane.given - membrane.centre
+    of_cells = volume_change(X, membrane.moved, cells[membrane.pressed[: len(cells)]]).sum()
+    ends = (places.reshape(-1)[rim.components] for places in (X, membrane.moved))
+    return float(of_cells + rim.factors @ gain(*ends))

@@ -19,8 +19,9 @@ from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 
 class ResidualStress(EnergyTerm):
-    """Energy ``int S : E`` of constant second Piola-Kirchhoff forces S at the strain E. Shapes and
-    units: forces (n, 3, 3) (force per length)."""
+    """Energy ``int S : E`` of constant second Piola-Kirchhoff forces S at the strain E, those of
+    each cell also where stress-free places move. Shapes and units: forces (n, 3, 3) (force per
+    length)."""
 
     name = "residual stress"
     exact_hessian = True
@@ -29,10 +30,7 @@ class ResidualStress(EnergyTerm):
     def __init__(self, u: fem.Function, forces: Array) -> None:
         V = u.function_space
         self.u, self.section_forces = u, forces
-        S = fem.Function(fem.functionspace(V.mesh, ("DG", 0, (3,))))
-        axes = _axes(V.mesh)[: len(forces)]
-        both = np.einsum("nia,nab,njb->nij", axes, forces, axes)
-        S.x.array[: 3 * len(forces)] = both[:, [0, 1, 0], [0, 1, 1]].ravel()
+        self._S = S = fem.Function(fem.functionspace(V.mesh, ("DG", 0, (3,))))
         stress = ufl.as_matrix([[S[0], S[2]], [S[2], S[1]]])
         basis = tangent_basis(V.mesh, None)
         kinematics = Kinematics(u, basis)
@@ -51,6 +49,11 @@ class ResidualStress(EnergyTerm):
 
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
+        forces = self.section_forces
+        assert forces is not None
+        axes = _axes(self.u.function_space.mesh)[: len(forces)]
+        both = np.einsum("nia,nab,njb->nij", axes, forces, axes)
+        self._S.x.array[: 3 * len(forces)] = both[:, [0, 1, 0], [0, 1, 1]].ravel()
         self._hessian.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:

@@ -128,7 +128,8 @@ class EnergyTerm(ABC):
     unknowns: Unknowns
 
     def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout; called for each new layout of the scene, as cables come or slacken."""
+        """Use this layout; called for each new layout of the scene, as cables come or slacken, or
+        as stress-free places move."""
         self.unknowns = unknowns
 
     @abstractmethod

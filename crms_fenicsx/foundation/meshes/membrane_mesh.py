@@ -67,6 +67,8 @@ class MembraneMesh:
     project
         Projection of new vertices in refinement on the approximated surface: the generator's, on
         rank 0, or a user's function, on all ranks; None if unknown.
+    scenes
+        Whether each scene made on it has moved its vertices, as lines that slide do.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -75,6 +77,7 @@ class MembraneMesh:
     points: Mapping[str, Indices]
     hidden: Indices
     project: Projection | None = None
+    scenes: list[bool] = dataclasses.field(default_factory=list, compare=False)
 
     def __repr__(self) -> str:
         """One-line summary; not collective."""
@@ -288,7 +291,7 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
-    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
+    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes), scenes=[])
 
 
 def redistributed(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:

@@ -73,6 +73,14 @@ def interpolation_points(element: Any) -> NDArray[np.floating]:
     return np.asarray(points)
 
 
+def direct_solver(comm: MPI.Intracomm) -> str:
+    """Default package for factorising a matrix: the fastest that this PETSc has."""
+    has = PETSc.Sys.hasExternalPackage
+    if comm.size == 1 and (has("cholmod") or has("suitesparse")):
+        return "cholmod"
+    return "mumps" if has("mumps") else "petsc"
+
+
 def require_real() -> None:
     """Refuse a DOLFINx whose PETSc scalars are not 64-bit reals."""
     kind = np.dtype(PETSc.ScalarType)

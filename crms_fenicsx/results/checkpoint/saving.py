@@ -19,7 +19,7 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.step_record import Step
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-from crms_fenicsx.energy.terms.kinematics import warp_field
+from crms_fenicsx.energy.terms.kinematics import warp_directions
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
 from crms_fenicsx.foundation.meshes.triangles import lists
@@ -44,8 +44,8 @@ from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 
 STATE = "state.json"
 POSITIONS = "positions"
-"""File name of the stress-free vertices."""
-FORMAT = "crms_fenicsx checkpoint 12"
+"""File name of the stress-free vertices of the mesh as given."""
+FORMAT = "crms_fenicsx checkpoint 13"
 """Format mark of a checkpoint; its number grows with each change of the content."""
 
 
@@ -63,7 +63,7 @@ class Contents:
     """Contents of a checkpoint except the arrays on the mesh."""
 
     scene: Plain  # identifies the scene, see `fingerprint`
-    positions: Plain  # description of the file of stress-free vertices
+    positions: Plain  # description of the file of the vertices of the mesh as given
     state: Plain  # a `SceneState`
     state_version: int  # of the scene's versions
     in_equilibrium: bool  # whether the scene was unchanged since the last load step
@@ -78,7 +78,7 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
         storage = _SceneStorage(partial, scene)
         contents = Contents(
             fingerprint(scene),
-            storage.write(POSITIONS, Rows.VERTICES, scene.membrane.stress_free),
+            storage.write(POSITIONS, Rows.VERTICES, scene.membrane.given),
             encode(scene.state, storage),
             scene.versions.state_version,
             scene.in_equilibrium(),
@@ -170,7 +170,7 @@ class _SceneStorage:
     def check_mesh(self, data: Any) -> None:
         """Refuse a mesh with other vertices than the saved ones. Collective."""
         X = self.read(POSITIONS, Rows.VERTICES, np.dtype(float), (3,), data)
-        here, size = self.scene.membrane.stress_free, self.scene.membrane.size
+        here, size = self.scene.membrane.given, self.scene.membrane.size
         with raised_together(self.comm):
             apart = np.flatnonzero(~(np.abs(X - here).max(axis=1) <= SAME_PLACE * size))
             if len(apart):
@@ -196,11 +196,11 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
         shapes = mixed(scene, np.hstack([cells, rounded]))
     warps = None
     if frames is None and any(callable(one.warp) for one in first.values()):
-        ways = np.zeros((len(cells), 3))
+        ways, corners = np.zeros((len(cells), 3)), scene.membrane.given[scene.V.dofmap.list]
         for tag, one in first.items():
             if callable(one.warp):
                 own = np.flatnonzero(tags[:, 0] == tag).astype(np.int32)
-                ways[own] = warp_field(mesh, one, own).x.array.reshape(-1, 3)[own]
+                ways[own] = warp_directions(scene.comm, one, corners, own)[own]
         warps = mixed(scene, np.hstack([cells, np.rint(1e8 * ways).astype(np.int64)]))
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,

@@ -22,7 +22,7 @@ from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
-from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     TracedLine,
     Tracer,
@@ -31,7 +31,7 @@ from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
 )
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
 from crms_fenicsx.foundation.meshes.surface import EMPTY
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm, shapes
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, ints

@@ -8,7 +8,7 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
-from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
+from crms_fenicsx.foundation.meshes.triangles import closest, dot, norm, shapes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
 
@@ -123,12 +123,3 @@ class Spreading:
             back = np.unique(cells[bad])
             new[back] = x[back]
         new[:] = x
-
-
-def shapes(corners: Array) -> tuple[Array, Array]:
-    """Unit normals (m, 3) and sines (m,) of the smallest angles of triangles (m, 3, 3)."""
-    normals = double_areas(corners)
-    area = norm(normals)
-    sides = np.sort(norm(corners[:, [1, 2, 0]] - corners), axis=1)
-    sines = area / np.maximum(sides[:, 1] * sides[:, 2], 1e-300)
-    return normals / np.maximum(area, 1e-300)[:, None], sines

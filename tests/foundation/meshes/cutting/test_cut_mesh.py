@@ -14,10 +14,11 @@ from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, side_turns
 from crms_fenicsx.foundation.meshes.cutting.division import shape
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
-from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import Tracer
 from crms_fenicsx.foundation.meshes.orientation import UPWARD
 from crms_fenicsx.foundation.meshes.surface import SurfaceArrays, check_shapes, checked_surface
+from crms_fenicsx.foundation.meshes.triangles import shapes
 
 LINES = {
     "A": np.array([(0.0, 0.31), (1.0, 0.47)]),

@@ -1,0 +1,302 @@
+"""Motion of a stress-free mesh that follows rows of its vertices.
+
+Where rows have shifted within the surface, the other vertices follow, so that cells keep their
+shape: first along the rows, then between them. The stress-free places depend on the rows' only and
+not on the way there: they are found from the first mesh. The current place of a vertex whose
+stress-free place moves by dX moves by F dX, with the mean deformation gradient F of its cells: the
+vertex becomes another point of the same deformed material.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numba
+import numpy as np
+from dolfinx import fem, la
+
+from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
+from crms_fenicsx.foundation.meshes.harmonic_extension import HarmonicExtension
+from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.foundation.meshes.row_pieces import RowPieces, mixed
+from crms_fenicsx.foundation.meshes.triangles import (
+    arc_lengths,
+    cross,
+    dot,
+    double_areas,
+    norm,
+    shapes,
+)
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
+
+Span = tuple[Integers, Array, Array]
+"""Numbers of row vertices under a span, in order, and the places (3,) of its ends."""
+Worst = tuple[float, Array, list[int]]
+"""A cell's value, its place (3,), and the rows within two cells of it, the nearest first."""
+
+
+class MeshMotion:
+    """Moves the vertices of a mesh with rows of vertices that the caller shifts.
+
+    Vertices have their numbers in the mesh as given, the same on all ranks; arrays (n, 3) are by
+    local degree of freedom, with ghosts. All methods are collective.
+
+    Attributes: `sliding` (k,): the vertices that slide along the rim; `size` (n,): mean length of
+    the first edges around each vertex.
+    """
+
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        first: Array,
+        rows: Sequence[Integers],
+        fixed: Booleans,
+        sliding: Integers,
+    ) -> None:
+        """Take the stress-free places `first` (n, 3) of the first mesh; the vertices along each
+        row, where crossing rows share one; vertices `fixed` (n,) that never move, beside those of
+        rims, seams and creases, which are found here; and the rows' ends that slide along the rim,
+        if they do not lie at a corner of it."""
+        self._V, self._first = V, first
+        self._ids = np.zeros(len(first), dtype=np.int64)
+        self._ids[V.dofmap.list] = cell_vertex_ids(V.mesh)
+        self._surface = surface = FirstSurface(V, self._ids, first)
+        self._own = V.dofmap.index_map.size_local
+        stays = np.zeros(len(surface.rim), dtype=bool)
+        for some in V.mesh.comm.allgather(self._ids[: self._own][fixed[: self._own]]):
+            stays[some] = True
+        count = np.zeros(len(stays), dtype=np.int64)
+        for row in rows:
+            count[np.unique(row)] += 1
+        stops = stays | surface.rim | (count > 1)
+        self.sliding, self._rims = surface.rim_lines(sliding, stays, stays | (count > 0))
+        self._slides = np.zeros(len(stays), dtype=bool)
+        self._slides[self.sliding] = True
+        lines = np.concatenate([np.zeros(0, dtype=np.int64), *rows, *self._rims])
+        self._numbers = np.unique(lines)
+        self._rows = [np.searchsorted(self._numbers, row) for row in rows]
+        self._pieces = RowPieces(
+            [
+                np.searchsorted(self._numbers, piece)
+                for row in rows
+                for piece in _pieces(row, stops)
+            ],
+            surface.smooth.points[self._numbers],
+            surface.least[self._numbers],
+        )
+        self._local = np.flatnonzero(np.isin(self._ids, self._numbers))
+        self._place = np.searchsorted(self._numbers, self._ids[self._local])
+        self._within = ~(stays | surface.rim)[self._numbers]
+        self._single = ~(stays | surface.rim) & (count == 1)
+        known = stays | (norm(surface.smooth.normals) == 0.0)
+        known[self._numbers] = True
+        self._others = np.flatnonzero(~known[self._ids])
+        stiffness = surface.lengths**-2.0  # small cells change less
+        self._extension = HarmonicExtension(V, self._ids, surface.edges, stiffness, known)
+        self.size, self._least = surface.size[self._ids], surface.least[self._ids]
+        self._stars = la.vector(V.dofmap.index_map, 16, dtype=np.float64)
+
+    def destroy(self) -> None:
+        self._extension.destroy()
+
+    def move(self, X: Array, x: Array) -> tuple[Array, Array]:
+        """Stress-free and current places (n, 3) after a motion, from those after a solve, which
+        differ from the last motion's in rows only, or from the first mesh's.
+
+        The vertices of rows are spread again between ends and crossings in the proportions of the
+        first mesh, those of the rim beside sliding ends as well. The others move as a harmonic
+        extension from the first mesh tells, onto its smooth surface.
+        """
+        X, x = X.copy(), x.copy()
+        at, now = self._gathered(X), self._gathered(x)
+        for line in self._rims:
+            self._slide(line, at, now)
+        final, numbers = at.copy(), self._numbers
+        final[self._within] = self._on_surface(at, numbers)[self._within]
+        k, found, before, after, shares = self._pieces.spread(
+            final, lambda k, p: self._surface.onto(numbers[k], p)[0]
+        )
+        final[k] = found
+        for places in (at, now):
+            places[k] = mixed(places, before, after, shares)
+        X[self._local], x[self._local] = at[self._place], now[self._place]
+        moved = np.zeros_like(self._surface.smooth.points)
+        moved[numbers] = final - self._surface.smooth.points[numbers]
+        new = self._first + self._extension.of(moved)
+        new[self._others] = self._on_surface(new, self._ids)[self._others]
+        new[self._local] = final[self._place]
+        step = new - X
+        moves = np.flatnonzero(norm(step) > self._least)
+        gradients = self._mean_gradients(X, x)[0][moves]
+        x[moves] += (gradients * step[moves, None]).sum(axis=2)
+        X[moves] = new[moves]
+        return X, x
+
+    def rim_tangents(self, X: Array) -> Array:
+        """Unit tangents (k, 3) of the rim at the `sliding` vertices."""
+        at, tangents = self._gathered(X), np.zeros((len(self.sliding), 3))
+        for line in self._rims:
+            places = at[np.searchsorted(self._numbers, line)]
+            inner = np.flatnonzero(self._slides[line])
+            k = [ints(self.sliding).index(v) for v in ints(line[inner])]
+            tangents[k] = _unit(places[inner + 1] - places[inner - 1])
+        return tangents
+
+    def under(self, X: Array, x: Array, spans: Sequence[Span]) -> tuple[Array, Array]:
+        """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved sideways
+        within the deformed surface until they lie under them, by at most half a cell. The rest of
+        the mesh does not follow yet."""
+        X, x = X.copy(), x.copy()
+        gradients, normals, current = self._mean_gradients(X, x)
+        at = self._gathered(X)
+        for vertices, start, end in spans:
+            chord = (end - start) / norm(end - start)
+            k = np.searchsorted(self._numbers, vertices)
+            tangents = np.gradient(at[k], axis=0) if len(k) > 1 else np.zeros((1, 3))
+            free = np.flatnonzero(self._single[vertices])
+            local, of = _found(self._ids, vertices[free])
+            across = cross(normals[local], tangents[free[of]])
+            side = cross(current[local], np.broadcast_to(chord, across.shape))
+            across, side = _unit(across), _unit(side)
+            carried = (gradients[local] * across[:, None]).sum(axis=2)
+            ratio = dot(carried, side)
+            ok = np.abs(ratio) > 0.1 * norm(carried)
+            way = np.where(ok, dot(start - x[local], side) / np.where(ok, ratio, 1.0), 0.0)
+            most = 0.5 * self._surface.size[vertices[free[of]]]
+            way = np.clip(way, -most, most)[:, None]
+            X[local] += way * across
+            x[local] += way * carried
+        return X, x
+
+    def quality(self, X: Array) -> tuple[Worst, Worst]:
+        """The smallest ratio of a cell's area to its first one, and the smallest angle (degrees);
+        both are negative where a cell is turned over."""
+        surface, topology = self._surface, self._V.mesh.topology
+        own = topology.index_map(2).size_local
+        cells = self._V.dofmap.list[:own]
+        corners, upward = X[cells], surface.facets[topology.original_cell_index[:own]].copy()
+        areas, first = double_areas(corners), norm(double_areas(self._first[cells]))
+        turned = np.flatnonzero(dot(areas, upward) < 0.5 * norm(areas))
+        vertices = cells[turned].ravel()
+        normals = surface.onto(self._ids[vertices], X[vertices])[1]
+        upward[turned] = normals.reshape(-1, 3, 3).sum(axis=1)
+        signs = np.sign(dot(areas, upward))
+        angles = np.degrees(np.arcsin(shapes(corners)[1]))
+        at, size = self._gathered(X), self._surface.size[self._numbers]
+        worst: list[Worst] = []
+        for values in (signs * norm(areas) / first, signs * angles):
+            values[np.isnan(values)] = -np.inf
+            k = int(np.argmin(values)) if own else -1
+            mine = (float(values[k]), corners[k].mean(axis=0)) if own else (np.inf, np.zeros(3))
+            every = self._V.mesh.comm.allgather(mine)
+            value, place = min(every, key=lambda one: one[0])
+            gaps = norm(at - place) / size
+            near = [float(gaps[row].min()) for row in self._rows]
+            rows = sorted((gap, k) for k, gap in enumerate(near) if gap < 2.0)
+            worst.append((value, place, [k for _, k in rows]))
+        return worst[0], worst[1]
+
+    def _gathered(self, places: Array) -> Array:
+        """Places (k, 3) of the vertices of rows, on all ranks, in the order of their numbers."""
+        mine = self._local < self._own
+        k, found = self._place[mine], np.zeros((len(self._numbers), 3))
+        for part in self._V.mesh.comm.allgather((k, places[self._local[mine]])):
+            found[part[0]] = part[1]
+        return found
+
+    def _slide(self, line: Integers, at: Array, now: Array) -> None:
+        """Spread the vertices of a line of the rim along its first shape beside those that have
+        slid, in place; they keep the displacements of where they come to lie."""
+        first, slides = self._surface.smooth.points[line], self._slides[line]
+        known, k = arc_lengths(first), np.searchsorted(self._numbers, line)
+        arcs = np.array([_arc_at(place, first, known) for place in at[k]])
+        arcs[[0, -1]] = known[[0, -1]]
+        ends = slides.copy()
+        ends[[0, -1]] = True
+        wanted = np.interp(known, known[ends], arcs[ends])
+        places, moved = _between(wanted, known, first), now[k] - at[k]
+        if norm(places - at[k]).max() > self._surface.least[line].max():
+            moved[~ends] = _between(wanted[~ends], arcs[~slides], moved[~slides])
+            at[k], now[k] = places, places + moved
+
+    def _on_surface(self, places: Array, vertices: Integers) -> Array:
+        """Places (k, 3) of vertices (k,), on the surface where they are not their first ones."""
+        new = self._surface.smooth.points[vertices]
+        away = np.flatnonzero(norm(places - new) > self._surface.least[vertices])
+        new[away] = self._surface.onto(vertices[away], places[away])[0]
+        return new
+
+    def _mean_gradients(self, X: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Deformation gradients (n, 3, 3) at the vertices, means of the cells around by area, which
+        take normals to normals, and the normals (n, 3) of both surfaces."""
+        total = self._stars.array.reshape(-1, 16)
+        total[:] = 0.0
+        own = self._V.mesh.topology.index_map(2).size_local
+        add_stars(self._V.dofmap.list[:own], X, x, total)
+        self._stars.scatter_reverse(la.InsertMode.add)
+        self._stars.scatter_forward()
+        means = total[:, :9] / total[:, 15:]
+        return means.reshape(-1, 3, 3), _unit(total[:, 9:12]), _unit(total[:, 12:15])
+
+
+@numba.njit(cache=True)
+def add_stars(cells, X, x, total):  # type: ignore[no-untyped-def]
+    """Add to each corner's row (16,) of all cells: the deformation gradient, which takes the normal
+    to the normal, times the area twice; the area vectors of both shapes twice; and the area."""
+    share = np.empty(16)
+    for c in range(len(cells)):
+        i, j, k = cells[c]
+        A, B, a, b = X[j] - X[i], X[k] - X[i], x[j] - x[i], x[k] - x[i]
+        D, d = cross_product(A, B), cross_product(a, b)
+        area, size = np.sqrt((D**2).sum()), np.sqrt((d**2).sum())
+        N, n = D / max(area, 1e-300), d / max(size, 1e-300)
+        first, second = cross_product(B, N), cross_product(N, A)
+        for p in range(3):
+            for q in range(3):
+                share[3 * p + q] = a[p] * first[q] + b[p] * second[q] + area * n[p] * N[q]
+        share[9:12], share[12:15], share[15] = D, d, area
+        for vertex in (i, j, k):
+            for p in range(16):
+                total[vertex, p] += share[p]
+
+
+@numba.njit(cache=True)
+def cross_product(a, b):  # type: ignore[no-untyped-def]
+    """The cross product of two vectors (3,)."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _pieces(row: Integers, stops: Booleans) -> list[Integers]:
+    """Parts of a row between its ends and vertices that do not move along it, with others in
+    between."""
+    k = np.unique([0, *np.flatnonzero(stops[row]), len(row) - 1])
+    return [row[i : j + 1] for i, j in pairwise(ints(k)) if j > i + 1]
+
+
+def _unit(vectors: Array) -> Array:
+    """Unit vectors (k, 3), zero for zero."""
+    return np.asarray(vectors / np.maximum(norm(vectors), 1e-300)[:, None])
+
+
+def _between(wanted: Array, arcs: Array, values: Array) -> Array:
+    """Vectors (k, 3) at arc lengths (k,) of a line with values (n, 3) at arc lengths (n,)."""
+    return np.stack([np.interp(wanted, arcs, column) for column in values.T], axis=1)
+
+
+def _arc_at(place: Array, line: Array, arcs: Array) -> float:
+    """Arc length of a line's point (n, 3) closest to a place."""
+    steps = np.diff(line, axis=0)
+    t = np.clip(dot(place - line[:-1], steps) / dot(steps, steps), 0.0, 1.0)
+    gaps = norm(line[:-1] + t[:, None] * steps - place)
+    k = int(np.argmin(gaps))
+    return float(arcs[k] + t[k] * (arcs[k + 1] - arcs[k]))
+
+
+def _found(ids: Integers, vertices: Integers) -> tuple[Integers, Integers]:
+    """Local degrees of freedom of the vertices that are here, and which of these (k,) they are."""
+    order = np.argsort(vertices)
+    local = np.flatnonzero(np.isin(ids, vertices))
+    return local, order[np.searchsorted(vertices[order], ids[local])]
