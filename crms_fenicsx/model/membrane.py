@@ -86,6 +86,7 @@ class Membrane:
         frames: Array | None = None,
     ) -> None:
         require_real()
+        mesh = mesh.of_scene()
         self.mesh, self.comm = mesh, mesh.comm
         _ = mesh.overlaps  # computed now; needed wherever parts are named
         # tags: material number of each cell, None with a single material; materials by number
@@ -114,12 +115,6 @@ class Membrane:
         self.given = self.stress_free
         self.moved: Array | None = None
         self.placement = 0
-        if any(mesh.scenes):
-            raise InputError(
-                "Scene: sliding lines of another scene have moved the vertices of this mesh; make "
-                "a mesh for each scene."
-            )
-        mesh.scenes.append(False)
 
     def strength_factor(self, factors: Mapping[str, float]) -> float:
         """The largest divisor of the strengths of the loads whose factors are not 0; 1 without."""
@@ -170,11 +165,6 @@ class Membrane:
 
     def _move(self, moved: Array | None) -> None:
         """Place the vertices at given displacements from the mesh as given. Collective."""
-        if len(self.mesh.scenes) > 1:
-            raise InputError(
-                f"lines of the mesh slide and move its vertices, but {len(self.mesh.scenes)} "
-                "scenes were made on it; make a mesh for each scene."
-            )
         # origin and scale, collective at first: always those of the mesh as given
         _ = self.centre, self.size
         X = self.given if moved is None else self.given + moved
@@ -184,7 +174,6 @@ class Membrane:
         if moved is not None:
             moved.flags.writeable = False  # states share it
         self.moved, self.placement = moved, self.placement + 1
-        self.mesh.scenes[0] = moved is not None
 
     @cached_property
     def open_edges(self) -> OpenEdges:

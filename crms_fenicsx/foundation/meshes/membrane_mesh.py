@@ -67,8 +67,8 @@ class MembraneMesh:
     project
         Projection of new vertices in refinement on the approximated surface: the generator's, on
         rank 0, or a user's function, on all ranks; None if unknown.
-    scenes
-        Whether each scene made on it has moved its vertices, as lines that slide do.
+    given
+        Nodes as given, once a scene uses the mesh, as lines that slide move them: none or one array.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -77,7 +77,7 @@ class MembraneMesh:
     points: Mapping[str, Indices]
     hidden: Indices
     project: Projection | None = None
-    scenes: list[bool] = dataclasses.field(default_factory=list, compare=False)
+    given: list[Array] = dataclasses.field(default_factory=list, compare=False)
 
     def __repr__(self) -> str:
         """One-line summary; not collective."""
@@ -105,6 +105,15 @@ class MembraneMesh:
             within = [names[i] for i in (j, k) if common[i, i] == common[j, k]]
             found[names[k], names[j]] = within[0] if len(within) == 1 else None
         return MappingProxyType(found)
+
+    def of_scene(self) -> MembraneMesh:
+        """This mesh for the first scene, and for each further one a mesh with nodes of its own,
+        which the lines of another scene do not move."""
+        if not self.given:
+            self.given.append(self.mesh.geometry.x.copy())
+            return self
+        nodes = self.given[0]
+        return dataclasses.replace(self, mesh=with_nodes(self.mesh, nodes.copy()), given=[nodes])
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -291,7 +300,7 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
-    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes), scenes=[])
+    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes), given=[])
 
 
 def redistributed(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
