@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from roofs import suction
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.design.form_finding import find_form
@@ -37,13 +38,6 @@ FACTORS = [(snow, wind) for snow in (0.0, 0.25, 0.5, 0.75) for wind in (0.3, 0.6
 COMBINATIONS: dict[str, dict[str, Any]] = {
     f"snow {s:g} wind {w:g}": {"snow": s, "wind": w, "pressure": 0.4 + 0.2 * s} for s, w in FACTORS
 }
-
-
-def suction(points: Any, normals: Any) -> Any:
-    """Pressure coefficients of the wind along x, as those of the demo."""
-    return np.interp(
-        normals[0], [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4]
-    )
 
 
 def plan(comm: MPI.Intracomm, size: float) -> MembraneMesh:
@@ -64,7 +58,7 @@ def hall(mesh: MembraneMesh) -> Solver:
     net = {cable: 0.99 * cable.L0 for cable in scene.cables}
     solver.advance(pressure=0.3, load={"weight": 1.0}, L0=net)
     scene.put_load((0.0, 0.0, -0.36), name="snow", per="plan")
-    scene.put_wind(0.5, suction)
+    scene.put_wind(0.5, lambda points, normals: suction(normals[0]))
     return solver
 
 

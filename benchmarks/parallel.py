@@ -99,22 +99,14 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
 
 def roof(unknowns: float, cables: int, slide: bool):
     """The inflated roof and its solver."""
-    import numpy as np
-    from mpi4py import MPI
+    from roofs import cap, covered, great_circles
 
-    from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
+    from crms_fenicsx import Cable, Solver
 
-    radius, height, spacing = 100.0, 28.0, 8.5
-    area = np.pi * (radius**2 + height**2)
-    size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
-    mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=radius, height=height, size=size)
-    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
-    scene.fix("boundary")
-    for angle in np.radians([45.0, -45.0]):
-        for offset in spacing * (np.arange(cables) - (cables - 1) / 2):
-            path = nets.great_circle(radius, height, angle, offset)
-            # as long as on the facets, so that tensions compare with those of earlier versions
-            scene.lay_cable(Cable(EA=600e3), path=path, measured_on="facets")
+    scene = covered(cap(unknowns))
+    for path in great_circles(cables).values():
+        # as long as on the facets, so that tensions compare with those of earlier versions
+        scene.lay_cable(Cable(EA=600e3), path=path, measured_on="facets")
     return scene, Solver(scene, slide=slide)
 
 

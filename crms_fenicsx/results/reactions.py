@@ -16,6 +16,7 @@ from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_slid
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import edge_ends
+from crms_fenicsx.foundation.meshes.triangles import closest_on_segments
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Joint
@@ -97,10 +98,7 @@ def _are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array
 
 def gap(place: Array, edges: Array) -> float:
     """Distance of a place, (3,), from the nearest of edges (k, 2, 3); infinite without any."""
-    start, way = edges[:, 0], edges[:, 1] - edges[:, 0]
-    squared = np.maximum((way * way).sum(axis=1), 1e-300)
-    along = np.clip(((place - start) * way).sum(axis=1) / squared, 0.0, 1.0)
-    gaps = np.linalg.norm(start + along[:, None] * way - place, axis=1)
+    gaps = closest_on_segments(edges[:, 0], edges[:, 1] - edges[:, 0], place)[2]
     return float(gaps.min(initial=np.inf))
 
 

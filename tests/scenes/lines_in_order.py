@@ -13,9 +13,12 @@ from grids import Floats, alternating, grid
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
+from crms_fenicsx.design.form_finding import find_form
 
 SIDE = 12.0
-SAME = 5e-5  # distance, relative to that, of points between which lengths are smoothed
+SAME = (
+    5e-5  # distance, relative to the membrane's size, of points between which lengths are smoothed
+)
 
 
 def heights(kind: str, x: Floats, y: Floats) -> Floats:
@@ -30,13 +33,56 @@ def heights(kind: str, x: Floats, y: Floats) -> Floats:
     return np.asarray(1.5 * np.sin(a) * np.sin(b) + 0.5 * np.sin(3 * a) * np.sin(2 * b))
 
 
-def random_net(seed: int, cells: int, comm: MPI.Intracomm) -> tuple[Scene, list[tuple[str, int]]]:
+def random_net(
+    seed: int,
+    cells: int,
+    comm: MPI.Intracomm,
+    unit: float = 1.0,
+    origin: Sequence[float] = (0.0,) * 3,
+) -> tuple[Scene, list[tuple[str, int]]]:
     """A roof cut along two or three families of lines at random angles and offsets; their names in
-    a random order, with random layers."""
+    a random order, with random layers. In metres and kN, or in a length unit of which `unit` are a
+    metre and in a force unit of which as many are a kN; the origin is given in metres."""
     draws = np.random.default_rng(seed)
     kind = ("dome", "barrel", "saddle", "hills")[seed % 4]
     at = np.linspace(0.0, SIDE, cells + 1)
     points, triangles = grid(at, at, lambda x, y: heights(kind, x, y), alternating(cells, cells))
+    lines, names = _random_lines(draws, unit, origin)
+    mesh = meshes.from_arrays(comm, unit * (points + origin), triangles)
+    prestress = 4.0 if kind == "saddle" else 0.0
+    scene = Scene(meshes.along(mesh, lines), _fabric(prestress))
+    scene.fix("boundary")
+    return scene, names
+
+
+def net_on_a_form(
+    seed: int,
+    cells: int,
+    comm: MPI.Intracomm,
+    unit: float = 1.0,
+    origin: Sequence[float] = (0.0,) * 2,
+) -> tuple[Scene, list[tuple[str, int]]]:
+    """A random net on the saddle that a form search finds, cut along its lines."""
+    draws = np.random.default_rng(seed)
+    side, corner = SIDE * unit, (unit * origin[0], unit * origin[1])
+    mesh = meshes.rectangle(comm, side, side, side / cells, corner=corner, structured=True)
+
+    def lifted(x: Floats) -> Floats:
+        plan = (x[:2] - np.array(corner)[:, None]) / unit
+        return np.stack([0 * x[0], 0 * x[0], unit * heights("saddle", *plan)])
+
+    lines, names = _random_lines(draws, unit, origin)
+    form = find_form(mesh, stress=4.0, fixed=["boundary"], lifted={"boundary": lifted})
+    return form.along(lines).scene(_fabric(4.0)), names
+
+
+def _fabric(prestress: float) -> IsotropicMembrane:
+    return IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=prestress)
+
+
+def _random_lines(
+    draws: np.random.Generator, unit: float, origin: Sequence[float]
+) -> tuple[dict[str, Floats], list[tuple[str, int]]]:
     lines, families = {}, int(draws.integers(2, 4))
     for f in range(families):
         angle = np.pi * (f + draws.uniform(-0.3, 0.3)) / families
@@ -45,24 +91,22 @@ def random_net(seed: int, cells: int, comm: MPI.Intracomm) -> tuple[Scene, list[
         for k, offset in enumerate(offsets + draws.uniform(-0.6, 0.6)):
             middle = SIDE / 2 + offset * np.array([-way[1], way[0]])
             cuts = np.sort(np.concatenate([-middle / way, (SIDE - middle) / way]))[1:3]
-            lines[f"{'ABC'[f]}{k}"] = np.clip(middle + cuts[:, None] * way, 0.0, SIDE)
-    mesh = meshes.along(meshes.from_arrays(comm, points, triangles), lines)
-    prestress = 4.0 if kind == "saddle" else 0.0
-    scene = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=prestress))
-    scene.fix("boundary")
+            places = np.clip(middle + cuts[:, None] * way, 0.0, SIDE)
+            lines[f"{'ABC'[f]}{k}"] = unit * (places + origin[:2])
     names = list(lines)
     draws.shuffle(names)
-    return scene, [(name, int(draws.integers(0, 2))) for name in names]
+    return lines, [(name, int(draws.integers(0, 2))) for name in names]
 
 
 def tightened(
-    scene: Scene, net: Sequence[tuple[str, int]], wind: float
+    scene: Scene, net: Sequence[tuple[str, int]], wind: float, unit: float = 1.0
 ) -> tuple[Solver, list[LaidCable]]:
     """The net over the roof under pressure, then in a wind along x, `wind` times the pressure."""
     solver = Solver(scene)
-    cables = [scene.lay_cable(Cable(EA=2e4), along=name, layer=layer) for name, layer in net]
+    law = Cable(EA=2e4 * unit)
+    cables = [scene.lay_cable(law, along=name, layer=layer) for name, layer in net]
     flat = scene.materials[next(iter(scene.materials))].prestress_vector.max() > 0.0
-    pressure = 0.2 if flat else 1.0
+    pressure = (0.2 if flat else 1.0) / unit
     solver.advance(pressure=pressure, L0={cable: 0.995 * cable.L0 for cable in cables})
     scene.put_wind(1.0, lambda points, normals: np.interp(normals[0], [-0.5, 0.5], [0.8, -1.0]))
     solver.advance(pressure=pressure, load={"wind": wind * pressure})
@@ -96,13 +140,14 @@ def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
         for v in rows[cable]:
             at.setdefault(v, []).append(cable)
     counts, depth, below, pull = [0, 0, 0], 0.0, 0.0, 0.0
+    same = SAME * scene.membrane.size
     for v, own in at.items():
         for cable in own:
             height = (_nearest(cable.line, x[v]) - x[v]) @ normals[v]
             below = max(below, -float(height) / sizes[v])
         total, largest = 0.0, 0.0
         for cable in own[::-1]:
-            for turn in _turns(cable, x[v]):
+            for turn in _turns(cable, x[v], same):
                 total, largest = total + float(turn @ normals[v]), max(largest, cable.tension)
             pull = max(pull, total / max(largest, 1e-300))
         for lower, upper in combinations(own, 2):
@@ -117,7 +162,7 @@ def who_lies_on_whom(scene: Scene, cables: Sequence[LaidCable]) -> Found:
     ]
     unbalanced = 0.0
     for place in free:  # of several at one place the cables' forces balance together
-        turns = [turn for cable in rows for turn in _turns(cable, place)]
+        turns = [turn for cable in rows for turn in _turns(cable, place, same)]
         error = np.linalg.norm(np.sum(turns, axis=0)) / max(np.linalg.norm(turns, axis=1))
         unbalanced = max(unbalanced, float(error))
     return Found(*counts, depth, below, pull, unbalanced)
@@ -143,10 +188,10 @@ def _nearest(line: Floats, place: Floats) -> Floats:
     return found
 
 
-def _turns(cable: LaidCable, place: Floats) -> list[Floats]:
+def _turns(cable: LaidCable, place: Floats, same: float) -> list[Floats]:
     """Force of the cable on what bears it at a place of its line, or nothing; not at its ends."""
     away = np.linalg.norm(cable.line - place, axis=1)
-    here = np.flatnonzero(away < SAME * SIDE)
+    here = np.flatnonzero(away < same)
     if not len(here) or here[0] == 0 or here[-1] == len(away) - 1:
         return []
     ways = cable.line[[here[0] - 1, here[-1] + 1]] - place

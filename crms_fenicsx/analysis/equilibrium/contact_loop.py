@@ -91,6 +91,8 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
+            elif not changes:
+                system.write_scene()
             way = system.follow_rows()
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)

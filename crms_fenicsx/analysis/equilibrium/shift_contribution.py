@@ -35,8 +35,12 @@ class ShiftContribution(Contribution):
         mine = np.flatnonzero((strip.owner == rank) & (at[simplices.cells] >= 0).any(axis=1))
         corners = simplices.cells[mine]
         cells = strip.local[mine].astype(np.int32)
-        table = ShiftedCells.of(membrane.energy, cells, 
-            numbering.vertex_blocks[corners].astype(np.int32), at[corners].astype(np.int32))
+        table = ShiftedCells.of(
+            membrane.energy,
+            cells,
+            numbering.vertex_blocks[corners].astype(np.int32),
+            at[corners].astype(np.int32),
+        )
         self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
         membrane.energy.plain.x.array[cells] = 0.0
 

@@ -112,7 +112,7 @@ class IncrementSolver:
 
     def __init__(self, scene: Scene, options: Options) -> None:
         self.scene, self._options = scene, options
-        self._verifier = Verifier(scene) if options.verify else None
+        self._verifier = Verifier(scene, options.slide) if options.verify else None
         self._system: System | None = None
         self._version = 0
         """Number of the scene's state that the system has led to."""

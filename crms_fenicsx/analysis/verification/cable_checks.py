@@ -111,7 +111,8 @@ class _Nodes:
 class CableVerifier:
     """Checks the cables of a solved state; keeps the tables of their nodes until these change."""
 
-    def __init__(self) -> None:
+    def __init__(self, slide: bool) -> None:
+        self._slide = slide
         self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
         self.doubts: dict[LaidCable, list[Check]] = {}
@@ -126,16 +127,16 @@ class CableVerifier:
         if numbering is not self._numbering:
             self._numbering = numbering
             on, strip = numbering.points, numbering.strip
-            corners = strip.vertices[strip.simplices.corners[on.edges, :2]]
-            edges = ((a, b) for a, b in lists(corners))
-            points = dict(zip(edges, ints(on.counts[on.edges]), strict=True))
+            pairs = lists(strip.vertices[strip.simplices.corners[on.edges, :2]])
+            points = {(a, b): n for (a, b), n in zip(pairs, ints(on.counts[on.edges]), strict=True)}
             self._nodes = [_Nodes.of(cable, numbering.strip, points) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls, free = _parts_and_forces(system)
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
         self.doubts, self.others = {}, pulls_of_others(scene.cables)
-        lines = Polylines(scene.net.nodes, positions_of(scene.cables))
+        held = [cable.keeps_line or not self._slide for cable in scene.cables]
+        lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.state.laid.joints):

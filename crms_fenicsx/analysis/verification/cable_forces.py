@@ -6,7 +6,6 @@ import numpy as np
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.points_on_edges import CROSSING
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import (
     contact_forces,
@@ -105,10 +104,8 @@ def outward_pulls(scene: Scene, lines: Polylines, shape: StripShape) -> Array:
     other at a vertex, of each with those above it. Zero where a cable is not to lift off."""
     nodes, cables = lines.nodes, scene.cables
     found = np.zeros(len(nodes.kind))
-    lines.held = np.array([cable.keeps_line for cable in cables], dtype=bool)[nodes.cable]
     lifts = np.array([cable.taut and cable.lifts_off for cable in cables], dtype=bool)
-    may = lifts[nodes.cable] & (nodes.kind != CROSSING) & (nodes.crossing < 0) & ~nodes.lifted
-    may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
+    may = lifts[nodes.cable] & lines.on_membrane
     rows = np.flatnonzero(may & ~lines.shared)
     found[rows] = lines.pulls(rows, *shape.around(nodes.on(shape.strip.simplices)[rows]))
     if lines.shared.any():

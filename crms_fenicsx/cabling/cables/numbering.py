@@ -258,7 +258,8 @@ class CableNumbering:
         unknowns.X[far] = np.array(self._far_X).reshape(-1, 3)
         here = self.shift_blocks >= 0
         self.shifted_blocks = np.where(here, self.node_blocks[self.shifts.nodes], -1)
-        unknowns.shifts = self.shift_blocks[here]
+        unknowns.shifts, unknowns.n_shifts = self.shift_blocks[here], len(here)
+        unknowns.shift_sizes = self.shifts.sizes[here]
         self.place_shifts(unknowns)
         self.place_points(unknowns.X)
         return unknowns

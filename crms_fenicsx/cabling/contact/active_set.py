@@ -115,8 +115,7 @@ class ActiveSet:
         self.only_lifted = True
         if self._first_look:
             self._forget()
-        lines = Polylines(self.net.nodes, positions_of(self.net.cables))
-        lines.held = ~self._sliding[lines.nodes.cable]
+        lines = Polylines(self.net.nodes, positions_of(self.net.cables), ~self._sliding)
         changes = self._switch(shape, lines) or self._contacts(shape, lines)
         if not changes and self.net.crossings:
             changes = self._crossings(shape, lines)

@@ -57,14 +57,14 @@ def is_foot(cable: LaidCable, k: int) -> bool:
 class Polylines:
     """Cables as polylines through their contacts with the membrane, each other and anchors."""
 
-    def __init__(self, nodes: NodeTable, positions: Array) -> None:
+    def __init__(self, nodes: NodeTable, positions: Array, held: Booleans | None = None) -> None:
+        """`held`: cables (n,) that the mesh holds where they lie along its edges."""
         self.nodes, self.positions = nodes, positions
         self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of the contacts
         self._starts = np.searchsorted(self.contacts, nodes.starts)  # first contact of each cable
         self._x = positions[self.contacts]
         self._arc = lines.arc_lengths(self._x, self._starts)
-        # (n,) nodes of cables held on their line
-        self.held: Booleans = np.zeros(len(nodes.kind), dtype=bool)
+        self.held = np.zeros(len(nodes.kind), dtype=bool) if held is None else held[nodes.cable]
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable]) -> Polylines:
@@ -86,9 +86,20 @@ class Polylines:
         """Lengths of the cables, (n,)."""
         return self._arc[self._starts[1:] - 1]
 
+    @cached_property
+    def on_membrane(self) -> Booleans:
+        """Nodes (n,) at which cables touch the membrane only, and do not end."""
+        nodes = self.nodes
+        found = ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
+        found[nodes.starts[:-1]] = found[nodes.starts[1:] - 1] = False
+        return found
+
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
-        """`outward_pulls` of contacts given by their rows; the turn also ends at contacts shared
-        with other cables, and at vertices of cables that are `held`."""
+        """Outward forces (m,) of cables at contacts `rows` (m,) along `normals` (m, 3), relative to
+        the tension; -1 where a cable lies on its anchor or on another cable. Points close together,
+        as around a vertex, share one contact: the turn is taken between the distances `reaches`
+        (m,) before and after it, excluding that at contacts shared with other cables, which press
+        there, and at vertices of cables that are held."""
         nodes = self.nodes
         # Along edges of the mesh the turn at a vertex is the force there, as no fold point is near.
         vertex = np.pad(nodes.kind == VERTEX, 1)
@@ -102,9 +113,7 @@ class Polylines:
     def released(self, shape: StripShape, chosen: Booleans) -> Integers:
         """Rows of the chosen nodes (n,) at which cables pull the membrane outward."""
         nodes = self.nodes
-        may = chosen & ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
-        may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
-        on = np.flatnonzero(may)
+        on = np.flatnonzero(chosen & self.on_membrane)
         around = shape.around(nodes.on(shape.strip.simplices)[on])
         beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
         feet = (nodes.size[on] == 3) & beside
@@ -194,14 +203,6 @@ class Polylines:
         weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
         places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
         return own, np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
-
-
-def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
-    """Outward force (n,) of the cable at `nodes` (n,) along `normals` (n, 3), relative to the
-    tension; -1 where the cable lies on its anchor or on another cable. Points close together, as
-    around a vertex, share one contact: the turn is taken between the distances `reaches` (n,)
-    before and after the node, excluding that at a crossing, where another cable presses."""
-    return Polylines.of([cable]).pulls(np.asarray(nodes, dtype=np.int64), normals, reaches)
 
 
 def released(cable: LaidCable, shape: StripShape) -> list[int]:

@@ -20,7 +20,7 @@ from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.lift_off import size_at
 from crms_fenicsx.cabling.contact.span_projection import project_span
 from crms_fenicsx.cabling.paths.path_change import PathChange
-from crms_fenicsx.foundation.meshes.triangles import cross
+from crms_fenicsx.foundation.meshes.triangles import closest_on_segments, cross
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
@@ -192,10 +192,7 @@ def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, 
     dof_of = np.zeros(len(mesh.geometry.x), dtype=np.int64)
     dof_of[cells] = membrane.V.dofmap.list
     ends = membrane.positions()[dof_of[nodes]]
-    sides = ends[:, 1] - ends[:, 0]
-    lengths = np.sum(sides**2, axis=1)
-    s = np.clip(np.sum((place - ends[:, 0]) * sides, axis=1) / lengths, 0.0, 1.0)
-    gaps = np.linalg.norm(ends[:, 0] + s[:, None] * sides - place, axis=1)
+    s, _, gaps = closest_on_segments(ends[:, 0], ends[:, 1] - ends[:, 0], place)
     k = int(np.argmin(gaps)) if len(gaps) else -1
     least = float(gaps[k]) if k >= 0 else np.inf
     gap, rank = membrane.comm.allreduce((least, membrane.comm.rank), op=MPI.MINLOC)

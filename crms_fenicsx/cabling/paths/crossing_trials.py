@@ -23,7 +23,7 @@ import numpy as np
 from crms_fenicsx.cabling.contact.active_set import ContactKey
 from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.cabling.contact.free_spans import Gap
-from crms_fenicsx.cabling.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
+from crms_fenicsx.cabling.contact.lift_off import Polylines, captured, lift, may_lift, touch
 from crms_fenicsx.cabling.paths.held_vertices import VertexRun, clamped_together, held_vertices
 from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells, vertices_near
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
@@ -202,7 +202,7 @@ class CrossingTrials:
             on = [k for k in may_lift(cable) if not off[k] and (off[k - 1] or off[k + 1])]
             if on and cable.lifts_off:
                 around = shape.normals_and_sizes([cable.state.nodes[k].support for k in on])
-                presses = -outward_pulls(cable, on, *around)
+                presses = -Polylines.of([cable]).pulls(np.array(on), *around)
                 found += [(press, c, k) for press, k in zip(presses, on, strict=True)]
         for press, c, k in sorted(found):
             cable = self.net.cables[c]

@@ -20,7 +20,7 @@ from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_plac
 from crms_fenicsx.cabling.paths.placing import MeasuredOn, MembraneBelow, check_law, put
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
-from crms_fenicsx.foundation.meshes.triangles import dot, norm, vectors
+from crms_fenicsx.foundation.meshes.triangles import closest_on_segments, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
 from crms_fenicsx.foundation.runtime.errors import InputError, PathError, PathWarning, as_text
@@ -277,13 +277,11 @@ def _refuse_elsewhere(one: Along, row: list[int], shape: StripShape) -> None:
     assert one.route is not None
     some = [shape.strip.row_of[vertex] for vertex in (*row[:: max(len(row) // 8, 1)], row[-1])]
     start, way = one.route[:-1], np.diff(one.route, axis=0)
-    size = np.maximum(dot(way, way), 1e-300)
     whole = shape.stress_free[[shape.strip.row_of[vertex] for vertex in row]]
     reach = float(norm(np.diff(whole, axis=0)).max())
     away = np.inf
     for x in (shape.stress_free[some], shape.current[some]):
-        along = np.clip(dot(x[:, None] - start, way) / size, 0.0, 1.0)
-        aside = norm(x[:, None] - start - along[..., None] * way).min(axis=1)
+        aside = closest_on_segments(start, way, x[:, None])[2].min(axis=1)
         beyond = norm(one.route[[0, -1], None] - x[[0, -1]]).min(axis=1)
         away = min(away, float(max(aside.max(), beyond.max())))
     if away > reach:

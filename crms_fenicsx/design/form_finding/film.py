@@ -181,10 +181,10 @@ class Inflation:
     def __init__(
         self,
         film: Film,
-        pressure: float | None,
-        volume: float | None,
-        rise: float | None,
         free: Booleans,
+        pressure: float | None,
+        volume: float | None = None,
+        rise: float | None = None,
     ) -> None:
         self.film, self.pressure = film, pressure or 0.0
         self.is_found = volume is not None or rise is not None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from crms_fenicsx.design.form_finding.form_cables import EdgeLine, FormCable, edge_lines
-from crms_fenicsx.design.form_finding.found_form import FoundForm, form_of, search_on
+from crms_fenicsx.design.form_finding.found_form import FoundForm, found_on
 from crms_fenicsx.design.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes import MembraneMesh
@@ -106,14 +106,10 @@ def find_form(
     lift = _lifts(membrane, lifted or {})
     lines = edge_lines(membrane, cables)
     _check_free_edges(membrane, lines)
-    search = search_on(
-        membrane, prescribed, lines, lift, prefix, pressure=pressure, volume=volume, rise=rise
-    )
-    try:
-        search.run(lift)
-    finally:
-        search.system.destroy()
-    return form_of(search, mesh, prescribed, supports, "find_form")
+    return found_on(
+        "find_form", membrane, prescribed, supports, lines, lift, prefix,
+        pressure=pressure, volume=volume, rise=rise,
+    )  # fmt: skip
 
 
 def _check_inflation(**inflations: float | None) -> None:

@@ -80,6 +80,8 @@ class FoundForm:
         Inner pressure (force per area), 0 if there is none.
     iterations
         Number of linear systems solved.
+    prefix
+        Prefix of the linear solver's PETSc options, also in `along`.
     """
 
     mesh: MembraneMesh
@@ -94,6 +96,7 @@ class FoundForm:
     volume: float | None
     pressure: float
     iterations: int
+    prefix: str
 
     def __repr__(self) -> str:
         """One line; not collective."""
@@ -229,13 +232,10 @@ class FoundForm:
             for cable in self.cables
         ])  # fmt: skip
         pressure = None if self.volume is None else self.pressure
-        still = np.zeros_like(membrane.stress_free)
-        search = search_on(membrane, prescribed, cables, still, "crms_form_", pressure=pressure)
-        try:
-            search.run(None)
-        finally:
-            search.system.destroy()
-        return form_of(search, mesh, prescribed, self.supports, "FoundForm.along")
+        return found_on(
+            "FoundForm.along", membrane, prescribed, self.supports, cables, None, self.prefix,
+            pressure=pressure,
+        )  # fmt: skip
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
         """Supports that bars replace."""
@@ -265,25 +265,23 @@ class FoundForm:
         return kinds  # type: ignore[return-value]
 
 
-def search_on(
-    membrane: Membrane, prescribed: PrescribedStress, lines: list[EdgeLine], lift: Array,
-    prefix: str, *, pressure: float | None, volume: float | None = None, rise: float | None = None,
-) -> FormSearch:  # fmt: skip
-    """The search for a form on a membrane with its supports. Collective."""
-    inflated = any(value is not None for value in (pressure, volume, rise))
+def found_on(
+    call: str, membrane: Membrane, prescribed: PrescribedStress, supports: Mapping[str, str],
+    lines: list[EdgeLine], lift: Array | None, prefix: str, **given: float | None,
+) -> FoundForm:  # fmt: skip
+    """Find the form of a membrane with its supports, for the pressure, volume or rise that is
+    given; near it if no lift is. Collective."""
+    inflated = any(value is not None for value in given.values())
     centre = _rim_centre(membrane, lift, inflated)
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
     n = membrane.V.dofmap.index_map.size_local
-    inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
-    return FormSearch(membrane, film, lines, inflation, prefix)
-
-
-def form_of(
-    search: FormSearch, mesh: MembraneMesh, prescribed: PrescribedStress,
-    supports: Mapping[str, str], call: str,
-) -> FoundForm:  # fmt: skip
-    """The form that a search has found from a mesh. Collective."""
-    film, membrane, inflation = search.film, search.membrane, search.inflation
+    inflation = Inflation(film, ~membrane.held[:n, 2], **given)
+    search = FormSearch(membrane, film, lines, inflation, prefix)
+    try:
+        search.run(lift)
+    finally:
+        search.system.destroy()
+    mesh = membrane.mesh
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces() - prescribed.tensors(shape)
     largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
@@ -300,11 +298,11 @@ def form_of(
     return FoundForm(
         shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
         film.area(),
-        film.volume() if inflation.acts else None, inflation.pressure, search.iterations,
+        film.volume() if inflation.acts else None, inflation.pressure, search.iterations, prefix,
     )  # fmt: skip
 
 
-def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
+def _rim_centre(membrane: Membrane, lift: Array | None, inflated: bool) -> Array:
     """Mean position of the rim, or centre of a membrane without a rim. Collective."""
     edges = membrane.open_edges
     ends = np.unique(edges.vertices)
@@ -317,7 +315,7 @@ def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
                 f"{as_text(found[0])}."
             )
     own = ends[ends < membrane.V.dofmap.index_map.size_local]
-    places = (membrane.stress_free + lift)[own]
+    places = (membrane.stress_free + (0.0 if lift is None else lift))[own]
     total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
     return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre
 

@@ -161,7 +161,8 @@ class Minimizer:
             self._ask(residual, self._x)
         except BaseException as error:  # PETSc would replace it by an error of its own
             self._error, self._interrupted = error, True
-        if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
+        over = self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual)
+        if over or self._shifted(self._x) > self.strategy.far_shift:
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
@@ -172,6 +173,17 @@ class Minimizer:
             if X is not None:
                 self.potential.place(X)
             self._interrupted = self._interrupt(residual, self._scale, not left)
+
+    def _shifted(self, X: PETSc.Vec) -> float:
+        """Largest shift of a stress-free place at X, relative to the cell size. Collective."""
+        unknowns = self.potential.unknowns
+        if unknowns.n_shifts == 0:
+            return 0.0
+        own = unknowns.shifts < unknowns.n_owned
+        ways = X.array_r.reshape(-1, 3)[unknowns.shifts[own]]
+        squares = np.einsum("ni,ni->n", ways, ways) / unknowns.shift_sizes[own] ** 2
+        largest = float(squares.max(initial=0.0))
+        return float(self.potential.comm.allreduce(largest, op=MPI.MAX) ** 0.5)
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether to change the measure of energy or to rebuild H0."""
@@ -314,6 +326,8 @@ class Minimizer:
             potential.place(self._x)
             reason = "too many stages" if ended >= 0 else REASONS.get(ended, f"TAO reason {ended}")
             self._h0_is_outdated |= ended < 0
+            far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
+            self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)

@@ -353,7 +353,8 @@ class ShiftedMembraneEnergy(ElementTerm):
     def renew(self, membrane: MembraneEnergy) -> None:
         """Start from the present stress-free places of the corners."""
         t = self.table
-        self.table = replace(ShiftedCells.of(membrane, t.cells, t.corners, t.shifts), weights=t.weights)
+        table = ShiftedCells.of(membrane, t.cells, t.corners, t.shifts)
+        self.table = replace(table, weights=t.weights)
         self._own_areas, self._rest = self.table.areas, self.table.rest
 
     def sums(self, x: Array, out: Array) -> None:

@@ -129,7 +129,8 @@ class Unknowns(LocalBlocks):
     points (to be filled in by the caller that lays the cable); `starts` (ranks + 1,): global number
     of each rank's first block, and number of all blocks; `bounds`: bounds of the displacements, for
     one-sided obstacles; `shifts` (m,): local blocks that are not places of points but displacements
-    of stress-free places. Shapes: ghost_points (n, 2), far_vertices (n, 2).
+    of stress-free places, among cells of `shift_sizes` (m,). Shapes: ghost_points (n, 2),
+    far_vertices (n, 2).
     """
 
     def __init__(
@@ -171,6 +172,8 @@ class Unknowns(LocalBlocks):
         super().__init__(X)
         self.bounds: tuple[Array, Array] | None = None
         self.shifts: Indices = np.zeros(0, dtype=np.int32)
+        self.shift_sizes: Array = np.zeros(0)
+        self.n_shifts = 0  # on all ranks
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""

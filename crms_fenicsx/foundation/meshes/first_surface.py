@@ -157,7 +157,7 @@ def walk(places, points, normals, corners, facets, beside, cells, weights):  # t
                     - (two[q] - one[q]) * (three[p] - one[p])
                 )
                 height += f[i] * (places[k, i] - one[i])
-            onward, at[:] = -1, 1.0 / 3.0
+            low, at[:] = 0, 1.0 / 3.0
             for _ in range(30):
                 along, size, total = 0.0, 0.0, 0.0
                 for i in range(3):
@@ -187,10 +187,9 @@ def walk(places, points, normals, corners, facets, beside, cells, weights):  # t
                     change = max(change, abs(at[j] - last[j]))
                 low = np.argmin(at)
                 if change < 1e-13 or at[low] < -0.5:  # known well enough
-                    onward = beside[c, (low + 1) % 3] if at[low] < -1e-9 else -1
-                    if change < 1e-13 or onward >= 0:
-                        break
-            if onward < 0:
+                    break
+            onward = beside[c, (low + 1) % 3]
+            if at[low] >= -1e-9 or onward < 0:
                 break
             cells[k] = onward
         weights[k] = at

@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.harmonic_extension import HarmonicExtension
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.row_pieces import RowPieces, mixed
 from crms_fenicsx.foundation.meshes.triangles import (
     arc_lengths,
@@ -87,10 +88,12 @@ class MeshMotion:
         )
         self._local = np.flatnonzero(np.isin(self._ids, self._numbers))
         self._place = np.searchsorted(self._numbers, self._ids[self._local])
-        self._within = ~(stays | surface.rim)[self._numbers]
-        self._single = ~(stays | surface.rim) & (count == 1)
+        free = ~(stays | surface.rim)
+        self._within, self._single = free[self._numbers], free & (count == 1)
         known = stays | (norm(surface.smooth.normals) == 0.0)
         known[self._numbers] = True
+        label = connected_labels(len(known), *surface.edges.T)
+        known |= np.bincount(label, known)[label] == 0.0  # closed parts without rows stay
         self._others = np.flatnonzero(~known[self._ids])
         stiffness = surface.lengths**-2.0  # small cells change less
         self._extension = HarmonicExtension(V, self._ids, surface.edges, stiffness, known)
@@ -112,8 +115,8 @@ class MeshMotion:
         at, now = self._gathered(X), self._gathered(x)
         for line in self._rims:
             self._slide(line, at, now)
-        final, numbers = at.copy(), self._numbers
-        final[self._within] = self._on_surface(at, numbers)[self._within]
+        final, numbers, within = at.copy(), self._numbers, self._within
+        final[within] = self._on_surface(at[within], numbers[within])
         k, found, before, after, shares = self._pieces.spread(
             final, lambda k, p: self._surface.onto(numbers[k], p)[0]
         )
@@ -124,7 +127,8 @@ class MeshMotion:
         moved = np.zeros_like(self._surface.smooth.points)
         moved[numbers] = final - self._surface.smooth.points[numbers]
         new = self._first + self._extension.of(moved)
-        new[self._others] = self._on_surface(new, self._ids)[self._others]
+        others = self._others
+        new[others] = self._on_surface(new[others], self._ids[others])
         new[self._local] = final[self._place]
         step = new - X
         moves = np.flatnonzero(norm(step) > self._least)

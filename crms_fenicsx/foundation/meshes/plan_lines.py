@@ -7,7 +7,6 @@ laid out in the plan before it is meshed, and gmsh embeds the edges between them
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
@@ -16,7 +15,13 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
-from crms_fenicsx.foundation.meshes.triangles import cross_in_plane, dot, norm
+from crms_fenicsx.foundation.meshes.triangles import (
+    closest_on_segments,
+    cross_in_plane,
+    norm,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, MeshError, as_text
@@ -27,7 +32,8 @@ MEETS, APART = 0.2, 0.02
 SAMPLES = 8
 """Points of a line within a cell size, between which it is taken for straight."""
 
-_TURN = 0.5  # side turn at a vertex that is told (degrees)
+TURN = float(np.radians(0.5))
+"""Angle by which a line turns sideways that is told, or counts as a bend."""
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -44,13 +50,9 @@ class Outline(NamedTuple):
     def nearest(self, points: Array) -> tuple[Array, Array]:
         """Points (k, 2) on the rim, and their places (k,) along it: whole numbers are corners."""
         start, way = self.corners, np.roll(self.corners, -1, axis=0) - self.corners
-        offset = points[:, None] - start
-        share = (offset * way).sum(axis=-1) / (way * way).sum(axis=-1)
-        share = share.clip(0.0, 1.0)
-        gap = np.linalg.norm(offset - share[..., None] * way, axis=-1)
-        side, all_points = gap.argmin(axis=1), np.arange(len(points))
-        share = share[all_points, side]
-        found = start[side] + share[:, None] * way[side]
+        share, found, gap = closest_on_segments(start, way, points[:, None])
+        all_points, side = np.arange(len(points)), gap.argmin(axis=1)
+        share, found = share[all_points, side], found[all_points, side]
         if self.exact is not None:
             near = gap[all_points, side] < np.linalg.norm(way[side], axis=1)
             found = self.exact(np.where(near[:, None], points, found))
@@ -241,11 +243,7 @@ def _on_others(
 
 def _closest(way: Array, point: Array) -> tuple[float, float, Array]:
     """Distance to a polyline (n, 2), and where its nearest point is."""
-    steps = np.diff(way, axis=0)
-    share = ((point - way[:-1]) * steps).sum(axis=1) / (steps**2).sum(axis=1)
-    share = share.clip(0.0, 1.0)
-    places = way[:-1] + share[:, None] * steps
-    gap = np.linalg.norm(places - point, axis=1)
+    share, places, gap = closest_on_segments(way[:-1], np.diff(way, axis=0), point)
     k = int(gap.argmin())
     return float(gap[k]), k + float(share[k]), places[k]
 
@@ -361,9 +359,7 @@ def _check_apart(plan: PlanShape, rows: PlanRows) -> None:
     for k, near in enumerate(_tree(middles).query_ball_point(places, reach)):
         vertex = inner[k] if k < len(inner) else -1
         others = [m for m in near if m != k - len(inner) and vertex not in pairs[m]]
-        offset = places[k] - ends[others, 0]
-        share = dot(offset, ways[others]) / dot(ways[others], ways[others])
-        gaps = norm(offset - share.clip(0.0, 1.0)[:, None] * ways[others])
+        gaps = closest_on_segments(ends[others, 0], ways[others], places[k])[2]
         if (gaps < apart[k]).any():
             raise MeshError(
                 f"{plan.call}: lines {owners[k]!r} and {names[others[gaps.argmin()]]!r} run side "
@@ -374,30 +370,12 @@ def _check_apart(plan: PlanShape, rows: PlanRows) -> None:
 
 def tell_turns(call: str, points: Array, cells: Integers, rows: Mapping[str, list[int]]) -> None:
     """Tell where rows of vertices turn sideways on the surface of the cells (m, 3)."""
-    cells = cells[np.isin(cells, [v for row in rows.values() for v in row]).any(axis=1)]
-    onward, beyond = (np.roll(cells, -k, axis=1) for k in (1, 2))
-    ways, others = points[onward] - points[cells], points[beyond] - points[cells]
-    angles = np.arccos((dot(ways, others) / norm(ways) / norm(others)).clip(-1.0, 1.0))
-    corners = (a.ravel() for a in (cells, onward, beyond, angles))
-    around = {(int(v), int(a)): (int(b), float(w)) for v, a, b, w in zip(*corners, strict=True)}
-
-    def between(vertex: int, at: int, stop: int) -> float:
-        """The angle around a vertex from one neighbour on to another."""
-        total = 0.0
-        while at != stop:
-            at, angle = around[vertex, at]
-            total += angle
-        return total
-
+    normals = vertex_normals(points, cells)
     for name, row in rows.items():
-        turns = [
-            abs(between(v, after, before) - between(v, before, after)) / 2
-            for before, v, after in zip(row, row[1:], row[2:], strict=False)
-        ]
-        worst = math.degrees(max(turns, default=0.0))
-        if worst > _TURN:
-            place = as_text(points[row[1 + int(np.argmax(turns))]])
+        turns = np.abs(side_turns(points[row], normals[row]))
+        worst = int(np.argmax(turns))
+        if turns[worst] > TURN:
             logger.info(
                 "%s: line %r turns sideways by up to %.2g degrees at a vertex, at %s",
-                call, name, worst, place,
+                call, name, np.degrees(turns[worst]), as_text(points[row[worst]]),
             )  # fmt: skip

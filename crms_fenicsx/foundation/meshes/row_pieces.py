@@ -27,6 +27,8 @@ class RowPieces:
         self._of = np.repeat(np.arange(len(pieces)), counts)
         every = np.arange(len(self.points))
         self._shares, _ = self._arcs(first[self.points], every)
+        self._sharp: Booleans = np.zeros(len(every), dtype=bool)
+        self._sharp = self._turned(first[self.points])
 
     def spread(self, places: Array, onto: Callable[[Integers, Array], Array]) -> Between:
         """Where the points of pieces that have lost their proportions come to lie so that they have
@@ -77,16 +79,23 @@ class RowPieces:
         size = np.where(total > 0.0, total, 1.0)
         return arcs[of, column] / size[of], total[self._of]
 
+    def _turned(self, places: Array) -> Booleans:
+        """Whether each inner point is a turn of more than a right angle that it was not at first,
+        as an end that has moved along its piece makes it."""
+        steps = np.diff(places, axis=0)
+        turned = np.zeros(len(places), dtype=bool)
+        turned[1:-1] = dot(steps[1:], steps[:-1]) < 0.0
+        turned[self._starts[:-1]] = turned[self._starts[1:] - 1] = False
+        return turned & ~self._sharp
+
     def _kept(self, places: Array) -> Booleans:
         """Whether each point lies before the ends of its piece, which may have moved along it."""
-        kept = np.ones(len(places), dtype=bool)
-        step = np.diff(places, axis=0)
-        turned = dot(step[1:], step[:-1]) < 0.0  # of points 0, 1, 2 and so on
-        starts, ends = self._starts[:-1], self._starts[1:] - 3
-        for piece in ints(np.flatnonzero(turned[starts] | turned[ends])) if len(starts) else ():
+        kept, turned = np.ones(len(places), dtype=bool), self._turned(places)
+        beside = turned[self._starts[:-1] + 1] | turned[self._starts[1:] - 2]
+        for piece in ints(np.flatnonzero(beside)):
             points = list(range(self._starts[piece], self._starts[piece + 1]))
             for _ in range(2):  # from either end
-                while len(points) > 2:
+                while len(points) > 2 and not self._sharp[points[1]]:
                     steps = np.diff(places[points[:3]], axis=0)
                     if dot(steps[0], steps[1]) >= 0.0:
                         break

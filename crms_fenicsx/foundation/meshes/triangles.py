@@ -88,16 +88,49 @@ def altitudes(triangles: Array) -> Array:
     return np.asarray(quotient, dtype=np.float64)
 
 
+def vertex_normals(points: Array, cells: Integers) -> Array:
+    """Unit normals (n, 3) at vertices, of the cells around weighted by their angles: so a line over
+    an edge turns by the same angle as when both cells lie in one plane."""
+    corners = points[cells]
+    normals = double_areas(corners)
+    normals /= norm(normals)[:, None]
+    total = np.zeros_like(points)
+    for k in range(3):
+        u, v = (corners[:, (k + i) % 3] - corners[:, k] for i in (1, 2))
+        angle = np.arctan2(norm(cross(u, v)), dot(u, v))
+        for i in range(3):
+            total[:, i] += np.bincount(cells[:, k], angle * normals[:, i], len(points))
+    size = norm(total)
+    return np.asarray(total / np.where(size > 0.0, size, 1.0)[:, None])
+
+
+def side_turns(places: Array, normals: Array) -> Array:
+    """Angles (k,) by which a polyline (k, 3) turns sideways at its points on a surface with unit
+    normals (k, 3); zero at the ends."""
+    steps = np.diff(places, axis=0)
+    turns = np.zeros(len(places))
+    before, after = steps[:-1], steps[1:]
+    flat = [one - dot(one, normals[1:-1])[:, None] * normals[1:-1] for one in (before, after)]
+    turns[1:-1] = np.arctan2(dot(cross(*flat), normals[1:-1]), dot(*flat))
+    return turns
+
+
+def closest_on_segments(start: Array, way: Array, place: Array) -> tuple[Array, Array, Array]:
+    """Shares of the segments' ways (..., d) from their starts to the points closest to places,
+    (...), these points (..., d) and their distances (...)."""
+    square = (way * way).sum(axis=-1)
+    share = ((place - start) * way).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
+    share = share.clip(0.0, 1.0)
+    found = start + share[..., None] * way
+    return share, found, np.sqrt(((found - place) ** 2).sum(axis=-1))
+
+
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
     """Weights (m, 3), positions (m, 3) and distances (m,) of the points closest to `target`."""
     every = np.arange(len(triangles))
     target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles
-    square = dot(sides, sides)
-    t = dot(target[:, None] - triangles, sides) / np.where(square > 0.0, square, 1.0)
-    t = np.clip(t, 0.0, 1.0)
-    on_sides = triangles + t[..., None] * sides
-    to_sides = norm(on_sides - target[:, None])
+    t, on_sides, to_sides = closest_on_segments(triangles, sides, target[:, None])
     side = np.argmin(to_sides, axis=1)
     gaps, places, t = to_sides[every, side], on_sides[every, side], t[every, side]
     weights = np.zeros((len(triangles), 3))

@@ -15,7 +15,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.triangles import WALL, altitudes, cross, dot, double_areas, norm
+from crms_fenicsx.foundation.meshes.triangles import (
+    WALL,
+    altitudes,
+    closest_on_segments,
+    cross,
+    dot,
+    double_areas,
+    norm,
+)
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import Place, TargetSurface
@@ -269,9 +277,8 @@ class Section:
             return None
         start = np.array([self.positions[a] for a, _, _ in chords])
         side = np.array([self.positions[b] for _, b, _ in chords]) - start
-        t = np.clip(dot(target - start, side) / np.maximum(dot(side, side), 1e-300), 0.0, 1.0)
-        places = start + t[:, None] * side
-        i = int(np.argmin(norm(places - target)))
+        t, places, gaps = closest_on_segments(start, side, target)
+        i = int(np.argmin(gaps))
         a, b, corners = chords[i]
         rows = [[surface.row_of[v] for v in corners]]
         reach = surface.snap * float(altitudes(surface.points[rows])[0])

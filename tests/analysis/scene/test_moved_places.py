@@ -21,6 +21,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, moved
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap, with_nodes
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.results.error_estimate import ErrorEstimator
 
 Q = 0.3
 """Pressure."""
@@ -180,8 +181,10 @@ def test_results_of_a_state(comm: MPI.Intracomm, name: str, cables: Sequence[str
     with the same results."""
     first = roofed(lined_roof(comm), MATERIALS[name], cables)
     first.advance(pressure=0.5 * Q)
+    estimator = ErrorEstimator(first.scene)
     place_stress_free(first.scene, slid(first.scene))
     steps(first)
+    assert estimator.of(first.system).total == first.estimate_error().total
     scene = first.scene
     mesh = moved(scene.mesh, scene.V, scene.membrane.stress_free)
     other = roofed(mesh, MATERIALS[name], cables)
@@ -310,8 +313,9 @@ def test_scales_and_origins_are_those_of_the_mesh_as_given(comm: MPI.Intracomm) 
     scene, same = (roofed(again(mesh), FABRIC).scene for _ in range(2))
     given, before = scene.membrane.given.copy(), scene.mesh.mesh.geometry.x.copy()
     assert scene.membrane.state.moved is None and scene.membrane.placement == 0
-    X = slid(scene)
+    X, strip = slid(scene), scene.net.strip_shape()
     place_stress_free(scene, X)
+    assert np.abs(scene.net.strip_shape().stress_free - strip.stress_free).max() > 0.01
     membrane = scene.membrane
     np.testing.assert_allclose(membrane.stress_free, X, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(membrane.given, given)

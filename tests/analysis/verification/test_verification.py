@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cabled_square import PRESSURE, advanced, clamped, put, sheet
 from grids import grid
+from lined_roof import lined_roof, lined_scene
 from mpi4py import MPI
 from spoilt_states import checked, names
 
@@ -218,6 +219,26 @@ def test_a_cable_that_pulls_or_dives_is_found(comm: MPI.Intracomm) -> None:
     solver.system.rebuild()
     solver.system.read_scene()
     assert "depth below the membrane" in names(checked(solver, dive))
+
+
+@pytest.mark.parametrize(("on_lines", "slide"), [(True, True), (True, False), (False, False)])
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
+def test_the_pull_at_vertices_that_hold_a_cable_is_the_force_there(
+    comm: MPI.Intracomm, on_lines: bool, slide: bool
+) -> None:
+    """On a line of the mesh, and without sliding: no turn farther away counts."""
+    scene, (cable, *_) = lined_scene(lined_roof(comm), on_lines, hold="outside")
+    solver = advanced(Solver(scene, slide=slide), pressure=4.0)
+    k = len(cable.state.nodes) // 2
+    assert [cable.state.nodes[n].kind for n in (k - 1, k, k + 1)] == ["vertex"] * 3
+    normal = scene.net.strip_shape().normal(cable.state.nodes[k].support)
+    found = checked(
+        solver, lambda: put(cable, "positions", k, cable.state.positions[k] - 0.1 * normal)
+    )
+    ways = cable.state.positions[[k - 1, k + 1]] - cable.state.positions[k]
+    pull = float(np.sum(ways @ normal / np.linalg.norm(ways, axis=1)))
+    assert pull > 0.05
+    assert found["pull on the membrane"].value == pytest.approx(pull, rel=1e-9)
 
 
 @pytest.mark.parametrize("friction", [0.9, Friction(0.0, along=0.2)])

@@ -3,16 +3,18 @@ the air."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from grids import alternating, grid, numbered
-from lines_in_order import random_net, tightened, who_lies_on_whom
+from lines_in_order import net_on_a_form, random_net, tightened, who_lies_on_whom
 from mpi4py import MPI
 from taylor import gradient_order
 
 from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, meshes
+from crms_fenicsx.analysis.verification.report import Verification
+from crms_fenicsx.cabling.contact import active_set
 from crms_fenicsx.energy.minimization.taylor import TermsOnLayout
 from crms_fenicsx.foundation.runtime.arrays import Array
 
@@ -52,6 +54,13 @@ def tighten(solver: Solver, cables: dict[str, LaidCable], factor: float) -> None
     solver.advance(L0=lengths)
 
 
+def verification(solver: Solver) -> Verification:
+    """That of the last step."""
+    found = solver.steps[-1].verification
+    assert found is not None
+    return found
+
+
 def heights(cables: dict[str, LaidCable]) -> tuple[float, float]:
     """Heights in the middle of the hollow and of the round cable."""
     found = [
@@ -77,8 +86,60 @@ def test_in_random_nets_every_cable_lies_where_it_belongs(
     assert found.unbalanced < (1e-3 if seed == 18 else 1e-6)
     assert found.pull < 1e-3
     assert found.on_sheet + found.in_air + found.apart >= 6
-    checks = {check.name: check.value for check in solver.steps[-1].verification.checks}
+    checks = {check.name: check.value for check in verification(solver).checks}
     assert checks.get("depth below another cable", 0.0) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("net_on", "seed"), [(random_net, 1), (random_net, 18), (net_on_a_form, 5)]
+)
+def test_units_and_places_change_nothing(
+    comm: MPI.Intracomm, net_on: Callable[..., tuple[Scene, list[tuple[str, int]]]], seed: int
+) -> None:
+    """In N and mm, and 1100 km from the origin."""
+    found, tensions = [], []
+    for unit, origin in ((1.0, (0.0,) * 3), (1e3, (0.0,) * 3), (1.0, (5e5, 1e6, 100.0))):
+        scene, net = net_on(seed, 8, comm, unit, origin)
+        solver, cables = tightened(scene, net, 1.5, unit)
+        assert verification(solver).passed
+        found.append(who_lies_on_whom(scene, cables))
+        tensions.append([cable.tension / unit for cable in cables])
+        assert found[-1][:3] == found[0][:3] and found[-1].depth < 1e-6
+    for other in tensions[1:]:
+        assert other == pytest.approx(tensions[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_on_a_found_form_every_cable_lies_where_it_belongs(comm: MPI.Intracomm, seed: int) -> None:
+    scene, net = net_on_a_form(seed, 8, comm)
+    solver, cables = tightened(scene, net, 1.5)
+    found = who_lies_on_whom(scene, cables)
+    assert found.depth < 1e-6 and found.below < 1e-6
+    assert found.unbalanced < 1e-6 and found.pull < 1e-3
+    assert found.on_sheet + found.in_air + found.apart >= 6
+    assert verification(solver).passed
+
+
+def test_a_cable_below_one_that_it_lies_over_is_told(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the search does not let them touch, one passes through the other in the air, by as much
+    as the check says."""
+    with monkeypatch.context() as patch:
+        patch.setattr(active_set, "joining", lambda *_: set())
+        solver, cables = saddle(comm, [LOW, HIGH])
+        solver.advance(L0={cables[LOW]: 0.97 * cables[LOW].L0})
+    hollow, round_ = heights(cables)
+    assert hollow > round_ + 0.01
+    name = "depth below another cable"
+    (told,) = (c for c in verification(solver).doubtful if c.name == name)
+    assert told.where == HIGH
+    depth = who_lies_on_whom(solver.scene, list(cables.values())).depth
+    assert told.value == pytest.approx(depth, rel=0.01)  # sizes of cells differ
+    solver.advance()
+    assert name not in {check.name for check in verification(solver).doubtful}
+    hollow, round_ = heights(cables)
+    assert round_ > hollow - 1e-9
 
 
 def test_the_cable_on_top_leaves_by_its_own_pull(comm: MPI.Intracomm) -> None:
@@ -125,7 +186,7 @@ def test_in_the_air_they_share_a_free_point(comm: MPI.Intracomm) -> None:
         assert cable.free_spans[[n in (k, k - 1) for n in cable.line_nodes()[:-1]]].all()
     found = who_lies_on_whom(solver.scene, list(cables.values()))
     assert found.unbalanced < 1e-6
-    assert solver.steps[-1].verification.passed
+    assert verification(solver).passed
 
 
 def test_the_energy_of_a_free_point_has_its_gradient() -> None:

@@ -25,7 +25,6 @@ from crms_fenicsx.cabling.contact.lift_off import (
     drape,
     is_foot,
     may_lift,
-    outward_pulls,
     released,
     size_at,
     sunk,
@@ -50,7 +49,8 @@ def set_lifted(cable: LaidCable, nodes: Sequence[int]) -> None:
 
 
 def pull_at(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
-    return float(outward_pulls(cable, [k], normal[None], np.array([reach]))[0])
+    lines = Polylines.of([cable])
+    return float(lines.pulls(np.array([k]), normal[None], np.array([reach]))[0])
 
 
 def slow_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
@@ -90,7 +90,7 @@ def test_pulls_are_those_of_a_walk_from_each_node() -> None:
         inner = cable.contacts()[1:-1]
         normals, reaches = rng.standard_normal((len(inner), 3)), 2 * rng.random(len(inner))
         expected = [slow_pull(cable, *entry) for entry in zip(inner, normals, reaches, strict=True)]
-        found = outward_pulls(cable, inner, normals, reaches)
+        found = Polylines.of([cable]).pulls(np.array(inner), normals, reaches)
         np.testing.assert_allclose(found, expected, atol=1e-12)
         assert found[0] == -1.0
 

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cabled_square import clamped, square
+from mpi4py import MPI
 
-from crms_fenicsx import IsotropicMembrane, Scene, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cabling.cables.strip import StripShape, cells_near
 from crms_fenicsx.cabling.contact.span_projection import (
     cell_under,
@@ -16,6 +17,7 @@ from crms_fenicsx.cabling.contact.span_projection import (
     with_span_projections,
 )
 from crms_fenicsx.cabling.paths.creased_surface import NO_FOLDS, CreasedSurface, FoldPoints
+from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.foundation.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.foundation.surface.trace import trace
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
@@ -212,3 +214,33 @@ def test_a_crossing_slides_over_an_edge_beside_a_contact_pulled_aside(comm, back
         [0.0, 0.0, 0.0], abs=1e-6
     )
     assert with_span_projections(cable, shape, set()) is None
+
+
+TENT = {
+    "ridge": [(-8.0, 0.0), (8.0, 0.0)], "valley": [(0.0, -7.0), (0.0, 7.0)],
+    "north": [(-4.43, 1.94), (6.08, 0.89)], "south": [(6.08, -0.89), (-4.43, -1.94)],
+    "across": [(1.57, 4.67), (3.11, -3.03)],
+}  # fmt: skip
+"""Lines in plan, from rim to rim."""
+
+
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
+def test_cables_slide_off_the_lines_of_a_tent(comm: MPI.Intracomm) -> None:
+    """A lifted cable that followed an edge as far as a crossing, and now crosses it there, keeps
+    that point: without it two points of its path have no cell in common."""
+    rim, high = ["south east", "north east", "north west", "south west"], 6.0
+    places = [(0.0, -7.0, 1.2), (8.0, 0.0, high), (0.0, 7.0, 1.2), (-8.0, 0.0, high)]
+    flat = meshes.polygon(comm, [place[:2] for place in places], size=2.0, names=rim)
+    corners = {f"corner {k + 1}": (0.0, 0.0, place[2]) for k, place in enumerate(places)}
+    edges = [FormCable(side, tension=45.0) for side in rim]
+    form = find_form(flat, stress=2.5, fixed=[*corners], lifted=corners, cables=edges).along(TENT)
+    fabric = OrthotropicMembrane(E1=900.0, E2=700.0, G12=30.0, nu21=0.2, thickness=1.0)
+    rows = form.scene(fabric, Cable(EA=31.5e3))
+    paths = {name: rows.lay_cable(Cable(EA=1e4), along=name).line for name in TENT}
+    scene = form.scene(fabric, Cable(EA=31.5e3), belts=Cable(EA=1500.0))
+    solver = Solver(scene)
+    solver.advance()
+    cables = [scene.lay_cable(Cable(EA=1e4), path, name=name) for name, path in paths.items()]
+    solver.advance(L0={cable: 0.985 * cable.L0 for cable in cables})
+    assert solver.steps[-1].verification.passed
+    assert all(cable.taut for cable in cables) and cables[0].state.lifted.any()

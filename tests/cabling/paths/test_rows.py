@@ -202,6 +202,51 @@ def test_the_script_goes_on_after_a_kill(
     assert_same_state(whole.state, resumed.state, rtol=1e-10)
 
 
+@pytest.mark.ranks
+def test_combinations_of_loads_go_on_after_a_kill(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With cables that lift off and cross; as on one process, and nothing is computed twice."""
+    cases = {
+        "pressure": {"pressure": 6.0},
+        "storm": {"pressure": 5.0, "wind": 12.0},
+        "snow": {"pressure": 4.0, "snow": 1.0},
+    }
+    solved: list[float] = []
+    find = EquilibriumSearch.find
+
+    def script(name: str, resume: bool, comm: MPI.Intracomm, until: str = "") -> list[list[float]]:
+        def seen(self: EquilibriumSearch, *arguments: Any) -> Any:
+            if solver.case and solver.case == until:
+                raise KeyboardInterrupt
+            solved.append(scene.pressure)
+            return find(self, *arguments)
+
+        scene = bare_scene(lined_roof(comm))
+        scene.lay_net(net_of_lines(), STEEL, hold="outside", tension=2.0)
+        scene.put_load((0.0, 0.0, -1.0), name="snow")
+        scene.put_wind(1.0, lambda points, normals: np.interp(normals[0], [-0.5, 0.5], [0.8, -1.0]))
+        solver = Solver(scene, results=folder / name, resume=resume)
+        with monkeypatch.context() as patch:
+            patch.setattr(EquilibriumSearch, "find", seen)
+            solver.advance(pressure=3.0, L0={cable: 0.995 * cable.L0 for cable in scene.cables})
+            found = solver.combine(cases)
+        solver.restore(found["storm"].snapshot)
+        assert any(cable.state.lifted.any() for cable in scene.cables)
+        assert all(cable.state.laid.line and cable.keeps_line for cable in scene.cables)
+        return [[*one.snapshot.tensions.values()] for one in found.values()]
+
+    whole = script("whole", False, comm)
+    steps = len(solved)
+    with pytest.raises(KeyboardInterrupt):
+        script("broken", False, comm, "snow")
+    solved.clear()
+    assert_same(script("broken", True, comm), whole, "resumed", 1e-10)
+    assert 0 < len(solved) < steps
+    if comm.rank == 0:
+        assert_same(script("alone", False, MPI.COMM_SELF), whole, "alone", 1e-7)
+
+
 def test_files_pictures_and_reports_show_them(comm: MPI.Intracomm, folder: Path) -> None:
     scene = bare_scene(lined_roof(comm))
     cables = scene.lay_net(net_of_lines(), STEEL, tension=2.0)

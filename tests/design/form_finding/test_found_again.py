@@ -22,6 +22,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.design import nets
 from crms_fenicsx.design.form_finding import FormBar, FormCable, FoundForm, find_form
+from crms_fenicsx.design.form_finding.linear_system import LinearSystem
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
@@ -195,6 +196,20 @@ def test_ranks_units_and_places(comm: MPI.Intracomm) -> None:
     far = cut_tent(comm, (5e5, 1e6))
     assert far.area == pytest.approx(here.area, rel=1e-6)
     assert first_move(far) < 1e-9
+
+
+def test_a_prefix_of_options_is_kept(comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, seen = LinearSystem.__init__, []
+
+    def noted(self: LinearSystem, *arguments: Any) -> None:
+        make(self, *arguments)
+        seen.append(self._pc.getOptionsPrefix())
+
+    monkeypatch.setattr(LinearSystem, "__init__", noted)
+    mesh, options, first = hypar(comm, tension=25.0)
+    form = find_form(mesh, **options, **first, prefix="own_")
+    form.along({"ridge": [cable.path[5, :2] for cable in form.cables[1::2]]})
+    assert seen == ["own_", "own_"]
 
 
 def test_lines_that_do_not_fit(comm: MPI.Intracomm) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from dolfinx import fem
+from grids import grid, numbered, triangles
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
@@ -198,6 +199,26 @@ def test_a_rigid_cap_stays_rigid(comm: MPI.Intracomm) -> None:
     assert off(X) <= 1.02 * off(sheet.first)
 
 
+@pytest.mark.parametrize(("unit", "away"), [(1e3, 0.0), (1.0, 1e4), (1.0, 1e6)])
+def test_units_and_origins(comm: MPI.Intracomm, unit: float, away: float) -> None:
+    origin, mesh = away * np.array([1.0, -1.0, 0.5]), cap(comm)
+
+    def place(p: Array) -> Array:
+        return np.asarray(unit * p + origin)
+
+    def shift(p: Array) -> Array:
+        return unit * tilted(0.1)((p - origin) / unit)
+
+    plain, other = Sheet(mesh), Sheet(mesh, place=place)
+    X, _ = plain.shifted(plain.first, plain.first, tilted(0.1))
+    Y, y = other.shifted(other.first, other.first, shift)
+    assert np.abs(X - plain.first).max() > 0.09
+    np.testing.assert_allclose(Y, place(X), atol=1e-14 * (unit + 1e2 * away))
+    np.testing.assert_allclose(y, Y, atol=1e-14 * (unit + 1e2 * away))
+    again, _ = other.motion.move(Y, y)
+    np.testing.assert_allclose(again, Y, atol=1e-14 * (unit + 1e2 * away))
+
+
 def test_error_of_a_smooth_deformation(comm: MPI.Intracomm) -> None:
     """A shift of a share of a cell errs by the second power of the size of the cells."""
 
@@ -334,6 +355,43 @@ def test_ends_at_corners_do_not_slide(comm: MPI.Intracomm) -> None:
     sheet = Sheet(mesh, sliding=(0, 1, 2, 3))
     ends = sheet.whole(sheet.first)[sheet.motion.sliding]
     np.testing.assert_allclose(ends, [(1.0, 0.5, 0.0)], atol=1e-15)
+
+
+def test_rows_with_corners_stay_as_well(comm: MPI.Intracomm) -> None:
+    """A sharp one beside a crossing is no sign that this has moved."""
+    line = np.linspace(0.0, 1.0, 8)
+    points, cells = grid(line, line)
+    there = [(k, k + 8) for k in (3, 11, 19, 27)]
+    back = [(35, 26), (26, 17), (17, 8)]  # along diagonals
+    mesh = meshes.from_arrays(
+        comm, points, cells, edges={"A": [*there, *back], "B": [(k, k + 1) for k in range(24, 31)]}
+    )
+    sheet = Sheet(mesh)
+    X, _ = sheet.motion.move(sheet.first, sheet.first)
+    np.testing.assert_array_equal(X, sheet.first)
+
+
+def test_closed_parts_without_rows_stay(comm: MPI.Intracomm) -> None:
+    line = np.linspace(0.0, 1.0, 8)
+    points, cells = grid(line, line)
+    numbers = np.pad(numbered(30, 24), ((0, 1), (0, 1)), mode="wrap")
+    u, v = (a.ravel() for a in np.meshgrid(np.arange(30) / 30, np.arange(24) / 24, indexing="ij"))
+    away = 1.0 + 0.5 * np.cos(2 * np.pi * v)
+    around = 2 * np.pi * u
+    ring = np.stack(
+        [away * np.cos(around) + 4.0, away * np.sin(around), 0.5 * np.sin(2 * np.pi * v)], 1
+    )
+    mesh = meshes.from_arrays(
+        comm, np.concatenate([points, ring]), np.concatenate([cells, triangles(numbers) + 64]),
+        edges={"A": [(k, k + 8) for k in range(3, 59, 8)]},
+        outside=meshes.AwayFrom((4.0, 0.0, -1.0)),
+    )  # fmt: skip
+    sheet = Sheet(mesh)
+    X, x = sheet.shifted(sheet.first, sheet.first, bow(0.05))
+    np.testing.assert_allclose(x, X, atol=1e-14)
+    moved = (X != sheet.first).any(axis=1)
+    assert comm.allreduce(moved[: sheet.own].sum()) == 36
+    assert (sheet.first[moved, 0] < 1.0).all()
 
 
 def test_fixed_vertices_stay(comm: MPI.Intracomm) -> None:

@@ -12,17 +12,11 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.cutting.chord_crossings import meet
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import (
-    LEAST,
-    CutMesh,
-    Row,
-    side_turns,
-    vertex_normals,
-)
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
-from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, raise_vertices
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     TracedLine,
     Tracer,
@@ -30,8 +24,15 @@ from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     with_merged_ends,
 )
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
+from crms_fenicsx.foundation.meshes.plan_lines import TURN
 from crms_fenicsx.foundation.meshes.surface import EMPTY
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm, shapes
+from crms_fenicsx.foundation.meshes.triangles import (
+    arc_lengths,
+    norm,
+    shapes,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, ints
@@ -46,8 +47,6 @@ from crms_fenicsx.foundation.runtime.errors import (
 from crms_fenicsx.foundation.surface.closest_point import SNAP
 from crms_fenicsx.foundation.surface.trace import checked_route
 
-TURN = float(np.radians(0.5))
-"""Angle by which a line turns sideways that counts as a bend."""
 logger = logging.getLogger("crms_fenicsx")
 
 
@@ -58,7 +57,9 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
     A cable laid along such a line has the mesh's vertices as its points. Where lines cross they
     share a vertex. Vertices of the mesh near a line are merged with the line's or moved away from
     it along the surface, so that cells keep their shape; all others stay where they are. The
-    vertices of a line lie on its route, on the facets of the given mesh.
+    vertices of a line lie on its route, on the facets of the given mesh. Where the mesh knows the
+    surface that it approximates, as those of the built-in shapes do, all new and moved vertices are
+    moved to that and to its rim, as by `refine`.
 
     Parameters
     ----------
@@ -110,6 +111,8 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
                 traced = {line.name: line for part in parts for line in part}
                 work = cut(tracer, [traced[name] for name in routes])
                 improve(work)
+                if mesh.project is not None:
+                    raise_vertices(work, mesh.project)
                 found, turned, poor = work.finished(), _turned(work), _poor(work)
     for text in turned:  # on rank 0
         logger.info(text)

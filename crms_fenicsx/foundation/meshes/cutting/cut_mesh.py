@@ -8,8 +8,8 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, double_areas, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, runs
 
 LEAST = 10.0, 15.0
 """Smallest angles (degrees), of all cells and of all but a hundredth, that are told if smaller; and
@@ -50,7 +50,7 @@ class CutMesh:
         for row in self.rows.values():
             near[row.vertices] = True
         for _ in range(rings):
-            near[self.cells[near[self.cells].any(axis=1)]] = True
+            near[self.cells[around(self.cells, near)]] = True
         return near
 
     def finished(self) -> CheckedSurface:
@@ -68,28 +68,27 @@ class CutMesh:
         return replace(new, point_groups=points)
 
 
-def vertex_normals(points: Array, cells: Integers) -> Array:
-    """Unit normals (n, 3) at vertices, of the cells around weighted by their angles: so a line over
-    an edge turns by the same angle as when both cells lie in one plane."""
-    corners = points[cells]
-    normals = double_areas(corners)
-    normals /= norm(normals)[:, None]
-    total = np.zeros_like(points)
-    for k in range(3):
-        u, v = (corners[:, (k + i) % 3] - corners[:, k] for i in (1, 2))
-        angle = np.arctan2(norm(cross(u, v)), dot(u, v))
-        for i in range(3):
-            total[:, i] += np.bincount(cells[:, k], angle * normals[:, i], len(points))
-    size = norm(total)
-    return np.asarray(total / np.where(size > 0.0, size, 1.0)[:, None])
+def around(cells: Integers, vertices: Booleans) -> Booleans:
+    """Which of the cells (m, 3) have one or more of some vertices (n,)."""
+    a, b, c = cells.T
+    return np.asarray(vertices[a] | vertices[b] | vertices[c])
 
 
-def side_turns(places: Array, normals: Array) -> Array:
-    """Angles (k,) by which a polyline (k, 3) turns sideways at its points on a surface with unit
-    normals (k, 3); zero at the ends."""
-    steps = np.diff(places, axis=0)
-    turns = np.zeros(len(places))
-    before, after = steps[:-1], steps[1:]
-    flat = [one - dot(one, normals[1:-1])[:, None] * normals[1:-1] for one in (before, after)]
-    turns[1:-1] = np.arctan2(dot(cross(*flat), normals[1:-1]), dot(*flat))
-    return turns
+class Stars:
+    """The cells around each vertex."""
+
+    def __init__(self, cells: Integers, count: int) -> None:
+        """Of cells (m, 3) with so many vertices."""
+        from scipy.sparse import csr_array  # takes longer to import than scripts without lines need
+
+        m = len(cells)
+        corners = csr_array(
+            (np.ones(3 * m, dtype=bool), cells.ravel(), np.arange(0, 3 * m + 1, 3)), (m, count)
+        ).tocsc()
+        self.first, self.cells = corners.indptr, corners.indices
+
+    def of(self, vertices: Integers) -> tuple[Integers, Integers]:
+        """Pairs (p,) of places in a list of vertices (k,) and the cells around these."""
+        first = self.first[vertices]
+        counts = self.first[vertices + 1] - first
+        return np.repeat(np.arange(len(vertices)), counts), self.cells[runs(first, counts)]

@@ -15,12 +15,13 @@ from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.plan_lines import APART, MEETS
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import (
+    closest_on_segments,
     flattened,
     longest_sides,
     norm,
     vectors,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, runs
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
@@ -71,12 +72,11 @@ class Tracer:
         flat = route.shape[1] == 2
         course = np.pad(route, ((0, 0), (0, 1))) if flat else route
         balls = self.flat_balls if flat else self.balls
-        size = float(self.longest.max())
-        legs = norm(course[1:] - course[:-1])
-        steps = np.ceil(legs / size).astype(np.int64) + 1
-        leg = np.repeat(np.arange(len(legs)), steps)
-        part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
-        at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
+        size, legs = float(self.longest.max()), np.diff(course, axis=0)
+        steps = np.ceil(norm(legs) / size).astype(np.int64)
+        part = runs(np.zeros_like(steps), steps) / steps.repeat(steps)
+        at = course[:-1].repeat(steps, axis=0) + part[:, None] * legs.repeat(steps, axis=0)
+        at = np.concatenate([at, course[-1:]])
         return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
@@ -162,10 +162,7 @@ def _target(
 
 def _closest_on(segments: Array, place: Array) -> tuple[Array, float]:
     """The closest point (3,) of segments (k, 2, 3), and its distance."""
-    start, side = segments[:, 0], segments[:, 1] - segments[:, 0]
-    t = np.einsum("ij,ij->i", place - start, side) / np.einsum("ij,ij->i", side, side)
-    on = start + np.clip(t, 0.0, 1.0)[:, None] * side
-    gaps = norm(on - place)
+    _, on, gaps = closest_on_segments(segments[:, 0], segments[:, 1] - segments[:, 0], place)
     nearest = int(np.argmin(gaps))
     return on[nearest], float(gaps[nearest])
 

@@ -11,8 +11,7 @@ from grids import Floats, Ints, grid
 
 from crms_fenicsx.foundation.meshes.cutting.along import _poor, _turned, cut, improve
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, side_turns
-from crms_fenicsx.foundation.meshes.cutting.division import shape
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import Tracer
@@ -144,24 +143,11 @@ def test_turned_rows_are_told() -> None:
     assert "the row of 'A' turns sideways by" in text and "degrees more than its route" in text
 
 
-def test_side_turns_of_a_circle_on_a_sphere() -> None:
-    """On a great circle 0, on a parallel sin(latitude) of the angle."""
-    for latitude in (0.0, 0.5, 1.1):
-        t = np.linspace(0.0, 1.0, 101)
-        x = np.stack([np.cos(latitude) * np.cos(t), np.cos(latitude) * np.sin(t)], axis=1)
-        places = np.column_stack([x, np.full(101, np.sin(latitude))])
-        turns = side_turns(places, places)
-        np.testing.assert_allclose(turns[1:-1], 0.01 * np.sin(latitude), atol=1e-6)
-
-
 def test_shapes_agree_with_a_slow_twin() -> None:
     corners = np.random.default_rng(2).normal(size=(20, 3, 3))
-    normals, sines = shapes(corners)
-    for x, normal, sine in zip(corners, normals, sines, strict=True):
+    for x, sine in zip(corners, shapes(corners)[1], strict=True):
         angles = []
         for k in range(3):
             u, v = x[(k + 1) % 3] - x[k], x[(k + 2) % 3] - x[k]
             angles.append(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
         np.testing.assert_allclose(sine, np.sin(min(angles)), rtol=1e-12)
-        own, one = shape(*(tuple(map(float, p)) for p in x))  # type: ignore[arg-type]
-        np.testing.assert_allclose((*own, one), (*normal, sine), rtol=1e-12)
