@@ -265,9 +265,9 @@ def _refuse_two_grips(clamps: Sequence[Clamp]) -> None:
         if clamp.vertex is not None and at.setdefault(clamp.vertex, clamp).slip != clamp.slip:
             other = at[clamp.vertex]
             raise InputError(
-                f"clamp: {other.name!r} and {clamp.name!r} are at one point, "
-                f"{as_text(clamp.place)}, and so are one clamp, but slip = {other.slip} and "
-                f"{clamp.slip}; give both the same slip."
+                f"clamp: {other.name!r} and {clamp.name!r} have slip = {other.slip} and "
+                f"{clamp.slip} at one point, {as_text(clamp.place)}, where all cables have the "
+                "same clamp; give both the same slip."
             )
 
 
