@@ -124,10 +124,13 @@ class EquilibriumSearch:
     def _loops(self, start: SceneState) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables from a start state."""
         from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
+        from crms_fenicsx.cabling.cables.cable_net import refuse_held_clamps
         from crms_fenicsx.cabling.contact.active_set import ActiveSet
         from crms_fenicsx.cabling.paths.boundary_ends import refuse_ends_along_rim, renew_ends
 
         refuse_ends_along_rim(self.scene.net)
+        if not self.system.slide:
+            refuse_held_clamps(self.scene.net)
         if self.tried is None:
             contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)

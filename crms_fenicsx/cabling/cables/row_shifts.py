@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import la
 from mpi4py import MPI
 
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
@@ -81,7 +82,9 @@ class RowShifts:
             (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
             np.cross(n, one),
         )  # fmt: skip
-        single = free & ((count == 1) | (pockets == 1))
+        # clamped to a slack cable it drags this one along
+        joined = np.bincount(of, clamped_nodes(nodes, cables)[on]) > 0
+        single = free & ((count == 1) & ~joined | (pockets == 1))
         d = along[single] / norm(along[single])[:, None]
         projectors[single] = d[:, :, None] * d[:, None, :]
         if not free.any():

@@ -458,16 +458,6 @@ def test_nets_of_other_meshes_are_refused(comm: MPI.Intracomm) -> None:
     refused(scene, lambda: scene.lay_net(net_of_lines(), STEEL), "'A2'", "another name")
 
 
-def test_clamps_are_refused(comm: MPI.Intracomm) -> None:
-    scene = bare_scene(lined_roof(comm))
-    words = "'A1'", "line of the mesh", "by their paths"
-    refused(scene, lambda: scene.lay_net(net_of_lines(), STEEL, clamped=True), *words)
-    scene.lay_net(net_of_lines(), STEEL)
-    refused(scene, lambda: scene.clamp("A1", "B1"), *words)
-    one = scene.lay_cable(STEEL, [(0.0, 4.6), (8.0, 4.6)], name="free")
-    refused(scene, lambda: scene.clamp(one, "A1"), *words)
-
-
 @pytest.mark.ranks
 def test_a_line_on_a_seam_lies_on_the_roof_but_none_behind_it(comm: MPI.Intracomm) -> None:
     points, cells, parts = walled_roof(n=4, size=8.0, walls=(0.5,), height=2.0, rise=0.5)
