@@ -314,7 +314,8 @@ class Residual:
         On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
         in the order of the owned degrees of freedom of `Scene.V`, then cable points and shifts of
         the stress-free places of vertices of lines that slide (for a held vertex with the forces
-        on it); the first rank stores joints last. Without cables and joints it is a vector of `Scene.V`.
+        on it); the first rank stores joints last. Without cables and joints it is a vector of
+        `Scene.V`.
     """
 
     membrane: fem.Function

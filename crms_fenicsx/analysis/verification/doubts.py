@@ -104,9 +104,10 @@ def _of_cable(
             "cables, creases or borders of parts"
         )
     if "sideways balance" in by_name:
+        share = by_name["sideways balance"]
         yield (
-            f"the place of {cable.name!r} across its line is {_known(by_name['sideways balance'])}: "
-            "its sideways forces balance no better than this share of its contact forces"
+            f"{cable.name!r} may lie elsewhere across its line: its sideways forces balance to "
+            f"{share:.1%} of its contact forces only"
         )
     if "unbalanced forces of cables" in by_name:
         share = by_name["unbalanced forces of cables"]
