@@ -107,8 +107,8 @@ def _held_aside(
     vertex = nodes.size[own] == 1
     stays = (nodes.kind[own] == VERTEX) & ~nodes.lifted[own]
     stays[1:-1] &= vertex[:-2] & vertex[2:]
-    stays[[0, -1]] = stays[shifting] = stays[cable.clamped] = False
-    stays[[*along_boundary(cable.state.nodes, shape)]] = False
+    left_out = [0, -1, *cable.clamped, *along_boundary(cable.state.nodes, shape)]
+    stays[shifting] = stays[left_out] = False
     sewn = np.array([not HOLDS[other.hold].sideways for other in numbering.cables], dtype=bool)
     others = nodes.support[(nodes.size == 1) & sewn[nodes.cable], 0]
     (k,) = np.nonzero(stays & ~np.isin(nodes.support[own][:, 0], others))
@@ -118,7 +118,8 @@ def _held_aside(
 
 def _forces_on_cells(contribution: ShiftContribution, loads: Array, shape: StripShape) -> Array:
     """Forces (m, 3) of the cells around on the stress-free places that shift, and where these carry
-    held vertices the forces of cells and loads on them. Collective."""
+    held vertices the forces of cells and loads on them. Needs the stresses of an evaluated
+    potential. Collective."""
     numbering, term = contribution.numbering, contribution.energy
     shifts, strip, simplices = numbering.shifts, numbering.strip, numbering.strip.simplices
     at = np.full(len(simplices.vertices), -1)
