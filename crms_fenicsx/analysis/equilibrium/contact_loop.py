@@ -79,7 +79,8 @@ class ContactLoop:
                 system.read_scene()
             elif way > 0.0:
                 system.renew_base()
-            if system.has_history:  # every term starts the step from there
+            # every term starts the step from there, but the mesh goes on from where it has moved
+            if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
                 _restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []

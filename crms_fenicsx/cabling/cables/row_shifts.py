@@ -44,9 +44,14 @@ class RowShifts:
 
     @classmethod
     def of(
-        cls, cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape, membrane: Membrane
+        cls,
+        cables: Sequence[LaidCable],
+        nodes: NodeTable,
+        shape: StripShape,
+        membrane: Membrane,
+        kept: Booleans,
     ) -> RowShifts:
-        """Those of taut cables on their rows. Collective."""
+        """Those of taut cables on their rows, but for vertices (n,) to be kept. Collective."""
         slides = np.array(
             [c.taut and c.state.laid.line is not None and HOLDS[c.hold].sideways for c in cables],
             dtype=bool,
@@ -60,7 +65,7 @@ class RowShifts:
         on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
         on = on[nodes.taut[on]]
         strip = shape.strip
-        held, fixed = _held_and_fixed(membrane, nodes, shape)
+        held, fixed = _held_and_fixed(membrane, nodes, shape, kept)
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
@@ -115,36 +120,37 @@ def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
 
 
 def _held_and_fixed(
-    membrane: Membrane, nodes: NodeTable, shape: StripShape
+    membrane: Membrane, nodes: NodeTable, shape: StripShape, kept: Booleans
 ) -> tuple[Booleans, Booleans]:
     """Whether each vertex of the strip (n,) is held in all directions, and whether its stress-free
-    place must stay: where it is held in some, on the borders of parts, below loads on vertices and
-    beside cells that cables fold. Collective."""
+    place must stay: where it is kept, held in some, on the borders of parts, and beside cells that
+    cables fold. Collective."""
     strip = shape.strip
-    held, fixed = np.zeros((2, len(strip.vertices)), dtype=np.int64)
+    held, fixed, stays = np.zeros((3, len(strip.vertices)), dtype=np.int64)
     mine = np.flatnonzero(strip.owner == membrane.comm.rank)
     corners = strip.simplices.cells[mine]
     dofs = membrane.V.dofmap.list[strip.local[mine]]
     held[corners] = membrane.held[dofs].all(axis=2)
-    fixed[corners] = membrane.held[dofs].any(axis=2)
+    fixed[corners], stays[corners] = membrane.held[dofs].any(axis=2), kept[dofs]
     kinds = _kinds(membrane)[strip.local[mine]]
     least, most = np.full(len(fixed), np.iinfo(np.int64).max), np.full(len(fixed), -1)
     np.minimum.at(least, corners, kinds[:, None])
     np.maximum.at(most, corners, kinds[:, None])
     membrane.comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
     membrane.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-    both = np.stack([held, fixed])
-    membrane.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-    held, fixed = both
+    flags = np.stack([held, fixed, stays])
+    membrane.comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
+    held, fixed, stays = flags
     folds = nodes.support[nodes.kind == FOLD, :2].ravel()
     crossed = np.isin(strip.vertices, folds)
-    fixed = (fixed > held) | (least < most) | crossed
+    fixed = (fixed > held) | (stays > 0) | (least < most) | crossed
     return held.astype(bool), fixed.astype(bool)
 
 
-def fixed_vertices(membrane: Membrane) -> Booleans:
+def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
     """Whether the stress-free place of each local vertex (n,) must stay in all motions of the mesh:
-    where it is held, but not within held areas, and on the borders of parts. Collective."""
+    where it is to be kept, where it is held, but not within held areas, and on the borders of
+    parts. Collective."""
     own = membrane.mesh.mesh.topology.index_map(2).size_local
     dofs = membrane.V.dofmap.list[:own]
     free = ~membrane.held.all(axis=1)[dofs].all(axis=1)
@@ -157,7 +163,7 @@ def fixed_vertices(membrane: Membrane) -> Booleans:
     sums.scatter_forward()
     n_free, count, mean, square = total.T
     borders = square * count - mean**2 > 0.5
-    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders)
+    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders | kept)
 
 
 def _kinds(membrane: Membrane) -> Indices:
