@@ -63,7 +63,8 @@ class ContactLoop:
             shift = system.largest_shift()
             if shift > NEAR:
                 return True
-            near = residual <= TOL.path_residual * scale and shift <= SETTLED
+            near = residual <= TOL.path_residual * scale
+            near &= self.sliding is None or shift <= SETTLED  # states of other paths are compared
             if not near or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
@@ -88,7 +89,7 @@ class ContactLoop:
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane is stressed now
             total = outcome if total is None else total + outcome
-            if not outcome.converged or ends:
+            if not outcome.converged or (ends and self.sliding is not None):
                 return total
             if outcome.reason != "interrupted":
                 system.write_scene()

@@ -49,7 +49,8 @@ class ShiftContribution(Contribution):
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
-        numbering.shifts = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        now = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        numbering.shifts = numbering.shifts.renewed(now)
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:
