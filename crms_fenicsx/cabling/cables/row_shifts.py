@@ -8,7 +8,7 @@ cross, their common vertex shifts in the tangent plane, below one in a pocket al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import la
@@ -98,6 +98,14 @@ class RowShifts:
         _, sizes = shape.around(nodes.on(strip.simplices)[some])
         chosen = ids[free]
         return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
+
+    def renewed(self, now: RowShifts) -> RowShifts:
+        """The same vertices with the directions and sizes of now, where these shift now: one that
+        has come to lie on a crease keeps its own."""
+        _, here, there = np.intersect1d(self.vertices, now.vertices, return_indices=True)
+        projectors, sizes = self.projectors.copy(), self.sizes.copy()
+        projectors[here], sizes[here] = now.projectors[there], now.sizes[there]
+        return replace(self, projectors=projectors, sizes=sizes)
 
 
 def _normals(shape: StripShape, vertices: Integers) -> Array:

@@ -65,7 +65,7 @@ def test_a_cable_along_a_line_is_that_laid_by_path_and_held(
     for on_lines in (True, False):
         held = hold if on_lines or hold == "bonded" else "pocket"
         scene, _ = lined_scene(mesh, on_lines, hold=held)
-        solver = Solver(scene)
+        solver = Solver(scene, slide=False)
         solver.advance(pressure=4.0)
         solver.advance(pressure=6.0)
         scenes.append(scene)
@@ -361,7 +361,7 @@ def test_ends_move_with_their_edge_but_not_along_it(comm: MPI.Intracomm) -> None
     mesh, found = lined_roof(comm), []
     for on_lines in (True, False):
         scene, cables = lined_scene(mesh, on_lines, hold="sleeve" if on_lines else "pocket")
-        solver = Solver(scene)
+        solver = Solver(scene, slide=False)
         solver.advance(pressure=4.0)
         solver.advance(move={"boundary": lambda x, t: 0.02 * t * np.sin(x)})
         solver.advance(move={cables[0].start: (0.0, -0.2, 0.1)})
