@@ -1,6 +1,7 @@
 """Cables along lines of the mesh: cost and results beside the bare roof and beside folded cables.
 
-    ./run python benchmarks/lines.py [dome] [halls] [angles] [processes] [--repeats N] [--scale S]
+    ./run python benchmarks/lines.py [dome] [halls] [limits] [angles] [processes]
+                                     [--repeats N] [--scale S]
 
 dome
     The cap of `demos/air_dome.py` with 28 cables along great circles, cut along them, with 16 000,
@@ -10,6 +11,9 @@ halls
     Air halls of 36 m by 36 and by 54 with nets of diagonals, in operation and in a diagonal storm:
     cables that fold the cells of a mesh of their own, and cables along lines of a mesh with as many
     unknowns; time, and tensions.
+limits
+    Four cables in pockets that are alike, on a dome: tensions on meshes of several sizes, cut along
+    the cables, made with lines and with folded cells, and where they lead to.
 angles
     The smallest angles of six roofs cut along their lines, and what is told.
 processes
@@ -30,7 +34,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -235,6 +239,68 @@ def halls(hall: Hall, size: float, repeats: int) -> None:
           f"{ratios[0]:.1f}; form cut along the net in {cutting:.2f} s", flush=True)  # fmt: skip
 
 
+# --- limits ----------------------------------------------------------------------------------
+
+DOME, TOP = 12.0, 5.0
+BALL = (DOME**2 + TOP**2) / (2 * TOP)
+ENDS = {"A1": (1, 11), "A2": (23, 13), "B1": (7, 17), "B2": (5, 19)}  # in 24ths of the rim
+ON_RIM = (72, 96, 144, 192, 240)
+WAYS = ("folded", "cut", "lines")
+
+
+def arcs(turn: float = 0.0) -> tuple[dict[str, NDArray[np.float64]], float]:
+    """Great circles alike over the dome, turned by an angle, and their length."""
+    centre, found, angle = np.array([0.0, 0.0, TOP - BALL]), {}, 0.0
+    for name, ends in ENDS.items():
+        around = np.array(ends) * np.pi / 12 + turn
+        p, q = DOME * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1) - centre
+        angle = float(np.arccos(p @ q / BALL**2))
+        t = np.linspace(0.0, angle, 400)[:, None]
+        found[name] = centre + (np.sin(angle - t) * p + np.sin(t) * q) / np.sin(angle)
+    return found, BALL * angle
+
+
+def alike(way: str, on_rim: int, shortened: float, turn: float = 0.0) -> NDArray[np.float64]:
+    """Tensions of cables that are alike, on a mesh with that many vertices on the rim."""
+    lines, length = arcs(turn)
+    size = 2 * np.pi * DOME / on_rim
+    mesh = meshes.spherical_cap(COMM, DOME, TOP, size, lines=lines if way == "lines" else None)
+    if way == "cut":
+        mesh = meshes.along(mesh, lines)
+    roof = Scene(mesh, IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0))
+    roof.fix("boundary")
+    cables = []
+    for name, path in lines.items():
+        where: Any = {"path": path, "name": name} if way == "folded" else {"along": name}
+        cable = Cable(EA=20e3)
+        cables.append(roof.lay_cable(cable, L0=shortened * length, hold="pocket", **where))
+    Solver(roof).advance(pressure=0.5)
+    return np.array([cable.tension for cable in cables])
+
+
+def limits(shortened: float, on_rim: Sequence[int] = ON_RIM) -> dict[str, NDArray[np.float64]]:
+    """Mean and largest tensions of all meshes, the last row those that they lead to."""
+    found = {}
+    print(f"\nlimits, L0 {shortened:g} of the arc".ljust(34) + "".join(f"{n:>8}" for n in on_rim)
+          + "   limit")  # fmt: skip
+    for way in WAYS:
+        tensions = [alike(way, n, shortened) for n in on_rim]
+        rows = np.array([(T.mean(), T.max()) for T in tensions])
+        fit = np.polyfit(1.0 / np.square(on_rim), rows, 1)[1]  # of the cells' size to the square
+        found[way] = np.concatenate([rows, fit[None]])
+        for what, row in zip(("mean", "max"), found[way].T, strict=True):
+            print(f"{way:22}{what:10}" + "".join(f"{T:8.3f}" for T in row), flush=True)
+    return found
+
+
+def scatter(on_rim: int) -> None:
+    """Tensions of cables alike that end between vertices of the rim."""
+    for way in WAYS:
+        T = np.array([alike(way, on_rim, 1.0, turn) for turn in (0.04, 0.1, 0.14, 0.2)])
+        print(f"net turned, {on_rim} on the rim, {way:10} T {T.mean():.3f}, {T.min():.3f} to "
+              f"{T.max():.3f}", flush=True)  # fmt: skip
+
+
 # --- angles ----------------------------------------------------------------------------------
 
 
@@ -382,7 +448,7 @@ def processes(unknowns: float) -> None:
 
 def main(given: list[str]) -> None:
     """Print the tables asked for."""
-    tables = ("dome", "halls", "angles", "processes")
+    tables = ("dome", "halls", "limits", "angles", "processes")
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     options.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
     options.add_argument("--repeats", type=int, default=3)
@@ -401,6 +467,12 @@ def main(given: list[str]) -> None:
         for hall in HALLS:
             for size in SIZES[hall.name]:
                 halls(hall, size / float(np.sqrt(scale)), chosen.repeats)
+    if "limits" in wanted:
+        on_rim = [24 * max(round(n * float(np.sqrt(scale)) / 24), 1) for n in ON_RIM]
+        for shortened in (1.0, 0.995):
+            limits(shortened, on_rim)
+        for n in on_rim[:3]:
+            scatter(n)
     if "angles" in wanted:
         angles(scale)
     if "processes" in wanted:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys, edges_of, whole_line
 from crms_fenicsx.foundation.meshes.orientation import UPWARD, Outside, connected_labels
 from crms_fenicsx.foundation.meshes.surface import (
+    BOUNDARY,
     EMPTY,
     CheckedSurface,
     Projection,
@@ -285,10 +286,20 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 
 
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
-    """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`."""
+    """A mesh with its vertices at other positions (n, 3), by the degrees of freedom of `V`; its
+    projection is left out unless they lie where that leaves them. Collective."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
-    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
+    new = dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
+    if not mesh.comm.bcast(mesh.project is not None):
+        return new
+    surface, left = gathered(new)[0], False
+    with raised_together(mesh.comm):
+        if mesh.comm.rank == 0 and mesh.project is not None:
+            x = surface.points
+            on_rim = np.isin(np.arange(len(x)), edges_of(surface.edges[BOUNDARY]))
+            left = bool(np.abs(mesh.project(x.T, on_rim).T - x).max() > 1e-6 * np.ptp(x))
+    return dataclasses.replace(new, project=None) if mesh.comm.bcast(left) else new
 
 
 def redistributed(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:

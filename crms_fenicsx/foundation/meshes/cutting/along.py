@@ -16,7 +16,7 @@ from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
-from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, shapes
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, raise_vertices, shapes
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     TracedLine,
     Tracer,
@@ -51,7 +51,9 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
     A cable laid along such a line has the mesh's vertices as its points. Where lines cross they
     share a vertex. Vertices of the mesh near a line are merged with the line's or moved away from
     it along the surface, so that cells keep their shape; all others stay where they are. The
-    vertices of a line lie on its route, on the facets of the given mesh.
+    vertices of a line lie on its route, on the facets of the given mesh. Where the mesh knows the
+    surface that it approximates, as those of the built-in shapes do, all new and moved vertices are
+    moved to that and to its rim, as by `refine`.
 
     Parameters
     ----------
@@ -103,6 +105,8 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
                 traced = {line.name: line for part in parts for line in part}
                 work = cut(tracer, [traced[name] for name in routes])
                 improve(work)
+                if mesh.project is not None:
+                    raise_vertices(work, mesh.project)
                 found, turned, poor = work.finished(), _turned(work), _poor(work)
     for text in turned:  # on rank 0
         logger.info(text)

@@ -1,5 +1,5 @@
 """Vertices of a cut mesh spread: along rows and straight rims, and between them on the given
-surface."""
+surface; and raised to the surface that this approximates."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import numpy as np
 
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
+from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
+from crms_fenicsx.foundation.meshes.surface import Projection
 from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 
@@ -132,3 +134,18 @@ def shapes(corners: Array) -> tuple[Array, Array]:
     sides = np.sort(norm(corners[:, [1, 2, 0]] - corners), axis=1)
     sines = area / np.maximum(sides[:, 1] * sides[:, 2], 1e-300)
     return normals / np.maximum(area, 1e-300)[:, None], sines
+
+
+def raise_vertices(mesh: CutMesh, onto: Projection) -> None:
+    """Move all vertices but those where the given mesh has one from its facets and rims to the
+    surface and rims that these approximate."""
+    table, given, x = EdgeTable.of(mesh.cells), mesh.surface.points, mesh.points
+    moved, on_rim = np.zeros((2, len(x)), dtype=bool)
+    moved[mesh.cells] = True
+    moved[: len(given)] &= (x[: len(given)] != given).any(axis=1)
+    on_rim[table.vertices[table.counts == 1]] = True
+    new = x.copy()
+    new[moved] = onto(x[moved].T, on_rim[moved]).T
+    turned = dot(double_areas(new[mesh.cells]), double_areas(x[mesh.cells])) <= 0.0
+    new[mesh.cells[turned]] = x[mesh.cells[turned]]
+    mesh.points = new
