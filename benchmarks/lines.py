@@ -55,7 +55,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
 from crms_fenicsx.design.patterns import plane_section
-from crms_fenicsx.foundation.meshes.cutting.spreading import shapes
+from crms_fenicsx.foundation.meshes.triangles import shapes
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD

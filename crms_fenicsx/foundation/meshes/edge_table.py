@@ -19,8 +19,8 @@ from crms_fenicsx.foundation.runtime.errors import PathError
 
 def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     """Return for each vertex pair, shape (k, 2), an integer that does not depend on its order."""
-    pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
-    return (pairs[:, 0] << 32) | pairs[:, 1]
+    p, q = pairs.astype(np.int64).reshape(-1, 2).T
+    return (np.minimum(p, q) << 32) | np.maximum(p, q)
 
 
 def edges_of(keys: Integers) -> list[tuple[int, int]]:
@@ -74,8 +74,10 @@ class EdgeTable:
         sides = cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         side_keys = edge_keys(sides)
         order = np.argsort(side_keys, kind="stable")
-        keys, start, counts = np.unique(side_keys[order], return_index=True, return_counts=True)
-        vertices = np.sort(sides[order[start]], axis=1)
+        sorted_keys = side_keys[order]
+        first = np.flatnonzero(np.diff(sorted_keys, prepend=-1))  # of each edge's sides
+        keys, counts = sorted_keys[first], np.diff(first, append=len(order))
+        vertices = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1)
         return cls(keys, vertices, counts, sides[:, 0] < sides[:, 1], order)
 
     def linked_sides(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -72,6 +72,15 @@ def double_areas(triangles: Array) -> Array:
     return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
+def shapes(corners: Array) -> tuple[Array, Array]:
+    """Unit normals (m, 3) and sines (m,) of the smallest angles of triangles (m, 3, 3)."""
+    normals = double_areas(corners)
+    area = norm(normals)
+    sides = np.sort(norm(corners[:, [1, 2, 0]] - corners), axis=1)
+    sines = area / np.maximum(sides[:, 1] * sides[:, 2], 1e-300)
+    return normals / np.maximum(area, 1e-300)[:, None], sines
+
+
 def altitudes(triangles: Array) -> Array:
     """Smallest altitudes (m,)."""
     longest = longest_sides(triangles)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from crms_fenicsx.foundation.meshes.triangles import (
     mix,
     norm,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, flags, ints
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
@@ -60,7 +61,7 @@ class Balls:
         widest = self.radius.max(initial=0.0)
         found = self._tree.query_ball_point(targets, reach + widest, return_sorted=True)
         target = np.repeat(np.arange(len(targets)), [len(own) for own in found])
-        ball = np.concatenate([np.zeros(0, dtype=np.int64), *found]).astype(np.int64)
+        ball = np.fromiter(chain.from_iterable(found), dtype=np.int64)
         near = norm(self.centre[ball] - targets[target]) - self.radius[ball] <= reach[target]
         return target[near], ball[near]
 
@@ -318,25 +319,27 @@ def places_in_space(
     target, rows = _touching(surface, positions)
     triangles = surface.points[surface.cells[rows]]
     points = _located(surface, positions, target, rows, triangles)
-    altitude, longest = altitudes(triangles), longest_sides(triangles)
+    # of the cells at each place
+    first = np.searchsorted(target, np.arange(len(course)))
+    altitude = np.maximum.reduceat(altitudes(triangles), first)
+    longest = np.maximum.reduceat(longest_sides(triangles), first)
+    distance, normals = np.array([foot.distance for foot in feet]), [foot.normal for foot in feet]
+    offset = course - positions
+    heights = dot(offset, np.array(normals))
+    aside = norm(offset - heights[:, None] * normals)
+    # facets deviate from a smooth surface along its normal
+    is_aside = flags(aside > np.maximum(surface.snap * altitude, 0.5 * np.abs(heights)))
+    is_off = flags(distance > ON_SURFACE * longest)
     places = []
-    ends = np.searchsorted(target, np.arange(len(course) + 1))
-    for i, foot in enumerate(feet):
-        own = slice(ends[i], ends[i + 1])
+    for i, (foot, height, off) in enumerate(zip(feet, heights, is_off, strict=True)):
         if i in known:
             places.append(Place(known[i], course[i], foot.normal))
             continue
         found = points[i]
         assert found is not None
         point, position = found
-        offset = course[i] - foot.position
-        height = float(dot(offset, foot.normal))
-        aside = float(norm(offset - height * foot.normal))
-        # facets deviate from a smooth surface along its normal
-        is_aside = aside > max(surface.snap * float(altitude[own].max()), 0.5 * abs(height))
-        off = foot.distance > ON_SURFACE * float(longest[own].max())
-        rim = (is_aside or off) and surface.on_boundary(point)
-        if not off and not (rim and is_aside):
+        rim = (is_aside[i] or off) and surface.on_boundary(point)
+        if not off and not (rim and is_aside[i]):
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
             raise PathError(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.foundation.meshes.triangles import lists
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.points import (
@@ -62,12 +62,9 @@ class Path:
         missing = wanted[vertices[rows] != wanted] if len(vertices) else wanted
         if len(missing):
             raise PathError(f"vertex {missing[0]} of a path is not in this mesh.")
-        row_of = {int(v): int(row) for v, row in zip(wanted, rows, strict=True)}
-        result = np.empty((len(self.points), 3))
-        for i, point in enumerate(self.points):
-            corners = points[[row_of[v] for v in point.support]]
-            result[i] = np.array(point.weights) @ corners
-        return result
+        weights = np.concatenate([point.weights for point in self.points])
+        first = pointers(np.array([len(point.support) for point in self.points]))[:-1]
+        return np.asarray(np.add.reduceat(weights[:, None] * points[rows], first))
 
     def links(self, cells: Integers) -> tuple[Support, ...]:
         """Vertices of the edge or cell (m, 3) through which each point leads to the next."""
@@ -105,16 +102,15 @@ class _Surroundings:
     def __init__(self, cells: ArrayLike, points: Sequence[SurfacePoint]) -> None:
         rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
         support = np.array(sorted({v for point in points for v in point.support}), dtype=np.int64)
-        near = rows[np.isin(rows, support).sum(axis=1) >= 2]
-        self.cells_at: dict[Support, list[tuple[int, int, int]]] = {}
-        for a, b, c in map(sorted, lists(near)):
-            for simplex in ((a, b), (b, c), (a, c), (a, b, c)):
-                self.cells_at.setdefault(simplex, []).append((a, b, c))
+        near = np.sort(rows[np.isin(rows, support).sum(axis=1) >= 2], axis=1)
+        sides = near[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)
+        self.cells = [(a, b, c) for a, b, c in lists(near)]
+        self.simplices: set[Support] = {*self.cells, *((a, b) for a, b in lists(sides))}
 
     def link(self, a: SurfacePoint, b: SurfacePoint) -> Support | None:
         """Vertices of the edge or cell that leads from a to b; None if there is none."""
         both = cell_between(a.support, b.support)
-        return both if both in self.cells_at and a != b and not _on_one_edge(a, b) else None
+        return both if both in self.simplices and a != b and not _on_one_edge(a, b) else None
 
 
 def without_backtracking(
@@ -162,7 +158,7 @@ def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) 
 def _tie_ends_in_cells(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
     """Move the first point, on one edge with the second, into a cell of that edge."""
     edges = [point.edge for point in kept[:2] if isinstance(point, EdgePoint)]
-    cells = sorted(surroundings.cells_at[edges[0]])
+    cells = sorted(cell for cell in surroundings.cells if {*edges[0]} <= {*cell})
     if len(kept) > 2:  # the cell through which the path continues would make it turn back
         onward = surroundings.link(kept[1], kept[2])
         cells.sort(key=lambda cell: onward == cell)

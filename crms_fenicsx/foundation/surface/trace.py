@@ -197,7 +197,7 @@ def _refuse_shortcuts(
     # A route that returns through the same cells cannot be represented by edge crossings: both
     # ways cancel, which is right at a corner inside a cell, but not for a longer part of a route.
     x = path.positions(surface.ids, surface.points)
-    starts, sides = vectors(x[:-1]), vectors(np.diff(x, axis=0))
+    starts, sides = (list(map(floats, vectors(rows))) for rows in (x[:-1], np.diff(x, axis=0)))
     longest = floats(longest_sides(surface.points[surface.cells]))
     k, passed = 0, 0.0  # the path's segment that is reached, and the fraction passed of it
     for i, place in enumerate(places):
@@ -205,7 +205,7 @@ def _refuse_shortcuts(
             continue
         reach = max(longest[row] for row in surface.cells_with(place.point.support))
         while k < len(sides):
-            found = _passes(starts[k], sides[k], place.position, reach)
+            found = _passes(starts[k], sides[k], floats(place.position), reach)
             if found is not None and max(found[0], passed) <= min(found[1], 1.0):
                 passed = max(found[0], passed)
                 break
@@ -218,9 +218,11 @@ def _refuse_shortcuts(
             )
 
 
-def _passes(start: Array, side: Array, place: Array, reach: float) -> tuple[float, float] | None:
+def _passes(
+    start: list[float], side: list[float], place: list[float], reach: float
+) -> tuple[float, float] | None:
     """Fractions of a segment between which it is within `reach` of a place."""
-    (a, b, c), (u, v, w) = floats(place - start), floats(side)
+    (a, b, c), (u, v, w) = (p - q for p, q in zip(place, start, strict=True)), side
     square = max(u * u + v * v + w * w, 1e-300)
     middle = (a * u + b * v + c * w) / square
     left = reach**2 - (a - middle * u) ** 2 - (b - middle * v) ** 2 - (c - middle * w) ** 2

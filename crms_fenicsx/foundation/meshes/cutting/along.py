@@ -16,7 +16,7 @@ from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.cutting.flipping import flip
-from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, raise_vertices, shapes
+from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, raise_vertices
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     TracedLine,
     Tracer,
@@ -26,7 +26,13 @@ from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, distribute, gathered
 from crms_fenicsx.foundation.meshes.plan_lines import TURN
 from crms_fenicsx.foundation.meshes.surface import EMPTY
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm, side_turns, vertex_normals
+from crms_fenicsx.foundation.meshes.triangles import (
+    arc_lengths,
+    norm,
+    shapes,
+    side_turns,
+    vertex_normals,
+)
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import collective
 from crms_fenicsx.foundation.runtime.arrays import Array, ints

@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
 from crms_fenicsx.foundation.meshes.surface import CheckedSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, runs
 
 LEAST = 10.0, 15.0
 """Smallest angles (degrees), of all cells and of all but a hundredth, that are told if smaller; and
@@ -50,7 +50,7 @@ class CutMesh:
         for row in self.rows.values():
             near[row.vertices] = True
         for _ in range(rings):
-            near[self.cells[near[self.cells].any(axis=1)]] = True
+            near[self.cells[around(self.cells, near)]] = True
         return near
 
     def finished(self) -> CheckedSurface:
@@ -66,3 +66,29 @@ class CutMesh:
         new = self.surface.divided(self.points[used], number[self.cells], self.parents, edges)
         points = {name: number[ids] for name, ids in self.surface.point_groups.items()}
         return replace(new, point_groups=points)
+
+
+def around(cells: Integers, vertices: Booleans) -> Booleans:
+    """Which of the cells (m, 3) have one or more of some vertices (n,)."""
+    a, b, c = cells.T
+    return np.asarray(vertices[a] | vertices[b] | vertices[c])
+
+
+class Stars:
+    """The cells around each vertex."""
+
+    def __init__(self, cells: Integers, count: int) -> None:
+        """Of cells (m, 3) with so many vertices."""
+        from scipy.sparse import csr_array  # takes longer to import than scripts without lines need
+
+        m = len(cells)
+        corners = csr_array(
+            (np.ones(3 * m, dtype=bool), cells.ravel(), np.arange(0, 3 * m + 1, 3)), (m, count)
+        ).tocsc()
+        self.first, self.cells = corners.indptr, corners.indices
+
+    def of(self, vertices: Integers) -> tuple[Integers, Integers]:
+        """Pairs (p,) of places in a list of vertices (k,) and the cells around these."""
+        first = self.first[vertices]
+        counts = self.first[vertices + 1] - first
+        return np.repeat(np.arange(len(vertices)), counts), self.cells[runs(first, counts)]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
-from itertools import pairwise
-from math import sqrt
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys, edges_of
-from crms_fenicsx.foundation.meshes.triangles import lists, vectors
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, shapes, vectors
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.points import (
     CellPoint,
@@ -21,8 +19,6 @@ from crms_fenicsx.foundation.surface.points import (
     VertexPoint,
     edge_of,
 )
-
-Point = tuple[float, float, float]
 
 Leg = tuple[Support, list[int]]
 """A line from one of its points to the next: the vertices of the edge or cell, and the nodes."""
@@ -125,23 +121,31 @@ def divided(cells: Integers, nodes: CutNodes, chords: Chords) -> tuple[Integers,
     cut = edge_keys(np.array([*nodes.on], dtype=np.int64))
     on_sides, of_cells = np.isin(sides, cut), np.isin(cells, ends)
     near = np.asarray(on_sides.any(axis=1) | of_cells.all(axis=1))
-    rows = np.flatnonzero(near)
-    parts = []
-    for cell in lists(cells[rows]):
-        parts.append(_split(cell, nodes, chords.get(tuple(sorted(cell)), [])))
-    counts = np.ones(len(cells), dtype=np.int64)
-    counts[rows] = [len(own) for own in parts]
-    parents = np.repeat(np.arange(len(cells)), counts)
-    children = cells[parents]
-    new = [triangle for own in parts for triangle in own]
-    children[near[parents]] = np.array(new, dtype=np.int64).reshape(-1, 3)
-    return children, parents
+    polygons: dict[int, list[list[int]]] = {}  # by their number of corners
+    owners: dict[int, list[int]] = {}
+    for row in ints(np.flatnonzero(near)):
+        cell = ints(cells[row])
+        for polygon in _split(cell, nodes, chords.get(tuple(sorted(cell)), [])):
+            polygons.setdefault(len(polygon), []).append(polygon)
+            owners.setdefault(len(polygon), []).append(row)
+    points = np.array(nodes.places)
+    children, parents = [cells[~near]], [np.flatnonzero(~near)]
+    for n, own in polygons.items():
+        rows = np.array(owners[n])
+        corners, normals = np.array(own), double_areas(points[cells[rows]])
+        new = corners[
+            np.arange(len(rows))[:, None, None], _triangulations(points[corners], normals)
+        ]
+        children.append(new.reshape(-1, 3))
+        parents.append(rows.repeat(n - 2))
+    order = np.argsort(np.concatenate(parents), kind="stable")
+    return np.concatenate(children)[order], np.concatenate(parents)[order]
 
 
 def _split(
     cell: list[int], nodes: CutNodes, chords: list[tuple[str, list[int]]]
-) -> list[tuple[int, ...]]:
-    """The triangles of a cell divided by chords, and at nodes on its sides."""
+) -> list[list[int]]:
+    """The polygons of a cell divided by chords, with nodes on its sides."""
     a, b, c = cell
     rim = [a, *nodes.along(a, b), b, *nodes.along(b, c), c, *nodes.along(c, a)]
     places = nodes.places
@@ -168,8 +172,7 @@ def _split(
                 continue
             polygons.remove(own)
             polygons += [own[i : j + 1] + inner[::-1], own[j:] + own[: i + 1] + inner]
-    normal, _ = shape(*((float(x), float(y), float(z)) for x, y, z in (places[v] for v in cell)))
-    return [one for polygon in polygons for one in _triangulated(polygon, places, normal)]
+    return polygons
 
 
 def _joined(rim: list[int], chords: list[tuple[str, list[int]]]) -> list[tuple[str, list[int]]]:
@@ -188,54 +191,24 @@ def _joined(rim: list[int], chords: list[tuple[str, list[int]]]) -> list[tuple[s
     return found
 
 
-def _triangulated(polygon: list[int], places: list[Array], normal: Point) -> list[tuple[int, ...]]:
-    """Triangulation of a flat polygon with a normal whose worst triangle is best."""
-    n = len(polygon)
-    if n == 3:
-        return [tuple(polygon)]
-    x = [(float(x), float(y), float(z)) for x, y, z in (places[v] for v in polygon)]
-
-    def quality(i: int, k: int, j: int) -> float:
-        """Sine of the smallest angle, negative if the triangle lies outside."""
-        own, sine = shape(x[i], x[k], x[j])
-        return sine if dot(own, normal) >= 0.0 else -1.0
-
-    if n == 4:  # most of them
-        one, other = ((0, 1, 3), (1, 2, 3)), ((0, 1, 2), (0, 2, 3))
-        least = [min(quality(*first), quality(*second)) for first, second in (one, other)]
-        return [tuple(polygon[k] for k in own) for own in (one if least[0] >= least[1] else other)]
-
-    @cache
-    def best(i: int, j: int) -> tuple[float, int, list[tuple[int, ...]]]:
-        """Quality and triangles of the part from i to j; of equal ones that of the least k."""
-        found: list[tuple[float, int, list[tuple[int, ...]]]] = []
-        for k in range(i + 1, j):
-            (before, _, left), (after, _, right) = best(i, k), best(k, j)
-            least = min(quality(i, k, j), before, after)
-            found.append((least, -k, [*left, (polygon[i], polygon[k], polygon[j]), *right]))
-        return max(found, default=(np.inf, 0, []))
-
-    return best(0, n - 1)[2]
-
-
-def minus(p: Point, q: Point) -> Point:
-    """The vector from q to p."""
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
-
-
-def dot(a: Point, b: Point) -> float:
-    """The scalar product, faster than numpy's for one pair of vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def shape(p: Point, q: Point, r: Point) -> tuple[Point, float]:
-    """Unit normal of a triangle, and the sine of its smallest angle."""
-    a, b, c = minus(q, p), minus(r, p), minus(r, q)
-    (ax, ay, az), (bx, by, bz) = a, b
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    area = sqrt(nx * nx + ny * ny + nz * nz)
-    one, two, three = dot(a, a), dot(b, b), dot(c, c)
-    if area == 0.0:
-        return (0.0, 0.0, 0.0), 0.0
-    longest = sqrt(one * two * three / min(one, two, three))
-    return (nx / area, ny / area, nz / area), area / longest
+def _triangulations(x: Array, normals: Array) -> Integers:
+    """The corners (q, n - 2, 3) of the triangles into which polygons (q, n, 3) in planes with
+    normals (q, 3) are divided so that the worst is best."""
+    count, n, _ = x.shape
+    # qualities of the parts from corner i to j when divided best, and their triangles
+    best = {(i, i + 1): np.full(count, np.inf) for i in range(n - 1)}
+    parts = {(i, i + 1): np.zeros((count, 0, 3), dtype=np.int64) for i in range(n - 1)}
+    for i, j in sorted(combinations(range(n), 2), key=lambda ends: ends[1] - ends[0])[n - 1 :]:
+        best[i, j] = np.full(count, -np.inf)
+        parts[i, j] = np.zeros((count, j - i - 1, 3), dtype=np.int64)
+        for k in range(i + 1, j):  # of equal ones the first
+            own, sines = shapes(x[:, [i, k, j]])
+            outside = dot(own, normals) < 0.0
+            least = np.minimum(np.where(outside, -1.0, sines), best[i, k])
+            least = np.minimum(least, best[k, j])
+            better = least > best[i, j]
+            best[i, j][better] = least[better]
+            triangle = np.broadcast_to([[[i, k, j]]], (count, 1, 3))
+            new = np.concatenate([parts[i, k], triangle, parts[k, j]], axis=1)
+            parts[i, j][better] = new[better]
+    return parts[0, n - 1]

@@ -113,12 +113,13 @@ class FeatureEdges:
                     found.add(v)
         return np.array(sorted(found), dtype=np.int64)
 
-    def skip(self, v: int) -> None:
-        """Take a vertex out of its feature line, which leads on from one neighbour to the other."""
-        own = self.beside.pop(v, {})
-        for w in own:
-            del self.beside[w][v]
-        if own:
-            (a, names), (b, _) = own.items()
-            for name in names:
-                self.add([(a, b)], name)
+    def skip(self, vertices: Iterable[int]) -> None:
+        """Take vertices out of their feature lines, which lead on from neighbour to neighbour."""
+        for v in vertices:
+            own = self.beside.pop(v, {})
+            for w in own:
+                del self.beside[w][v]
+            if own:
+                (a, names), (b, _) = own.items()
+                for name in names:
+                    self.add([(a, b)], name)

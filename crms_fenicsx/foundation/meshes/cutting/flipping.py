@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, around
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
@@ -14,7 +14,7 @@ def flip(mesh: CutMesh, near: Booleans) -> None:
     """Flip edges of the cells of which all vertices are near (n,), by Lawson's criterion."""
     kept, active = mesh.features.keys(), near
     for _ in range(50):  # on curved surfaces they may not end
-        rows = np.flatnonzero(active[mesh.cells].any(axis=1))
+        rows = np.flatnonzero(around(mesh.cells, active))
         cells = mesh.cells[rows]
         own = np.where(near[cells].all(axis=1), mesh.features.label[mesh.parents[rows]], -1)
         flipped = _round(mesh.points, cells, own, kept, active)

@@ -5,21 +5,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row, Stars, around
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import ASIDE
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE
 from crms_fenicsx.foundation.meshes.surface import Projection
-from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
+from crms_fenicsx.foundation.meshes.triangles import closest, dot, double_areas, norm, shapes
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 
 class Spreading:
     """Places for the vertices near rows."""
 
     def __init__(self, mesh: CutMesh) -> None:
+        from scipy.sparse import csr_array  # takes longer to import than scripts without lines need
+
         self.mesh = mesh
         self.near = mesh.band(2)
+        self.cells = mesh.cells[around(mesh.cells, self.near)]
+        self.shapes = shapes(mesh.points[self.cells])
+        n, (a, b, c) = len(self.near), self.cells.T
+        sides = np.concatenate([a, b, c, b, c, a]), np.concatenate([b, c, a, a, b, c])
+        counts = np.bincount(sides[0], minlength=n)
+        self.means = csr_array((1.0 / counts[sides[0]], sides), (n, n))  # of neighbours
         features = mesh.features
         free = self.near.copy()
         free[list(features.fixed)] = False
@@ -32,12 +40,9 @@ class Spreading:
             on_row[row.vertices] = True
         self.slides = self._sliding(on_row)
         self.rows = [(row, self._may_slide(row)) for row in mesh.rows.values()]
-        given = mesh.surface.cells
-        order = np.argsort(given.ravel(), kind="stable")
-        counts = np.bincount(given.ravel(), minlength=len(mesh.surface.points))[self.free]
-        first = pointers(np.bincount(given.ravel(), minlength=len(mesh.surface.points)))[self.free]
-        self.owner = np.repeat(np.arange(len(self.free)), counts)
-        self.star = given[order[runs(first, counts)] // 3]
+        given = mesh.surface
+        self.owner, cells = Stars(given.cells, len(given.points)).of(self.free)
+        self.star = given.points[given.cells[cells]]
 
     def _sliding(self, on_row: Booleans) -> Integers:
         """Vertices near rows on other feature lines, with their neighbours along these, (k, 3)."""
@@ -59,16 +64,8 @@ class Spreading:
         those between rows onto the given surface."""
         mesh = self.mesh
         x, new = mesh.points, mesh.points.copy()
-        rows = np.flatnonzero(self.near[mesh.cells].any(axis=1))
-        cells = mesh.cells[rows]
-        n = len(x)
-        total, count = np.zeros((n, 3)), np.zeros(n)
-        for a, b in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)):
-            count += np.bincount(cells[:, a], minlength=n)
-            for k in range(3):
-                total[:, k] += np.bincount(cells[:, a], x[cells[:, b], k], minlength=n)
         f = self.free
-        new[f] = 0.5 * (x[f] + total[f] / count[f, None])
+        new[f] = 0.5 * (x[f] + (self.means @ x)[f])
         if last:
             new[f] = self._on_surface(new[f])
         self._slide(new)
@@ -79,7 +76,7 @@ class Spreading:
             at[inner] = 0.5 * at[inner] + 0.25 * (at[inner - 1] + at[inner + 1])
             new[row.vertices[inner]] = row.on(at[inner])
             arcs.append(at)
-        self._keep_cells(cells, new)
+        self._keep_cells(new)
         for (row, may), at in zip(self.rows, arcs, strict=True):
             moved = may & (new[row.vertices] != x[row.vertices]).any(axis=1)
             row.at[moved] = at[moved]
@@ -87,10 +84,10 @@ class Spreading:
 
     def _on_surface(self, places: Array) -> Array:
         """The closest points of the given cells around each free vertex (k, 3)."""
-        _, found, gaps = closest(self.mesh.surface.points[self.star], places[self.owner])
-        order = np.lexsort((gaps, self.owner))
-        best = order[np.unique(self.owner[order], return_index=True)[1]]
-        return found[best]
+        _, found, gaps = closest(self.star, places[self.owner])
+        least = np.minimum.reduceat(gaps, np.flatnonzero(np.diff(self.owner, prepend=-1)))
+        best = np.flatnonzero(gaps == least[self.owner])
+        return found[best[np.diff(self.owner[best], prepend=-1) > 0]]
 
     def _slide(self, new: Array) -> None:
         """Move vertices of other feature lines along these, where they are nearly straight."""
@@ -112,28 +109,18 @@ class Spreading:
         )
         new[v[fits]] = place[fits]
 
-    def _keep_cells(self, cells: Integers, new: Array) -> None:
+    def _keep_cells(self, new: Array) -> None:
         """Take back moves after which a cell's smallest angle is too small and smaller."""
-        x = self.mesh.points
-        normals, before = shapes(x[cells])
+        x, (normals, before) = self.mesh.points, self.shapes
         least = np.sin(np.radians(LEAST[1]))
         for _ in range(20):
-            turned, after = shapes(new[cells])
+            self.shapes = turned, after = shapes(new[self.cells])
             bad = (dot(turned, normals) <= 0.5) | ((after < before) & (after < least))
             if not bad.any():
                 return
-            back = np.unique(cells[bad])
+            back = np.unique(self.cells[bad])
             new[back] = x[back]
-        new[:] = x
-
-
-def shapes(corners: Array) -> tuple[Array, Array]:
-    """Unit normals (m, 3) and sines (m,) of the smallest angles of triangles (m, 3, 3)."""
-    normals = double_areas(corners)
-    area = norm(normals)
-    sides = np.sort(norm(corners[:, [1, 2, 0]] - corners), axis=1)
-    sines = area / np.maximum(sides[:, 1] * sides[:, 2], 1e-300)
-    return normals / np.maximum(area, 1e-300)[:, None], sines
+        new[:], self.shapes = x, (normals, before)
 
 
 def raise_vertices(mesh: CutMesh, onto: Projection) -> None:

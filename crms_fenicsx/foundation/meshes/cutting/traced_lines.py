@@ -21,7 +21,7 @@ from crms_fenicsx.foundation.meshes.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, runs
 from crms_fenicsx.foundation.runtime.errors import PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import SNAP, Balls
 from crms_fenicsx.foundation.surface.points import Support, SurfacePoint
@@ -72,12 +72,11 @@ class Tracer:
         flat = route.shape[1] == 2
         course = np.pad(route, ((0, 0), (0, 1))) if flat else route
         balls = self.flat_balls if flat else self.balls
-        size = float(self.longest.max())
-        legs = norm(course[1:] - course[:-1])
-        steps = np.ceil(legs / size).astype(np.int64) + 1
-        leg = np.repeat(np.arange(len(legs)), steps)
-        part = (np.arange(len(leg)) - pointers(steps)[leg]) / (steps - 1)[leg]
-        at = course[leg] + part[:, None] * (course[leg + 1] - course[leg])
+        size, legs = float(self.longest.max()), np.diff(course, axis=0)
+        steps = np.ceil(norm(legs) / size).astype(np.int64)
+        part = runs(np.zeros_like(steps), steps) / steps.repeat(steps)
+        at = course[:-1].repeat(steps, axis=0) + part[:, None] * legs.repeat(steps, axis=0)
+        at = np.concatenate([at, course[-1:]])
         return np.unique(balls.within(at, np.full(len(at), size))[1])
 
     @cached_property
