@@ -47,6 +47,7 @@ from roofs import cap, covered, great_circles, suction
 from crms_fenicsx import (
     Cable,
     InputError,
+    IsotropicMembrane,
     OrthotropicMembrane,
     PathWarning,
     Solver,
