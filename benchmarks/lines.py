@@ -50,6 +50,7 @@ from crms_fenicsx import (
     IsotropicMembrane,
     OrthotropicMembrane,
     PathWarning,
+    Scene,
     Solver,
     meshes,
     nets,
