@@ -51,8 +51,10 @@ from sweeps.strings import clamped
 from crms_fenicsx import (
     Cable,
     InputError,
+    IsotropicMembrane,
     OrthotropicMembrane,
     PathWarning,
+    Scene,
     Solver,
     meshes,
     nets,
