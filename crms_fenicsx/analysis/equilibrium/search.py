@@ -88,7 +88,7 @@ class FrictionLoop:
         """Iterations of the lateral and axial friction forces of all cables."""
         lags: list[LateralIteration | AxialIteration] = []
         for cable in self.scene.cables:
-            if cable.has_coulomb:
+            if cable.has_coulomb and cable.state.law.lateral is not None:
                 from crms_fenicsx.cabling.friction.passes import LateralIteration
 
                 lags.append(LateralIteration(cable))
@@ -172,10 +172,13 @@ class EquilibriumSearch:
         from crms_fenicsx.cabling.friction.lateral import start_step
 
         shape = net.strip_shape()
-        known = all(
-            cable.slides_freely or cable.state.law.lateral is not None for cable in net.cables
-        )
-        for cable in net.cables:
+        sliding = [
+            cable for cable in net.cables
+            if not cable.slides_freely
+            and (self.system.slide or cable.state.laid.line is None)
+        ]  # fmt: skip
+        known = all(cable.state.law.lateral is not None for cable in sliding)
+        for cable in sliding:
             start_step(cable, shape)
         if not known:
             self.system.invalidate()

@@ -879,6 +879,11 @@ def place_stress_free(scene: Scene, X: Array) -> None:
             'of the membrane cannot follow; use strain="total" and pressure="total", or hold the '
             "lines with slide=False."
         )
+    if told := [term.name for term in scene.terms if term.has_history]:
+        raise InputError(
+            f"lines of the mesh slide and move its stress-free vertices, which {told[0]!r}, a term "
+            "with a history, cannot follow; hold the lines with slide=False."
+        )
     scene.membrane.place_stress_free(X)
     scene.loads.follow_stress_free_places()
     scene.versions.change_model()
