@@ -69,7 +69,9 @@ class RowSliding:
                     "them nearer to where they come to rest, or hold the lines with slide=False"
                 )
         place_stress_free(self.scene, X)
-        membrane.u.x.array[:] = (x - X).ravel()
+        u = membrane.u.x.array.reshape(-1, 3)
+        stays = membrane.held & ~here[:, None]  # displaced as prescribed, wherever it is
+        u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
 
