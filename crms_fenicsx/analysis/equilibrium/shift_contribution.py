@@ -20,7 +20,8 @@ from crms_fenicsx.model.cable import HOLDS
 
 
 class ShiftContribution(Contribution):
-    """Strain energy of the cells with a corner that shifts, which that of the plain cells excludes.
+    """Strain energy of the cells with a corner that shifts, which that of the plain cells excludes,
+    and what their loads per stress-free area change by the shifts.
 
     Attributes: `energy`: the term; `numbering`: blocks of the shifts.
     """
@@ -57,6 +58,11 @@ class ShiftContribution(Contribution):
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:
+        table = self.energy.table
+        table.weights[:] = 0.0
+        for load in self.scene.loads:
+            if load.material is not None:
+                table.weights[:] += load.factor * load.material[table.cells]
         self.numbering.place_shifts(potential.unknowns)
         self.numbering.hold(potential.unknowns)
         here = self.numbering.shift_blocks
