@@ -26,6 +26,7 @@ def vault(comm: MPI.Intracomm, cells: int = 8, bow: float = 0.0) -> Scene:
     return scene
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("per", ["material", "plan"])
 def test_loads_on_areas_draw_no_line_aside(comm: MPI.Intracomm, per: Area) -> None:
     """A cable in the middle of a vault stays there under a load aside that the fabric carries alike
@@ -42,6 +43,7 @@ def test_loads_on_areas_draw_no_line_aside(comm: MPI.Intracomm, per: Area) -> No
     assert tensions[0] == pytest.approx(tensions[1], rel=5e-3)
 
 
+@pytest.mark.ranks
 def test_a_step_wise_cable_goes_on_with_its_line(comm: MPI.Intracomm) -> None:
     """It slides as far as one with the total law, and its tension follows its own law."""
     for law in ("total", "step"):
@@ -75,6 +77,7 @@ def test_terms_with_a_history_hold_the_mesh(comm: MPI.Intracomm) -> None:
         place_stress_free(scene, scene.membrane.stress_free)
 
 
+@pytest.mark.ranks
 def test_files_hold_the_places_of_each_step(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """The surface, its displacements and the cable's line of two load steps, read back."""
     folder = Path(comm.bcast(str(tmp_path)))
