@@ -52,21 +52,22 @@ class ShiftContribution(Contribution):
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
-        numbering.shifts = RowShifts.of(
+        now = RowShifts.of(
             scene.cables, numbering.nodes, shape, scene.membrane, kept_vertices(scene)
         )
+        numbering.shifts = numbering.shifts.renewed(now)
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:
+        self.numbering.place_shifts(potential.unknowns)
+        self.numbering.hold(potential.unknowns)
+        here = self.numbering.shift_blocks
+        potential.x[here[here >= 0]] = 0.0
         table = self.energy.table
         table.weights[:] = 0.0
         for load in self.scene.loads:
             if load.material is not None:
                 table.weights[:] += load.factor * load.material[table.cells]
-        self.numbering.place_shifts(potential.unknowns)
-        self.numbering.hold(potential.unknowns)
-        here = self.numbering.shift_blocks
-        potential.x[here[here >= 0]] = 0.0
 
     def largest(self, potential: Potential) -> float:
         """Largest shift, relative to the cell size. Collective."""

@@ -218,8 +218,8 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
                     error = np.linalg.norm(force - end.reaction)
                     errors[i] = error / max(cable.tension, 1e-300)
         if cable.taut:
-            blocks = np.array([numbering.block(c, k) for k in cable.contacts()[1:-1]], dtype=int)
-            blocks = blocks[(blocks >= 0) & (blocks < system.unknowns.n_owned)]
+            known = (numbering.block(c, k) for k in cable.contacts()[1:-1])
+            blocks = [block for block in known if 0 <= block < system.unknowns.n_owned]
             errors[2] = np.sum(np.where(held[blocks], 0.0, g[blocks]) ** 2)
     total = np.zeros_like(local)
     system.scene.comm.Allreduce(local, total)

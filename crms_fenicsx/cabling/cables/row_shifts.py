@@ -8,12 +8,13 @@ cross, their common vertex shifts in the tangent plane, below one in a pocket al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import la
 from mpi4py import MPI
 
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
@@ -64,20 +65,19 @@ class RowShifts:
         on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
         on = on[nodes.taut[on]]
         strip = shape.strip
-        normals = _normals(shape)
         held, fixed = _held_and_fixed(membrane, nodes, shape, kept)
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
-        tangents = _tangents(nodes, shape, on)
+        tangents, normals = _tangents(nodes, shape, on), _normals(shape, ids)
         count = np.bincount(of, own)
-        free = (count > 0) & ~fixed[ids] & np.any(normals[ids] != 0.0, axis=1)
+        free = (count > 0) & ~fixed[ids] & normals.any(axis=1)
         free &= np.bincount(of, ~inner[on]) == 0
         bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
         free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
         pockets = np.bincount(of, ~own)
         free &= pockets < 2
-        n = normals[ids]
+        n = normals
         projectors = np.eye(3) - n[:, :, None] * n[:, None, :]
         # across the only row that slides, or along the row of the cable in a pocket
         one, pocket = np.zeros((2, len(ids), 3))
@@ -87,7 +87,9 @@ class RowShifts:
             (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
             np.cross(n, one),
         )  # fmt: skip
-        single = free & ((count == 1) | (pockets == 1))
+        # clamped to a slack cable it drags this one along
+        joined = np.bincount(of, clamped_nodes(nodes, cables)[on]) > 0
+        single = free & ((count == 1) & ~joined | (pockets == 1))
         d = along[single] / norm(along[single])[:, None]
         projectors[single] = d[:, :, None] * d[:, None, :]
         if not free.any():
@@ -97,13 +99,22 @@ class RowShifts:
         chosen = ids[free]
         return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
 
+    def renewed(self, now: RowShifts) -> RowShifts:
+        """The same vertices with the directions and sizes of now, where these shift now: one that
+        has come to lie on a crease keeps its own."""
+        _, here, there = np.intersect1d(self.vertices, now.vertices, return_indices=True)
+        projectors, sizes = self.projectors.copy(), self.sizes.copy()
+        projectors[here], sizes[here] = now.projectors[there], now.sizes[there]
+        return replace(self, projectors=projectors, sizes=sizes)
 
-def _normals(shape: StripShape) -> Array:
-    """Normals of the stress-free surface at the strip's vertices, (n, 3); zero at rims, seams and
-    creases."""
+
+def _normals(shape: StripShape, vertices: Integers) -> Array:
+    """Normals of the stress-free surface at vertices of the strip, (n, 3); zero at rims, seams and
+    creases. On a rigid surface the cable's pressure, much larger than its sideways pull, has a part
+    along a direction that is off the surface."""
     strip = shape.strip
     solid = strip.simplices.cells[strip.is_outer & (strip.owner != NOBODY)]
-    return SmoothSurface.of(shape.stress_free, solid).normals
+    return SmoothSurface.of(shape.stress_free, solid).fitted(solid, vertices)
 
 
 def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
