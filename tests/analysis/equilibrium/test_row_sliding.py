@@ -218,9 +218,7 @@ def test_snapshots_and_branches(comm: MPI.Intracomm) -> None:
     assert middle(cable) == place
 
 
-def test_a_collapse_divides_the_step(
-    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_collapse_divides_the_step(comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch) -> None:
     """And leads to the same state; where it stays, it is told, and the last good state is kept."""
     follow, calls = RowSliding.follow, []
 
@@ -249,15 +247,12 @@ def test_a_collapse_divides_the_step(
 
 def test_far_slides_that_turn_cells_over_are_told(comm: MPI.Intracomm) -> None:
     """With the cable's name and what to do; the scene keeps its last state."""
-    solver, cable = rowed(rowed_mesh(comm, 20, bow=62.0), max_halvings=1)
+    solver, cable = rowed(rowed_mesh(comm, 20, bow=62.0), max_halvings=0)
     before = solver.snapshot()
-    try:
+    with pytest.raises(ConvergenceError, match=r"slide so far that cells.*slide=False") as told:
         solver.advance(pressure=PRESSURE)
-    except ConvergenceError as error:
-        assert cable.name in str(error) and "collapse" in str(error) and "slide=False" in str(error)
-        assert_same_state(solver.scene.state, before)
-    else:
-        assert solver.scene.cables[0].tension == pytest.approx(T, rel=5e-3)
+    assert cable.name in str(told.value)
+    assert_same_state(solver.scene.state, before)
 
 
 @pytest.mark.ranks
@@ -289,7 +284,7 @@ def test_stepwise_laws_cannot_follow(comm: MPI.Intracomm, law: str) -> None:
     scene = clamped(rowed_mesh(comm, 10), LINEAR, **{law: "step"})
     scene.lay_cable(Cable(EA), along="A", L0=SIDE)
     before = scene.state
-    with pytest.raises(InputError, match="step-wise laws.*slide=False"):
+    with pytest.raises(InputError, match=r"step-wise laws.*slide=False"):
         Solver(scene).advance(pressure=PRESSURE)
     assert_same_state(scene.state, before)
     Solver(scene, slide=False).advance(pressure=PRESSURE)
