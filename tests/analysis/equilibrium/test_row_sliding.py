@@ -10,6 +10,7 @@ import pytest
 from cabled_square import LINEAR, SIDE, clamped, order
 from grids import Floats
 from mpi4py import MPI
+from plain_balance import forces
 from same_state import assert_same_state
 from sliding_rows import EA, PRESSURE, in_units, oblique, row_places, rowed, rowed_mesh
 
@@ -50,6 +51,21 @@ def test_the_square_converges_to_its_limits(comm: MPI.Intracomm) -> None:
     limits = errors[2] + (errors[2] - errors[1]) / 3
     np.testing.assert_allclose(limits, 0.0, atol=5e-5)
     assert abs(errors[2, 1]) < 1e-5 and abs(errors[0, 1]) < 3e-4
+
+
+def test_an_independent_program_balances_the_states() -> None:
+    """On the final mesh, by numpy alone: forces on vertices, and those on their stress-free places
+    across the rows."""
+    square, _ = rowed(rowed_mesh(MPI.COMM_SELF, 10, bow=10.0))
+    both, cables = oblique(MPI.COMM_SELF, 8)
+    for solver in (square, both):
+        for load in (PRESSURE, 3 * PRESSURE):
+            solver.advance(pressure=load)
+            assert not any(cable.state.lifted.any() for cable in cables)
+            energy, force, sideways = forces(solver.scene, solver.scene.cables)
+            tension = min(cable.tension for cable in solver.scene.cables)
+            assert energy == pytest.approx(solver.scene.energy, rel=1e-9)
+            assert force < 1e-8 * tension and sideways < 1e-6 * tension
 
 
 @pytest.mark.parametrize(("length", "force"), [(0.01, 9.81e-3), (10.0, 9.81)])
