@@ -224,6 +224,8 @@ class Minimizer:
             ended = SEARCH_FAILED
         if self._error is not None:
             raise self._error
+        far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
+        self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
         return ended
 
     def reset_h0(self) -> None:
@@ -330,8 +332,6 @@ class Minimizer:
             potential.place(self._x)
             reason = "too many stages" if ended >= 0 else REASONS.get(ended, f"TAO reason {ended}")
             self._h0_is_outdated |= ended < 0
-            far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
-            self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
