@@ -136,12 +136,12 @@ def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
 
 @dataclass
 class Steps:
-    """Load steps of a dome: CPU seconds of laying and of each step, counts, tensions."""
+    """Load steps of a dome: CPU seconds of laying and of each step, counts and tensions of each."""
 
     laying: float
     seconds: list[float]
     counts: list[tuple[int, int]]
-    tensions: list[float]
+    tensions: list[list[float]]
     unknowns: int
 
 
@@ -155,7 +155,7 @@ def inflated(mesh: meshes.MembraneMesh, net: nets.Net | None, slide: bool = True
         spent, step = timed(lambda p=pressure: solver.advance(pressure=p))  # type: ignore[misc]
         found.seconds.append(spent)
         found.counts.append((step.outcome.factorizations, step.outcome.evaluations))
-    found.tensions = [cable.tension for cable in scene.cables]
+        found.tensions.append([cable.tension for cable in scene.cables])
     found.unknowns = 3 * solver.system.unknowns.n_global
     return found
 
@@ -171,20 +171,22 @@ def dome(unknowns: float, repeats: int) -> None:
         cutting.append(spent)
         for name, way in ways.items():
             runs[name].append(inflated(mesh, *way))
-    print("\ndome            unknowns    s at .3      .5    fact.      eval.    mean T     ratio"
-          "  laying  mirrored")  # fmt: skip
+    print("\ndome            unknowns    s at .3      .5    fact.      eval.     ratio  laying"
+          "    mean T          mirrored")  # fmt: skip
     bare = np.array([one.seconds for one in runs["bare roof"]]).sum(axis=1)
     for name, own in runs.items():
         seconds = np.array([one.seconds for one in own])
         counts = ["+".join(map(str, each)) for each in zip(*own[0].counts, strict=True)]
         said = f"{name:16}{own[0].unknowns:8}{np.median(seconds[:, 0]):12.2f}"
         said += f"{np.median(seconds[:, 1]):8.2f}{counts[0]:>9}{counts[1]:>11}"
-        if T := own[0].tensions:
-            families = np.reshape(T, (2, CABLES))
-            mirrored = np.abs(families / families[:, ::-1] - 1).max()
+        if own[0].tensions[0]:
+            families = np.reshape(own[0].tensions, (2, 2, CABLES))  # of both steps
+            mirrored = np.abs(families / families[:, :, ::-1] - 1).max(axis=(1, 2))
             ratio = np.median(seconds.sum(axis=1) / bare)
             laying = statistics.median(one.laying for one in own)
-            said += f"{np.mean(T):10.3f}{ratio:10.2f}{laying:8.2f}{mirrored:10.5f}"
+            said += f"{ratio:10.2f}{laying:8.2f}"
+            said += "".join(f"{T:9.2f}" for T in families.mean(axis=(1, 2)))
+            said += "".join(f"{part:9.5f}" for part in mirrored)
         print(said, flush=True)
     print(f"cutting and spreading {statistics.median(cutting):.2f} s", flush=True)
 
