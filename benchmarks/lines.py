@@ -1,11 +1,11 @@
 """Cables along lines of the mesh: cost and results beside the bare roof and beside folded cables.
 
-    ./run python benchmarks/lines.py [square] [dome] [halls] [limits] [angles] [processes]
-                                     [--repeats N] [--scale S]
+    ./run python benchmarks/lines.py [square] [dome] [halls] [limits] [angles] [clamps]
+                                     [processes] [--repeats N] [--scale S]
 
 square
-    An inflated square with a cable at 30 % of its width that slides towards its middle: tension,
-    energy and place on meshes of 10, 20 and 40 cells a side, and where they lead to.
+    An inflated square with a cable at 30 % of its width that slides sideways: tension, energy
+    and place on meshes of 10, 20 and 40 cells a side, and where they lead to.
 dome
     The cap of `demos/air_dome.py` with 28 cables along great circles, cut along them, with 16 000,
     40 000 and 119 000 unknowns: load steps to 0.3 and 0.5 kPa on one mesh without cables, with
@@ -19,6 +19,9 @@ limits
     the cables, made with lines and with folded cells, and where they lead to.
 angles
     The smallest angles of six roofs cut along their lines, and what is told.
+clamps
+    Sixty random nets of 1 x 1 to 3 x 3 clamped cables on a rigid sheet, against strings that meet
+    at points.
 processes
     Cutting, laying and a load step of the dome with 100 000 unknowns on one and on two processes.
 
@@ -46,6 +49,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 from roofs import cap, covered, great_circles, suction
+from sweeps.strings import clamped
 
 from crms_fenicsx import (
     Cable,
@@ -501,9 +505,21 @@ def processes(unknowns: float) -> None:
           f"{worst:.0e}", flush=True)  # fmt: skip
 
 
+def clamps(count: int) -> None:
+    """Random clamped nets on a rigid sheet, against strings."""
+    found = [clamped(seed, 1 + seed // 2 % 3, 1 + seed // 6 % 3) for seed in range(count)]
+    errors, ways = (np.array([getattr(net, name) for net in found]) for name in ("error", "way"))
+    told = sum(net.told for net in found)
+    slack = sum(net.slack > 0 for net in found)
+    print(f"\n{count} clamped nets on a rigid sheet: {(errors < 1e-6).sum()} within 1e-6 of the "
+          f"largest tension, largest error {errors.max():.1e}, {told} told to be doubtful; "
+          f"clamps slide by up to {ways.max():.2f}, {slack} nets with slack parts",
+          flush=True)  # fmt: skip
+
+
 def main(given: list[str]) -> None:
     """Print the tables asked for."""
-    tables = ("square", "dome", "halls", "limits", "angles", "processes")
+    tables = ("square", "dome", "halls", "limits", "angles", "clamps", "processes")
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     options.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
     options.add_argument("--repeats", type=int, default=3)
@@ -532,6 +548,8 @@ def main(given: list[str]) -> None:
             scatter(n)
     if "angles" in wanted:
         angles(scale)
+    if "clamps" in wanted:
+        clamps(max(2, round(60 * min(scale, 1.0))))
     if "processes" in wanted:
         processes(1e5 * scale)
 

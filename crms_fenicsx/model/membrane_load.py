@@ -51,6 +51,7 @@ class MembraneLoad:
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
+    at_vertices: bool = False  # whether its forces act on vertices, not on areas
 
     @property
     def is_active_wind(self) -> bool:
@@ -167,7 +168,7 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
                 f"{nodal[first]}; forces must be finite."
             )
     total = membrane.comm.allreduce(float(norm(nodal).sum()))
-    return MembraneLoad(name, nodal, total / membrane.size**2)
+    return MembraneLoad(name, nodal, total / membrane.size**2, at_vertices=True)
 
 
 def line_load(
@@ -181,7 +182,8 @@ def line_load(
     lengths = norm(np.diff(membrane.positions()[ends], axis=1)[:, 0])
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
     total = membrane.comm.allreduce(float(lengths.sum()))
-    return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
+    intensity = total * float(norm(vector)) / membrane.size**2
+    return MembraneLoad(name, nodal, intensity, at_vertices=True)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_sliders
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
@@ -226,8 +227,11 @@ def nodal_forces(system: System) -> Array:
         system.ponds.add_pressure(potential, g, -1.0)
     _leave_ends_to_anchors(system, g)
     _hand_on_edge_sliders(system, g)
+    g[unknowns.shifts] = 0.0  # forces on stress-free places are no forces in space
     unknowns.gather_forces(vector, g)
     vector.destroy()
+    if system.cables is not None:
+        _leave_shifted_to_supports(system.cables.numbering, g)
     return g[: unknowns.n_owned]
 
 
@@ -287,6 +291,14 @@ def _hand_on_edge_sliders(system: System, g: Array) -> None:
         g[blocks] = 0.0
 
 
+def _leave_shifted_to_supports(numbering: CableNumbering, g: Array) -> None:
+    """Move the forces on held vertices that follow their stress-free places back to them."""
+    own = np.flatnonzero(numbering.owners[numbering.n_nodes :] == numbering.rank)
+    own = own[numbering.shifts.held[own]]
+    shifts = numbering.shift_blocks[own]
+    g[numbering.shifted_blocks[own]], g[shifts] = g[shifts].copy(), 0.0
+
+
 @dataclass(frozen=True)
 class Residual:
     """Unbalanced forces, the gradient of the potential energy.
@@ -300,8 +312,10 @@ class Residual:
         On the joints (force), (3,), by name, on all ranks.
     vector
         On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
-        in the order of the owned degrees of freedom of `Scene.V`, then cable points; the first rank
-        stores joints last. Without cables and joints it is a vector of `Scene.V`.
+        in the order of the owned degrees of freedom of `Scene.V`, then cable points and shifts of
+        the stress-free places of vertices of lines that slide (for a held vertex with the forces
+        on it); the first rank stores joints last. Without cables and joints it is a vector of
+        `Scene.V`.
     """
 
     membrane: fem.Function

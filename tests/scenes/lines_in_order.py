@@ -99,10 +99,14 @@ def _random_lines(
 
 
 def tightened(
-    scene: Scene, net: Sequence[tuple[str, int]], wind: float, unit: float = 1.0
+    scene: Scene,
+    net: Sequence[tuple[str, int]],
+    wind: float,
+    unit: float = 1.0,
+    slide: bool = True,
 ) -> tuple[Solver, list[LaidCable]]:
     """The net over the roof under pressure, then in a wind along x, `wind` times the pressure."""
-    solver = Solver(scene)
+    solver = Solver(scene, slide=slide)
     law = Cable(EA=2e4 * unit)
     cables = [scene.lay_cable(law, along=name, layer=layer) for name, layer in net]
     flat = scene.materials[next(iter(scene.materials))].prestress_vector.max() > 0.0

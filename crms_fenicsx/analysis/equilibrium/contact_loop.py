@@ -50,19 +50,22 @@ class ContactLoop:
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
-        looked, way = False, 0.0
+        looked, ends, way = False, False, 0.0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
-            nonlocal changes, looked
+            nonlocal changes, looked, ends
             if looked:
                 return False
             system.write_scene()
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            if system.largest_shift() > NEAR:
+            shift = system.largest_shift()
+            if shift > NEAR:
                 return True
-            if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
+            near = residual <= TOL.path_residual * scale
+            near &= self.sliding is None or shift <= SETTLED  # states of other paths are compared
+            if not near or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
             if ends:  # new paths are solved together with new contacts
@@ -79,26 +82,28 @@ class ContactLoop:
                 system.read_scene()
             elif way > 0.0:
                 system.renew_base()
-            if system.has_history:  # every term starts the step from there
+            # every term starts the step from there, but the mesh goes on from where it has moved
+            if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
                 _restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane is stressed now
             total = outcome if total is None else total + outcome
-            if not outcome.converged:
+            if not outcome.converged or (ends and self.sliding is not None):
                 return total
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            elif not changes:
+            elif not changes and not looked:  # a look may have changed paths
                 system.write_scene()
             way = system.follow_rows()
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
-            if not changes and 0.0 < way <= SETTLED:
-                system.renew_base()
-            if not changes and way <= SETTLED:
+            # friction is updated from places also near equilibrium, where a look ends a solve
+            if not changes and way <= (NEAR if outcome.reason == "interrupted" else SETTLED):
+                if way > 0.0:
+                    system.renew_base()
                 if not looked and look is not None:
                     look(False)
                 return total

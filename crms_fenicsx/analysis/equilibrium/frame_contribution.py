@@ -71,7 +71,7 @@ class BarContribution(Contribution):
         """Damping of quasi-Newton steps of bar ends, and of cables. Slack guys and bars without
         force have no lateral stiffness, and chains of them would not converge without damping."""
         none = np.zeros((0, 3), dtype=np.int32)
-        springs = Springs(none, np.zeros(0), none[:, :2])
+        springs = Springs(none, np.zeros(0), none[:, :2], none[:, 0], np.zeros(0))
         springs = springs if of_cables is None else of_cables.springs
         segments = np.concatenate([springs.segments, self.energy.table.ends])
         return Damping(replace(springs, segments=segments))

@@ -527,7 +527,7 @@ class Scene:
         cable, tension, hold
             As for `lay_cable`, the same for all lines.
         clamped
-            Whether to clamp all crossings, as `clamp` does; not along lines of the mesh.
+            Whether to clamp all crossings, as `clamp` does.
 
         Returns
         -------
@@ -584,10 +584,10 @@ class Scene:
         """Clamp cables to each other where they cross. Collective.
 
         A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
-        and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
-        which varies only with friction along it. The unstressed lengths between clamps are those at
-        clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
-        an equilibrium.
+        and touches down. Clamps of three or more cables at one point are one. Each cable has one
+        tension from clamp to clamp, `LaidCable.tensions`, which varies only with friction along it.
+        The unstressed lengths between clamps are those at clamping; a load step that changes a
+        cable's L0 scales them alike. Clamping does not disturb an equilibrium.
 
         Parameters
         ----------
@@ -610,8 +610,9 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross, lie apart where they do, have the step-wise
-            law, or lie along lines of the mesh.
+            On all ranks: cables that do not cross between their ends, lie apart where they do, or
+            have the step-wise law; some that lie along lines of the mesh and others that do not;
+            two grips at one point.
 
         Warns
         -----
@@ -872,6 +873,11 @@ def place_stress_free(scene: Scene, X: Array) -> None:
             "lines of the mesh slide and move its stress-free vertices, which the step-wise laws "
             'of the membrane cannot follow; use strain="total" and pressure="total", or hold the '
             "lines with slide=False."
+        )
+    if told := [term.name for term in scene.terms if term.has_history]:
+        raise InputError(
+            f"lines of the mesh slide and move its stress-free vertices, which {told[0]!r}, a term "
+            "with a history, cannot follow; hold the lines with slide=False."
         )
     scene.membrane.place_stress_free(X)
     scene.loads.follow_stress_free_places()

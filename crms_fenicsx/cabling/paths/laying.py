@@ -100,7 +100,7 @@ def lay(
         )
     # not the number of a removed cable
     name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
-    check_law(name, cable, laid_as.hold, L0, tension)
+    check_law(name, cable, laid_as, L0, tension)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     slides = HOLDS[laid_as.hold].sideways
@@ -164,7 +164,7 @@ def lay_along(
     for one in lines:
         checks.new_name("lay_cable", "cable", one.name, taken)
         taken.add(one.name)
-        check_law(one.name, cable, one.laid_as.hold, L0, tension)
+        check_law(one.name, cable, one.laid_as, L0, tension)
     strip = cells_at(membrane, list(chain.from_iterable(rows)))
     shape = StripShape.of(membrane, strip)
     ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]

@@ -15,8 +15,9 @@ def step(place, to):
     """A point at a fraction of an edge goes to another; where it comes, on the edge moved."""
     X = np.array([[1.0, 2.0, 0.0], [4.0, 6.0, 0.0], [0.0, 0.0, 0.0]])
     X[2] = X[0] + place * (X[1] - X[0])
-    segments = np.zeros((0, 2), dtype=np.int32)
-    damping = Damping(Springs(np.array([[2, 0, 1]], dtype=np.int32), np.array([place]), segments))
+    none = np.zeros((0, 2), dtype=np.int32)
+    sliders = np.array([[2, 0, 1]], dtype=np.int32)
+    damping = Damping(Springs(sliders, np.array([place]), none, none[:, 0], np.zeros(0)))
     moved = np.array([[0.1, 0.0, 0.3], [0.0, -0.2, 0.5], [0.0, 0.0, 0.0]])
     start, end = X[:2] + moved[:2]
     aside = np.array([0.2, 0.1, -0.4])
