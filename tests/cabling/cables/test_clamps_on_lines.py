@@ -240,9 +240,7 @@ def test_refused_clamps(comm: MPI.Intracomm) -> None:
         scene.clamp("a", free)
     scene.remove(free)
     scene.clamp("a", "b", slip=0.3)
-    with pytest.raises(
-        InputError, match="'a x b' and 'a x c' have slip = 0.3 and None at one point"
-    ):
+    with pytest.raises(InputError, match="'a x b' and 'a x c' have slip = 0.3 and None at one point"):
         scene.clamp("a", "c")
     assert len(scene.clamps) == 1
     with pytest.raises(InputError, match="'a x b' would hold the fabric too"):
