@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from cabled_square import FOIL, SIDE, clamped
+from cabled_square import SIDE, clamped
 from grids import Floats, alternating, grid, numbered
 from mpi4py import MPI
 
