@@ -273,9 +273,11 @@ def halls(hall: Hall, size: float, repeats: int) -> None:
     form = hall.form(size)
     net = hall.net(form)
     folded = [in_the_storm(hall, form, net)]
-    # the size at which a mesh with lines has as many unknowns as the folded cables
-    plain = 3 * form.mesh.mesh.topology.index_map(0).size_global
-    finer = size * float(np.sqrt(1.05 * plain / folded[0].unknowns))
+    # the size at which a mesh with lines, and vertices of these that shift, has as many unknowns
+    plain = 1.05 * 3 * form.mesh.mesh.topology.index_map(0).size_global
+    of_lines = 3 * sum(line.length for line in net.lines) / size
+    root = float(np.sqrt(of_lines**2 + 4 * plain * folded[0].unknowns))
+    finer = size * 2 * plain / (root - of_lines)
     other = hall.form(finer)
     own = hall.net(other)
     cutting, lined = timed(lambda: other.along(own))
