@@ -430,8 +430,8 @@ class Scene:
             form one open line, such as those of `meshes.along`. The cable runs from vertex to
             vertex, and nothing is searched. Its first and last point, if given, are those of
             `path`: the line's ends or anchors off the membrane. Otherwise it starts at the end with
-            the smaller x, or y, or z on the stress-free membrane. The mesh holds it sideways for
-            any `hold`.
+            the smaller x, or y, or z on the stress-free membrane. "outside" and in a "sleeve" it
+            slides sideways with its line: the stress-free mesh moves, ``mesh.geometry.x``.
         L0
             Unstressed length (length).
         tension
@@ -476,11 +476,6 @@ class Scene:
             line, a line that the mesh does not have, with `shortest`, or with a path that ends
             elsewhere.
 
-        Warns
-        -----
-        PathWarning
-            The first cable along a line of the mesh that its `hold` does not hold sideways.
-
         Examples
         --------
         >>> steel = Cable(EA=1e3)
@@ -521,9 +516,9 @@ class Scene:
         """Lay a cable on each line of a net, under the line's name. Collective.
 
         Later families lie on top. On a mesh that has the net's lines, from
-        ``meshes.along(mesh, net.paths)``, the cables lie along these, as with
-        ``lay_cable(along=...)``: this takes a fraction of the time. On a mesh without them the
-        cables fold the cells that they cross.
+        ``meshes.along(mesh, net.paths)``, the cables lie along these and take them along where they
+        slide, as with ``lay_cable(along=...)``: this takes a fraction of the time. On a mesh
+        without them the cables fold the cells that they cross.
 
         Parameters
         ----------

@@ -4,7 +4,6 @@ is made of them."""
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ from crms_fenicsx import (
     Friction,
     InputError,
     LaidCable,
-    PathWarning,
     Scene,
     Solver,
     meshes,
@@ -308,19 +306,6 @@ def test_cables_along_lines_are_not_searched_for(
     solver.advance(pressure=6.0)
     assert set(slid) == {"free"}
     assert scene.cable("B1").path == held and not scene.cable("free").keeps_line
-
-
-def test_the_first_cable_held_against_its_attachment_is_told(comm: MPI.Intracomm) -> None:
-    scene = bare_scene(lined_roof(comm))
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        scene.lay_cable(STEEL, along="A2", hold="pocket")
-        assert not told
-        scene.lay_cable(STEEL, along="A1", hold="sleeve")
-        scene.lay_cable(STEEL, along="B1")
-    assert [one.category for one in told] == [PathWarning] * (comm.rank == 0)
-    if comm.rank == 0:
-        assert "'A1'" in str(told[0].message) and told[0].filename == __file__
 
 
 @pytest.mark.parametrize("hold", ["outside", "pocket"])
