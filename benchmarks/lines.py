@@ -1,12 +1,15 @@
 """Cables along lines of the mesh: cost and results beside the bare roof and beside folded cables.
 
-    ./run python benchmarks/lines.py [dome] [halls] [limits] [angles] [processes]
-                                     [--repeats N] [--scale S]
+    ./run python benchmarks/lines.py [square] [dome] [halls] [limits] [angles] [clamps]
+                                     [processes] [--repeats N] [--scale S]
 
+square
+    An inflated square with a cable at 30 % of its width that slides sideways: tension, energy
+    and place on meshes of 10, 20 and 40 cells a side, and where they lead to.
 dome
     The cap of `demos/air_dome.py` with 28 cables along great circles, cut along them, with 16 000,
-    40 000 and 119 000 unknowns: load steps to 0.3 and 0.5 kPa with and without the cables on one
-    mesh, and what cutting and laying take.
+    40 000 and 119 000 unknowns: load steps to 0.3 and 0.5 kPa on one mesh without cables, with
+    lines that are held and with lines that slide, and what cutting and laying take.
 halls
     Air halls of 36 m by 36 and by 54 with nets of diagonals, in operation and in a diagonal storm:
     cables that fold the cells of a mesh of their own, and cables along lines of a mesh with as many
@@ -16,6 +19,9 @@ limits
     the cables, made with lines and with folded cells, and where they lead to.
 angles
     The smallest angles of six roofs cut along their lines, and what is told.
+clamps
+    Sixty random nets of 1 x 1 to 3 x 3 clamped cables on a rigid sheet, against strings that meet
+    at points.
 processes
     Cutting, laying and a load step of the dome with 100 000 unknowns on one and on two processes.
 
@@ -43,12 +49,16 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 from roofs import cap, covered, great_circles, suction
+from sweeps.strings import clamped
 
 from crms_fenicsx import (
     Cable,
     InputError,
+    IsotropicMembrane,
+    LaidCable,
     OrthotropicMembrane,
     PathWarning,
+    Scene,
     Solver,
     meshes,
     nets,
@@ -60,6 +70,7 @@ from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD
 CABLES = 14  # of a family
+CELLS = (10, 20, 40)  # a side of the square
 PRESSURES = (0.3, 0.5)
 UNKNOWNS = (16_000, 40_000, 119_000)
 CALM, STORM, TIGHTENED = 0.3, 0.4, 0.99
@@ -74,6 +85,49 @@ def timed(function: Callable[[], Result]) -> tuple[float, Result]:
     return time.process_time() - begin, found
 
 
+# --- square ----------------------------------------------------------------------------------
+
+
+def sheet(cells: int) -> tuple[Scene, LaidCable]:
+    """A square of 100 m with cells beside a line at y = 30, and a cable along it."""
+    x = np.linspace(0.0, 100.0, cells + 1)
+    j = round(0.3 * cells)
+    y = np.interp(np.arange(cells + 1), [0, j, cells], [0.0, 30.0, 100.0])
+    points = np.array([(a, b, 0.0) for a in x for b in y])
+    number = np.arange(len(points)).reshape(cells + 1, cells + 1)
+    triangles = []
+    for a in range(cells):
+        for b in range(cells):
+            p, q, r, s = number[a, b], number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]
+            triangles += [(p, q, r), (p, r, s)] if (a + b) % 2 == 0 else [(p, q, s), (q, r, s)]
+    edges = np.stack([number[:-1, j], number[1:, j]], axis=1)
+    mesh = meshes.from_arrays(COMM, points, np.array(triangles), edges={"A1": edges})
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    return scene, scene.lay_cable(Cable(EA=32e3), along="A1", L0=100.0)
+
+
+def square(numbers: Sequence[int]) -> NDArray[np.float64]:
+    """Tension, energy and place of the cable's middle on the stress-free square; the last row what
+    the last two meshes lead to, if errors fall with the number of cells to the square."""
+    print(f"\n{'square, cells a side':24}{'unknowns':>10}{'T':>11}{'W':>11}{'Y':>10}{'fact.':>7}")
+    rows = []
+    for cells in numbers:
+        scene, cable = sheet(cells)
+        solver = Solver(scene)
+        step = solver.advance(pressure=0.01)
+        places = cable.reference_positions
+        middle = float(np.interp(50.0, *places[np.isfinite(places[:, 0]), :2].T))
+        rows.append((cable.tension, scene.energy, middle))
+        print(f"{cells:<24}{3 * solver.system.unknowns.n_global:10}{cable.tension:11.4f}"
+              f"{scene.energy:11.4f}{middle:10.5f}{step.outcome.factorizations:7}",
+              flush=True)  # fmt: skip
+    finer = (numbers[-1] / numbers[-2]) ** 2
+    limit = (finer * np.array(rows[-1]) - np.array(rows[-2])) / (finer - 1)
+    print(f"{'limit':34}{limit[0]:11.4f}{limit[1]:11.4f}{limit[2]:10.5f}", flush=True)
+    return np.array([*rows, limit])
+
+
 # --- dome ------------------------------------------------------------------------------------
 
 
@@ -86,54 +140,59 @@ def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
 
 @dataclass
 class Steps:
-    """Load steps of a dome: CPU seconds of laying and of each step, counts, tensions."""
+    """Load steps of a dome: CPU seconds of laying and of each step, counts and tensions of each."""
 
     laying: float
     seconds: list[float]
     counts: list[tuple[int, int]]
-    tensions: list[float]
+    tensions: list[list[float]]
     unknowns: int
 
 
-def inflated(mesh: meshes.MembraneMesh, net: nets.Net | None) -> Steps:
+def inflated(mesh: meshes.MembraneMesh, net: nets.Net | None, slide: bool = True) -> Steps:
     """Lay a net along lines of a dome's mesh, if there is one, and inflate it."""
     scene = covered(mesh)
-    solver = Solver(scene)
+    solver = Solver(scene, slide=slide)
     laying, _ = timed(lambda: scene.lay_net(net, Cable(EA=600e3)) if net else None)
     found = Steps(laying, [], [], [], 0)
     for pressure in PRESSURES:
         spent, step = timed(lambda p=pressure: solver.advance(pressure=p))  # type: ignore[misc]
         found.seconds.append(spent)
         found.counts.append((step.outcome.factorizations, step.outcome.evaluations))
-    found.tensions = [cable.tension for cable in scene.cables]
+        found.tensions.append([cable.tension for cable in scene.cables])
     found.unknowns = 3 * solver.system.unknowns.n_global
     return found
 
 
 def dome(unknowns: float, repeats: int) -> None:
-    """Cables along lines against the bare roof of the same mesh."""
+    """Cables along lines that are held and that slide, against the bare roof of the same mesh."""
     first = cap(unknowns)
     net = net_on(first)
-    cutting, runs = [], {"bare roof": list[Steps](), "28 cables": list[Steps]()}
+    ways = {"bare roof": (None, True), "lines held": (net, False), "lines slide": (net, True)}
+    cutting, runs = [], {name: list[Steps]() for name in ways}
     for _ in range(repeats):
         spent, mesh = timed(lambda: meshes.along(first, net.paths))
         cutting.append(spent)
-        for name, own in runs.items():
-            own.append(inflated(mesh, None if name == "bare roof" else net))
-    print(f"\ndome, {runs['28 cables'][0].unknowns} unknowns"
-          f"{'s CPU at .3':>16}{'.5':>8}{'fact.':>9}{'eval.':>9}{'mean T':>10}")  # fmt: skip
-    both = {}
+        for name, way in ways.items():
+            runs[name].append(inflated(mesh, *way))
+    print("\ndome            unknowns    s at .3      .5    fact.      eval.     ratio  laying"
+          "    mean T          mirrored")  # fmt: skip
+    bare = np.array([one.seconds for one in runs["bare roof"]]).sum(axis=1)
     for name, own in runs.items():
-        seconds = [statistics.median(one.seconds[k] for one in own) for k in (0, 1)]
-        both[name] = sum(seconds)
-        factorizations, evaluations = zip(*own[0].counts, strict=True)
-        mean = f"{np.mean(own[0].tensions):10.2f}" if own[0].tensions else ""
-        print(f"{name:25}{seconds[0]:16.2f}{seconds[1]:8.2f}{'+'.join(map(str, factorizations)):>9}"
-              f"{'+'.join(map(str, evaluations)):>9}{mean}", flush=True)  # fmt: skip
-    laying = statistics.median(one.laying for one in runs["28 cables"])
-    ratio, share = both["28 cables"] / both["bare roof"], laying / both["28 cables"]
-    print(f"ratio {ratio:.2f}; laying {laying:.3f} s, {share:.3f} of the two steps; cutting and "
-          f"spreading {statistics.median(cutting):.2f} s", flush=True)  # fmt: skip
+        seconds = np.array([one.seconds for one in own])
+        counts = ["+".join(map(str, each)) for each in zip(*own[0].counts, strict=True)]
+        said = f"{name:16}{own[0].unknowns:8}{np.median(seconds[:, 0]):12.2f}"
+        said += f"{np.median(seconds[:, 1]):8.2f}{counts[0]:>9}{counts[1]:>11}"
+        if own[0].tensions[0]:
+            families = np.reshape(own[0].tensions, (2, 2, CABLES))  # of both steps
+            mirrored = np.abs(families / families[:, :, ::-1] - 1).max(axis=(1, 2))
+            ratio = np.median(seconds.sum(axis=1) / bare)
+            laying = statistics.median(one.laying for one in own)
+            said += f"{ratio:10.2f}{laying:8.2f}"
+            said += "".join(f"{T:9.2f}" for T in families.mean(axis=(1, 2)))
+            said += "".join(f"{part:9.5f}" for part in mirrored)
+        print(said, flush=True)
+    print(f"cutting and spreading {statistics.median(cutting):.2f} s", flush=True)
 
 
 # --- halls -----------------------------------------------------------------------------------
@@ -210,24 +269,26 @@ def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
 
 
 def halls(hall: Hall, size: float, repeats: int) -> None:
-    """Folded cables and cables along lines, with as many unknowns."""
+    """Folded cables and cables along lines that slide, with as many unknowns."""
     form = hall.form(size)
     net = hall.net(form)
     folded = [in_the_storm(hall, form, net)]
-    # the size at which a mesh with lines has as many unknowns as the folded cables
-    plain = 3 * form.mesh.mesh.topology.index_map(0).size_global
-    finer = size * float(np.sqrt(1.05 * plain / folded[0].unknowns))
+    # the size at which a mesh with lines, and vertices of these that shift, has as many unknowns
+    plain = 1.05 * 3 * form.mesh.mesh.topology.index_map(0).size_global
+    of_lines = 3 * sum(line.length for line in net.lines) / size
+    root = float(np.sqrt(of_lines**2 + 4 * plain * folded[0].unknowns))
+    finer = size * 2 * plain / (root - of_lines)
     other = hall.form(finer)
     own = hall.net(other)
     cutting, lined = timed(lambda: other.along(own))
-    held = [in_the_storm(hall, lined, own)]
+    lying = [in_the_storm(hall, lined, own)]
     for _ in range(repeats - 1):
         folded.append(in_the_storm(hall, form, net))
-        held.append(in_the_storm(hall, lined, own))
+        lying.append(in_the_storm(hall, lined, own))
     head = "unknowns   laying   calm  storm   T calm    min    max   storm    min    max  doubts"
     print(f"\nhall {hall.name}, {size:.3g} m".ljust(25) + head)
     spent = {}
-    for name, runs in (("folded", folded), ("along lines", held)):
+    for name, runs in (("folded", folded), ("along lines", lying)):
         seconds = [statistics.median(one.seconds[k] for one in runs) for k in range(3)]
         spent[name] = seconds
         tensions = "".join(f"{T.mean():{w}.2f}{T.min():7.2f}{T.max():7.2f}"
@@ -446,9 +507,21 @@ def processes(unknowns: float) -> None:
           f"{worst:.0e}", flush=True)  # fmt: skip
 
 
+def clamps(count: int) -> None:
+    """Random clamped nets on a rigid sheet, against strings."""
+    found = [clamped(seed, 1 + seed // 2 % 3, 1 + seed // 6 % 3) for seed in range(count)]
+    errors, ways = (np.array([getattr(net, name) for net in found]) for name in ("error", "way"))
+    told = sum(net.told for net in found)
+    slack = sum(net.slack > 0 for net in found)
+    print(f"\n{count} clamped nets on a rigid sheet: {(errors < 1e-6).sum()} within 1e-6 of the "
+          f"largest tension, largest error {errors.max():.1e}, {told} told to be doubtful; "
+          f"clamps slide by up to {ways.max():.2f}, {slack} nets with slack parts",
+          flush=True)  # fmt: skip
+
+
 def main(given: list[str]) -> None:
     """Print the tables asked for."""
-    tables = ("dome", "halls", "limits", "angles", "processes")
+    tables = ("square", "dome", "halls", "limits", "angles", "clamps", "processes")
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     options.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
     options.add_argument("--repeats", type=int, default=3)
@@ -459,6 +532,8 @@ def main(given: list[str]) -> None:
     wanted, scale = chosen.tables or tables, chosen.scale
     logging.getLogger("crms_fenicsx").setLevel(logging.INFO)
     warnings.simplefilter("ignore", PathWarning)
+    if "square" in wanted:
+        square([max(round(k * float(np.sqrt(scale)) / 10), 1) * 10 for k in CELLS])
     if "dome" in wanted:
         dome(min(UNKNOWNS) * min(scale, 0.1), 1)  # compile and load
         for unknowns in UNKNOWNS:
@@ -475,6 +550,8 @@ def main(given: list[str]) -> None:
             scatter(n)
     if "angles" in wanted:
         angles(scale)
+    if "clamps" in wanted:
+        clamps(max(2, round(60 * min(scale, 1.0))))
     if "processes" in wanted:
         processes(1e5 * scale)
 

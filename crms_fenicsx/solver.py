@@ -99,9 +99,9 @@ class Solver:
     max_halvings
         How often an increment is halved before the solver gives up.
     slide
-        Whether cables may slide sideways into other cells. If not, they stay in the cells that they
-        cross, and a `PathWarning` reports when they reach a vertex. Cables along lines of the mesh
-        stay on them in any case, and nothing is searched for them.
+        Whether cables may slide sideways into other cells, or with their lines of the mesh. If not,
+        they stay in the cells that they cross, and a `PathWarning` reports when they reach a
+        vertex; cables along lines are held on the fabric, as in pockets.
     verify
         Whether to check each solved step independently of the gradient and the forms; see
         ``step.verification``. A state that fails counts as not converged.

@@ -278,7 +278,11 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
                 (0.0, 12.3, -8.3, 0.0), folded="across the cells", scene="along lines of the mesh"
             ),
         ),
-        "lines_dome": (2, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
+        "lines_slide": (
+            2,
+            closeup((0.0, 12.0, 0.0, 8.0), laid="as laid", slid="after the load step"),
+        ),
+        "lines_dome": (3, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
     },
     "patterns": {
         "roll": (3, roll),

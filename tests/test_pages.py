@@ -61,7 +61,6 @@ def roof(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return names | {"_at_end": names["solver"].snapshot()}
 
 
-@pytest.mark.filterwarnings("ignore:.*is held sideways on its line")  # as its page says
 @pytest.mark.parametrize("page", PAGES)
 def test_code_of_page_runs_and_prints_what_it_shows(
     page: str, roof: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

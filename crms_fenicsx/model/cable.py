@@ -118,6 +118,8 @@ class Clamp:
     slip
         Difference of a cable's tensions on the clamp's two sides at which the cable slips (force);
         None if it never does.
+    vertex
+        Vertex of the mesh that two cables along its lines share; None for other cables.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Clamp:
     at: tuple[float, float]
     place: Annotated[Array, 3] = field(repr=False)
     slip: float | None = None
+    vertex: int | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)

@@ -224,6 +224,8 @@ class LateralFrictionState:
     # the cable's line at the last update of the forces, with slips at its points in place of
     # elastic ones; None: `curve`
     line: MaterialCurve | None = None
+    # vertices of its row that slide with it; () for a cable that crosses edges
+    shifting: tuple[Support, ...] = ()
 
     def rows(self, supports: Iterable[Support]) -> list[int]:
         """Rows of nodes in the arrays."""

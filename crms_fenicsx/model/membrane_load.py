@@ -49,8 +49,9 @@ class MembraneLoad:
     factor: float = 0.0  # load factor, changed by load steps
     # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
+    # (m, 3) force per stress-free area of this rank's cells, of a fixed direction on areas
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
+    at_vertices: bool = False  # whether its forces act on vertices, not on areas
 
     @property
     def is_active_wind(self) -> bool:
@@ -65,7 +66,8 @@ class MembraneLoad:
         return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
 
     def on_stress_free_areas(self, membrane: Membrane) -> MembraneLoad:
-        """The load with forces of the present stress-free areas; unchanged if it is of others."""
+        """The load with forces of the present stress-free areas; unchanged if it acts on lines and
+        vertices, or along the normals."""
         if self.material is None:
             return self
         loads = membrane.cell_areas[:, None] * self.material
@@ -131,10 +133,7 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    load = shape.load(name, loads)
-    if per != "material":
-        return load
-    return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
+    return replace(shape.load(name, loads), material=loads / membrane.cell_areas[:, None])
 
 
 def wind_load(
@@ -167,7 +166,7 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
                 f"{nodal[first]}; forces must be finite."
             )
     total = membrane.comm.allreduce(float(norm(nodal).sum()))
-    return MembraneLoad(name, nodal, total / membrane.size**2)
+    return MembraneLoad(name, nodal, total / membrane.size**2, at_vertices=True)
 
 
 def line_load(
@@ -181,7 +180,8 @@ def line_load(
     lengths = norm(np.diff(membrane.positions()[ends], axis=1)[:, 0])
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
     total = membrane.comm.allreduce(float(lengths.sum()))
-    return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
+    intensity = total * float(norm(vector)) / membrane.size**2
+    return MembraneLoad(name, nodal, intensity, at_vertices=True)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

@@ -226,9 +226,19 @@ def nodal_forces(system: System) -> Array:
         system.ponds.add_pressure(potential, g, -1.0)
     _leave_ends_to_anchors(system, g)
     _hand_on_edge_sliders(system, g)
+    g[unknowns.shifts] = 0.0  # forces on stress-free places are no forces in space
+    following = _held_on_rows(system)  # these would pass their forces on to their places
+    at_supports = g[following]
+    g[following] = 0.0
     unknowns.gather_forces(vector, g)
+    forces = g[: unknowns.n_owned].copy()
+    if unknowns.n_shifts:
+        g[:] = 0.0
+        g[following] = at_supports
+        unknowns.add_ghosts(vector)
+        forces += g[: unknowns.n_owned]
     vector.destroy()
-    return g[: unknowns.n_owned]
+    return forces
 
 
 def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
@@ -287,6 +297,15 @@ def _hand_on_edge_sliders(system: System, g: Array) -> None:
         g[blocks] = 0.0
 
 
+def _held_on_rows(system: System) -> Indices:
+    """Local blocks of the held vertices that follow their stress-free places."""
+    if system.cables is None:
+        return np.zeros(0, dtype=np.int32)
+    numbering = system.cables.numbering
+    here = (numbering.shift_blocks >= 0) & numbering.shifts.held
+    return np.asarray(numbering.shifted_blocks[here])
+
+
 @dataclass(frozen=True)
 class Residual:
     """Unbalanced forces, the gradient of the potential energy.
@@ -300,8 +319,10 @@ class Residual:
         On the joints (force), (3,), by name, on all ranks.
     vector
         On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
-        in the order of the owned degrees of freedom of `Scene.V`, then cable points; the first rank
-        stores joints last. Without cables and joints it is a vector of `Scene.V`.
+        in the order of the owned degrees of freedom of `Scene.V`, then cable points and shifts of
+        the stress-free places of vertices of lines that slide (where a held vertex follows its
+        place, with the forces on it); the first rank stores joints last. Without cables and joints
+        it is a vector of `Scene.V`.
     """
 
     membrane: fem.Function

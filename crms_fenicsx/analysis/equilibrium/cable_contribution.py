@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.contribution import Contribution
+from crms_fenicsx.analysis.equilibrium.shift_contribution import kept_vertices
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.clamping import end_step, placed
 from crms_fenicsx.cabling.cables.element_tables import (
@@ -61,7 +62,8 @@ class CableContribution(Contribution):
         nodes, shifts = scene.net.nodes, RowShifts.none()
         if slide and any(cable.state.laid.line is not None for cable in scene.cables):
             shape = scene.net.strip_shape()
-            shifts = RowShifts.of(scene.cables, nodes, shape, scene.membrane)
+            kept = kept_vertices(scene)
+            shifts = RowShifts.of(scene.cables, nodes, shape, scene.membrane, kept)
         self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, nodes, shifts)
         self.unknowns = self.numbering.unknowns(frame)
         self.numbering.hold(self.unknowns)

@@ -79,7 +79,8 @@ class ContactLoop:
                 system.read_scene()
             elif way > 0.0:
                 system.renew_base()
-            if system.has_history:  # every term starts the step from there
+            # every term starts the step from there, but the mesh goes on from where it has moved
+            if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
                 _restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []
@@ -91,14 +92,15 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            elif not changes:
+            elif not changes and not looked:  # a look may have changed paths
                 system.write_scene()
             way = system.follow_rows()
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
-            if not changes and 0.0 < way <= SETTLED:
-                system.renew_base()
-            if not changes and way <= SETTLED:
+            # friction is updated from places also near equilibrium, where a look ends a solve
+            if not changes and way <= (NEAR if outcome.reason == "interrupted" else SETTLED):
+                if way > 0.0:
+                    system.renew_base()
                 if not looked and look is not None:
                     look(False)
                 return total

@@ -44,6 +44,7 @@ class FrictionContribution(Contribution):
         if not laws:
             return []
         numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+        lateral.note_rows(numbering)
         for cable in self.cables.taut:
             lateral.remap(cable)
             lateral.place_elements(cable, shape)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+from mpi4py import MPI
 
-from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
+from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
 from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
@@ -36,6 +37,7 @@ class RowSliding:
         self.scene, self.collapse = scene, ""
         self._motion: MeshMotion | None = None
         self._rows: tuple[LaidCable, ...] = ()
+        self._fixed: Booleans = np.zeros(0, dtype=bool)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -62,7 +64,9 @@ class RowSliding:
             ratio, why = self._narrowest(motion, X)
             self.collapse = why if ratio <= 0.0 else ""
         place_stress_free(self.scene, X)
-        membrane.u.x.array[:] = (x - X).ravel()
+        u = membrane.u.x.array.reshape(-1, 3)
+        stays = membrane.held & ~here[:, None]  # displaced as prescribed, wherever it is
+        u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
 
@@ -92,14 +96,15 @@ class RowSliding:
         """The motion of the mesh with the present rows. Collective."""
         scene, membrane = self.scene, self.scene.membrane
         rows = tuple(cable for cable in scene.cables if cable.state.laid.line is not None)
-        if self._motion is None or rows != self._rows:
+        fixed = fixed_vertices(membrane, kept_vertices(scene))
+        same = rows == self._rows and np.array_equal(fixed, self._fixed)
+        if self._motion is None or not scene.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
-            self._rows = rows
+            self._rows, self._fixed = rows, fixed
             vertices = [
                 np.array([k.support[0] for k in row.state.nodes if k.kind == "vertex"])
                 for row in rows
             ]
-            fixed = fixed_vertices(membrane)
             none = np.zeros(0, dtype=np.int64)
             self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, none)
         return self._motion

@@ -88,7 +88,7 @@ class FrictionLoop:
         """Iterations of the lateral and axial friction forces of all cables."""
         lags: list[LateralIteration | AxialIteration] = []
         for cable in self.scene.cables:
-            if cable.has_coulomb:
+            if cable.has_coulomb and cable.state.law.lateral is not None:
                 from crms_fenicsx.cabling.friction.passes import LateralIteration
 
                 lags.append(LateralIteration(cable))
@@ -124,10 +124,13 @@ class EquilibriumSearch:
     def _loops(self, start: SceneState) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables from a start state."""
         from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
+        from crms_fenicsx.cabling.cables.cable_net import refuse_held_clamps
         from crms_fenicsx.cabling.contact.active_set import ActiveSet
         from crms_fenicsx.cabling.paths.boundary_ends import refuse_ends_along_rim, renew_ends
 
         refuse_ends_along_rim(self.scene.net)
+        if not self.system.slide:
+            refuse_held_clamps(self.scene.net)
         if self.tried is None:
             contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
@@ -169,10 +172,13 @@ class EquilibriumSearch:
         from crms_fenicsx.cabling.friction.lateral import start_step
 
         shape = net.strip_shape()
-        known = all(
-            cable.slides_freely or cable.state.law.lateral is not None for cable in net.cables
-        )
-        for cable in net.cables:
+        sliding = [
+            cable for cable in net.cables
+            if not cable.slides_freely
+            and (self.system.slide or cable.state.laid.line is None)
+        ]  # fmt: skip
+        known = all(cable.state.law.lateral is not None for cable in sliding)
+        for cable in sliding:
             start_step(cable, shape)
         if not known:
             self.system.invalidate()

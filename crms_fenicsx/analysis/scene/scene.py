@@ -430,8 +430,8 @@ class Scene:
             form one open line, such as those of `meshes.along`. The cable runs from vertex to
             vertex, and nothing is searched. Its first and last point, if given, are those of
             `path`: the line's ends or anchors off the membrane. Otherwise it starts at the end with
-            the smaller x, or y, or z on the stress-free membrane. The mesh holds it sideways for
-            any `hold`.
+            the smaller x, or y, or z on the stress-free membrane. "outside" and in a "sleeve" it
+            slides sideways with its line: the stress-free mesh moves, ``mesh.geometry.x``.
         L0
             Unstressed length (length).
         tension
@@ -476,11 +476,6 @@ class Scene:
             line, a line that the mesh does not have, with `shortest`, or with a path that ends
             elsewhere.
 
-        Warns
-        -----
-        PathWarning
-            The first cable along a line of the mesh that its `hold` does not hold sideways.
-
         Examples
         --------
         >>> steel = Cable(EA=1e3)
@@ -521,9 +516,9 @@ class Scene:
         """Lay a cable on each line of a net, under the line's name. Collective.
 
         Later families lie on top. On a mesh that has the net's lines, from
-        ``meshes.along(mesh, net.paths)``, the cables lie along these, as with
-        ``lay_cable(along=...)``: this takes a fraction of the time. On a mesh without them the
-        cables fold the cells that they cross.
+        ``meshes.along(mesh, net.paths)``, the cables lie along these and take them along where they
+        slide, as with ``lay_cable(along=...)``: this takes a fraction of the time. On a mesh
+        without them the cables fold the cells that they cross.
 
         Parameters
         ----------
@@ -532,7 +527,7 @@ class Scene:
         cable, tension, hold
             As for `lay_cable`, the same for all lines.
         clamped
-            Whether to clamp all crossings, as `clamp` does; not along lines of the mesh.
+            Whether to clamp all crossings, as `clamp` does.
 
         Returns
         -------
@@ -589,10 +584,10 @@ class Scene:
         """Clamp cables to each other where they cross. Collective.
 
         A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
-        and touches down. Each cable has one tension from clamp to clamp, `LaidCable.tensions`,
-        which varies only with friction along it. The unstressed lengths between clamps are those at
-        clamping; a load step that changes a cable's L0 scales them alike. Clamping does not disturb
-        an equilibrium.
+        and touches down. Clamps of three or more cables at one point are one. Each cable has one
+        tension from clamp to clamp, `LaidCable.tensions`, which varies only with friction along it.
+        The unstressed lengths between clamps are those at clamping; a load step that changes a
+        cable's L0 scales them alike. Clamping does not disturb an equilibrium.
 
         Parameters
         ----------
@@ -615,8 +610,9 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross, lie apart where they do, have the step-wise
-            law, or lie along lines of the mesh.
+            On all ranks: cables that do not cross between their ends, lie apart where they do, or
+            have the step-wise law; some that lie along lines of the mesh and others that do not;
+            two grips at one point.
 
         Warns
         -----
@@ -877,6 +873,11 @@ def place_stress_free(scene: Scene, X: Array) -> None:
             "lines of the mesh slide and move its stress-free vertices, which the step-wise laws "
             'of the membrane cannot follow; use strain="total" and pressure="total", or hold the '
             "lines with slide=False."
+        )
+    if told := [term.name for term in scene.terms if term.has_history]:
+        raise InputError(
+            f"lines of the mesh slide and move its stress-free vertices, which {told[0]!r}, a term "
+            "with a history, cannot follow; hold the lines with slide=False."
         )
     scene.membrane.place_stress_free(X)
     scene.loads.follow_stress_free_places()

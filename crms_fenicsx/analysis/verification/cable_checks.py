@@ -23,6 +23,7 @@ from crms_fenicsx.analysis.verification.cable_forces import (
     outward_pulls,
 )
 from crms_fenicsx.analysis.verification.report import ROUNDED, UNBALANCED, Check
+from crms_fenicsx.analysis.verification.row_checks import row_checks
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.cabling.cables.points_on_edges import positions_of
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
@@ -50,6 +51,8 @@ LIMITS = {
     "depth below another cable": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
+    "sideways balance": UNBALANCED,
+    "held where its line stays": 0.05,
     "sideways force without friction": 0.3,
     "friction beyond its bound": 0.1,
     "friction along beyond its bound": 0.01,
@@ -64,7 +67,8 @@ mesh would be held sideways by 0.1 of its contact force."""
 MESH_DEPENDENT = {
     "pull on the membrane", "depth below the membrane", "depth below another cable",
     "friction beyond its bound", "held by a line of the mesh", "held by vertices",
-    "sideways force without friction", "unbalanced forces of cables",
+    "sideways force without friction", "unbalanced forces of cables", "sideways balance",
+    "held where its line stays",
 }  # fmt: skip
 """Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
 which the solver stops: a state that fails them is doubtful."""
@@ -120,8 +124,8 @@ class CableVerifier:
         self.others: dict[LaidCable, Pulls] = {}
         """Forces of the cables clamped to each cable there."""
 
-    def check(self, system: System, ends: Array) -> list[Check]:
-        """Check all cables. Collective. Shapes: ends (n, 2, 3)."""
+    def check(self, system: System, ends: Array, loads: Array) -> list[Check]:
+        """Check all cables. Collective. Shapes: ends (n, 2, 3), loads (n_local, 3)."""
         assert system.cables is not None
         scene, numbering = system.scene, system.cables.numbering
         if numbering is not self._numbering:
@@ -138,6 +142,7 @@ class CableVerifier:
         held = [cable.keeps_line or not self._slide for cable in scene.cables]
         lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
+        rows = row_checks(system, loads, shape)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.state.laid.joints):
                 if name is not None:
@@ -153,6 +158,7 @@ class CableVerifier:
                 if cable in depths:
                     values["depth below another cable"] = depths[cable]
                 values |= forces(cable, shape, free[c], self.others.get(cable))
+                values |= rows.get(cable, {})
             elif cable.cable.law == "total":
                 short = np.linalg.norm(
                     np.diff(cable.state.positions[cable.contacts()], axis=0), axis=1
@@ -212,8 +218,8 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
                     error = np.linalg.norm(force - end.reaction)
                     errors[i] = error / max(cable.tension, 1e-300)
         if cable.taut:
-            mine = [k for k in cable.contacts()[1:-1] if numbering.is_mine(c, k)]
-            blocks = [numbering.block(c, k) for k in mine]
+            known = (numbering.block(c, k) for k in cable.contacts()[1:-1])
+            blocks = [block for block in known if 0 <= block < system.unknowns.n_owned]
             errors[2] = np.sum(np.where(held[blocks], 0.0, g[blocks]) ** 2)
     total = np.zeros_like(local)
     system.scene.comm.Allreduce(local, total)

@@ -191,7 +191,9 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
             bounds[held_nodes(cable)] *= _left_sideways(cable, shape)
         # Leave out held edges: there the cable may turn so far that its lateral direction differs
         # from that on the stress-free membrane, on which slip is measured.
-        free = _folds(cable)
+        shifting = {*cable.state.law.lateral.shifting}
+        rows = [k for k in held_nodes(cable) if cable.state.nodes[k].support in shifting]
+        free = _folds(cable) + rows
         beyond = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
         values["friction beyond its bound"] = float(beyond) / max(most, least)

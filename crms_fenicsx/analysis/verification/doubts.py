@@ -97,6 +97,18 @@ def _of_cable(
             f"{cable.name!r} runs up to {depth:.2g} of a cell under a cable that it lies over; "
             "another load step lets them touch"
         )
+    if "held where its line stays" in by_name:
+        yield (
+            f"{cable.name!r} is held sideways by {by_name['held where its line stays']:.0%} of its "
+            "contact force where its line cannot slide: at bars, loads on vertices, ends of other "
+            "cables, creases or borders of parts"
+        )
+    if "sideways balance" in by_name:
+        share = by_name["sideways balance"]
+        yield (
+            f"{cable.name!r} may lie elsewhere across its line: its sideways forces balance to "
+            f"{share:.1%} of its contact forces only"
+        )
     if "unbalanced forces of cables" in by_name:
         share = by_name["unbalanced forces of cables"]
         yield (

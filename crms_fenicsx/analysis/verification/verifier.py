@@ -89,7 +89,8 @@ class Verifier:
         checks = [self._finite(system)]
         if not checks[0].passed:  # the other checks would divide by NaN
             return Verification(tuple(checks), time.perf_counter() - began)
-        checks += self._balance(system, outcome, force)
+        loads = self._loads(system)
+        checks += self._balance(system, outcome, force, loads)
         if system.bars is not None:
             from crms_fenicsx.analysis.verification.frame_checks import check_frame
 
@@ -99,7 +100,7 @@ class Verifier:
                 from crms_fenicsx.analysis.verification.cable_checks import CableVerifier
 
                 self._cables = CableVerifier(self._slide)
-            checks += self._cables.check(system, self._prescribed[1])
+            checks += self._cables.check(system, self._prescribed[1], loads)
         if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))
         checks += more
@@ -210,12 +211,11 @@ class Verifier:
         shake[: unknowns.n_vertices] *= self._share[:, None]
         shake[unknowns.n_vertices :] *= self._least
 
-    def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
+    def _balance(self, system: System, outcome: Outcome, force: float, loads: Array) -> list[Check]:
         """Balance of free nodes, and of reactions with loads that come from the geometry."""
         scene, potential, unknowns = self.scene, system.potential, system.unknowns
         n, size = unknowns.n_owned, scene.membrane.size
         x = unknowns.X + potential.x
-        loads = self._loads(system)
         plain, g = plain_vertices(system), potential.g  # free between two solves
         g[:] = -loads
         unknowns.gather_forces(potential.g_vector, g)

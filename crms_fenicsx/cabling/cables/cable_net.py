@@ -20,7 +20,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, as_text
-from crms_fenicsx.model.cable import Clamp
+from crms_fenicsx.model.cable import HOLDS, Clamp
 from crms_fenicsx.model.cable_state import CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -167,12 +167,7 @@ class CableNet:
                     f'clamp: {cable.name!r} has law="step", with which its tension cannot differ '
                     "from clamp to clamp; lay it without."
                 )
-            if cable.state.laid.line is not None:
-                raise InputError(
-                    f"clamp: {cable.name!r} lies along a line of the mesh, which holds it "
-                    "sideways, so that clamps would hold the fabric too and strengthen it; lay the "
-                    "cables to be clamped by their paths, without `along`."
-                )
+        _refuse_some_on_lines(own)
         new: list[Clamp] = []
         apart: list[str] = []
         known = {number: clamp.cables for number, clamp in enumerate(self.clamps)}
@@ -197,7 +192,7 @@ class CableNet:
                     )
                     continue
                 name = named([*self.clamps, *new], (a.name, b.name))
-                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip))
+                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip, one.vertex))
         if apart and len(own) == 2:
             raise InputError(
                 f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."
@@ -210,9 +205,10 @@ class CableNet:
         if not new and not apart and not self._between(own):
             *first, last = (repr(one.name) for one in own)
             raise InputError(
-                f"clamp: {', '.join(first)} and {last} do not cross; lay one of them so that it "
-                "crosses another, or clamp those that do."
+                f"clamp: {', '.join(first)} and {last} do not cross between their ends; lay one of "
+                "them so that it crosses another, or clamp those that do."
             )
+        _refuse_two_grips([*self.clamps, *new])
         self.clamps = (*self.clamps, *new)
         self._divide_again()
         return tuple(new)
@@ -229,8 +225,8 @@ class CableNet:
         self._divide_again()
 
     def _divide_again(self) -> None:
-        """Rearrange the crossings for changed clamps, unless all cables are slack."""
-        if any(cable.taut for cable in self.cables):
+        """Rearrange the crossings for changed clamps, unless all cables are slack off lines."""
+        if any(cable.taut or cable.state.laid.line is not None for cable in self.cables):
             self.arrange_crossings()
 
     def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
@@ -249,6 +245,42 @@ class CableNet:
         """Clamps between some of the cables."""
         names = {cable.name for cable in cables}
         return [clamp for clamp in self.clamps if names >= set(clamp.cables)]
+
+
+def _refuse_some_on_lines(cables: Sequence[LaidCable]) -> None:
+    """Refuse clamps between cables along lines of the mesh and others, which cross no vertices."""
+    on = [cable.state.laid.line is not None for cable in cables]
+    if any(on) and not all(on):
+        raise InputError(
+            f"clamp: {cables[on.index(True)].name!r} lies along a line of the mesh, "
+            f"{cables[on.index(False)].name!r} does not; lay all cables to be clamped along lines, "
+            "of meshes.along(mesh, ...)."
+        )
+
+
+def _refuse_two_grips(clamps: Sequence[Clamp]) -> None:
+    """Refuse clamps of different grips at one vertex, where they are one clamp."""
+    at: dict[int, Clamp] = {}
+    for clamp in clamps:
+        if clamp.vertex is not None and at.setdefault(clamp.vertex, clamp).slip != clamp.slip:
+            other = at[clamp.vertex]
+            raise InputError(
+                f"clamp: {other.name!r} and {clamp.name!r} have slip = {other.slip} and "
+                f"{clamp.slip} at one point, {as_text(clamp.place)}, where all cables have the "
+                "same clamp. Give both the same slip."
+            )
+
+
+def refuse_held_clamps(net: CableNet) -> None:
+    """Refuse clamps of cables that should slide over the fabric but are held on their lines."""
+    for clamp in net.clamps:
+        cables = [net.cable(name) for name in clamp.cables]
+        if clamp.vertex is not None and any(HOLDS[cable.hold].sideways for cable in cables):
+            raise InputError(
+                f"Solver: slide = False holds {cables[0].name!r} and {cables[1].name!r} on their "
+                f"lines of the mesh, where the clamp {clamp.name!r} would hold the fabric too and "
+                "strengthen it; let them slide, or lay both in pockets."
+            )
 
 
 def _nearest(call: str, clamps: Sequence[Clamp], near: object) -> list[Clamp]:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, floats
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, floats
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.cable import Bonds, Clamp, ClampedParts
 from crms_fenicsx.model.cable_state import Crossing
@@ -36,10 +37,13 @@ class _CablesMeeting:
     gap: float  # distance of the cables (length)
     reach: float  # mean length of the segments that cross (length)
     at: tuple[float, float]  # fraction of each unstressed length up to there
+    vertex: int | None = None  # that both share, along lines of the mesh
 
 
 def meetings(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
     """Crossings of two cables, in the order of the first one."""
+    if a.state.laid.line is not None and b.state.laid.line is not None:
+        return _at_common_vertices(a, b)
     (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
     across = cross(u[:, None], v[None])
     square = dot(across, across)
@@ -65,6 +69,40 @@ def meetings(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
         if one.gap < one.reach and all(norm(k.place - one.place) >= near for k in kept):
             kept.append(one)
     return sorted(kept, key=lambda one: one.at)
+
+
+def _at_common_vertices(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
+    """Vertices that two cables along lines of the mesh share, in the order of the first one; not
+    the ends of either, beside which a part would have no length."""
+    first, second = _nodes_at_vertices(a), _nodes_at_vertices(b)
+    found = []
+    for vertex in first.keys() & second.keys():
+        i, j = first[vertex], second[vertex]
+        x, y = a.state.positions[i], b.state.positions[j]
+        ends = np.array([c.state.positions[k] - x for c in (a, b) for k in (0, -1)])
+        if norm(ends).min() <= SAME_PLACE * min(a.length, b.length):
+            continue
+        reach = float(norm(np.diff(a.state.positions, axis=0)).mean())
+        at = _share(a, *_link(a, i)), _share(b, *_link(b, j))
+        found.append(_CablesMeeting((x + y) / 2, float(norm(y - x)), reach, at, vertex))
+    return sorted(found, key=lambda one: one.at)
+
+
+def _nodes_at_vertices(cable: LaidCable) -> dict[int, int]:
+    """Nodes of a cable by the vertices at which they are, or above which it touches others."""
+    return {
+        node.support[0]: k
+        for k, node in enumerate(cable.state.nodes)
+        if node.kind in ("vertex", "crossing") and len(node.support) == 1
+    }
+
+
+def _link(cable: LaidCable, k: int) -> tuple[int, float]:
+    """Segment between contacts on which a node is, and its fraction of that."""
+    contacts, x = cable.contacts(), cable.state.positions
+    i = int(np.searchsorted(contacts, k, side="right")) - 1
+    passed, left = norm(x[[k, contacts[i + 1]]] - x[[contacts[i], k]])
+    return i, float(passed / (passed + left))
 
 
 def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
@@ -125,8 +163,8 @@ def with_clamps(
 def divide(
     cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
 ) -> tuple[Clamp, ...]:
-    """Divide taut cables at the nodes of their clamps and return the clamps at their current
-    places; clamps of slack cables have no effect."""
+    """Divide cables at the nodes of their clamps and return the clamps at their current places;
+    off lines of the mesh clamps of slack cables have no effect."""
     nodes: dict[str, dict[str, int]] = defaultdict(dict)
     for cable in cables:
         for k, node in enumerate(cable.state.nodes):
@@ -135,7 +173,7 @@ def divide(
                 nodes[name][cable.name] = k
     by_name = {cable.name: cable for cable in cables}
     for clamp in clamps:
-        if len(nodes[clamp.name]) < 2:
+        if len(nodes[clamp.name]) < 2 or clamp.vertex is not None:
             nodes[clamp.name] = _at_vertex(clamp, by_name)
     for cable in cables:
         shares = {
@@ -169,8 +207,11 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
-    """Nodes of two taut cables at the common vertex nearest to a clamp."""
+    """Nodes of two cables at a clamp's vertex, or of taut ones at the common one nearest to it."""
     a, b = (cables[name] for name in clamp.cables)
+    if clamp.vertex is not None:
+        at = {cable.name: _nodes_at_vertices(cable)[clamp.vertex] for cable in (a, b)}
+        return at if not any(cables[name].state.lifted[k] for name, k in at.items()) else {}
     if not (a.taut and b.taut):
         return {}
     of_a, of_b = (
@@ -183,6 +224,14 @@ def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
         if point in of_b
     ]
     return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
+
+
+def clamped_nodes(nodes: NodeTable, cables: Sequence[LaidCable]) -> Booleans:
+    """Whether a clamp joins each node to another, (n,): these only lift off together."""
+    clamped = np.zeros(len(nodes.kind), dtype=bool)
+    for start, cable in zip(nodes.starts, cables, strict=False):
+        clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
+    return clamped
 
 
 def _parts(cable: LaidCable, own: Sequence[tuple[int, tuple[float, float]]]) -> ClampedParts | None:

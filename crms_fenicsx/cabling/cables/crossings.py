@@ -235,11 +235,12 @@ def arrange(
         zip(known, places, _has_point(known, before.crossing[shared]), strict=True),
     )  # fmt: skip
     separated = np.array([one.separated for one in crossings], dtype=bool)
-    shares = (~separated & (in_air | ~at_vertex))[:, None]
+    numbers = _common_points(crossings, np.flatnonzero(at_vertex & in_air), len(found))
+    shares = (~separated & (in_air | ~at_vertex))[:, None] & _first_of(numbers, links)
     # a fold point on an edge along which another cable runs is the crossing's point
     on_edge = np.array([len(one.support) == 2 for one in crossings], dtype=bool)[:, None]
     fold = shares & on_edge & (plain.kind[links] != VERTEX)
-    rows, numbers = plain.rows.copy(), np.arange(len(found))[:, None] + np.zeros_like(links)
+    rows = plain.rows.copy()
     rows["crossing"][links[fold]] = numbers[fold]
     for row in ints(np.unique(links[fold])):
         nodes[row] = replace(nodes[row], crossing=int(rows["crossing"][row]))
@@ -261,7 +262,7 @@ def arrange(
     lifted = joined(lifted, np.zeros(len(new), dtype=bool))
     counts = np.diff(plain.starts) + np.bincount(plain.cable[after], minlength=len(cables))
     starts = pointers(counts)
-    for c in {*ints(before.cable[shared]), *ints(plain.cable[links[shares[:, 0]]].ravel())}:
+    for c in {*ints(before.cable[shared]), *ints(plain.cable[links[shares]])}:
         own, old = slice(*starts[c : c + 2]), slice(*before.starts[c : c + 2])
         state = cables[c].state
         cables[c].set_nodes(list(nodes[own]), positions[own], fractions[own], lifted[own])
@@ -271,6 +272,24 @@ def arrange(
     on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
     of_cables = [cable.state.nodes for cable in cables]
     return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
+
+
+def _common_points(crossings: Sequence[Crossing], at_vertices: Integers, count: int) -> Integers:
+    """Numbers (m, 2) of the crossings that give both cables of each their point: its own, but for
+    cables that are clamped together above a vertex, which all share one."""
+    numbers, first = np.arange(count), dict[Support, int]()
+    for n in ints(at_vertices):
+        if crossings[n].clamp is not None:
+            numbers[n] = first.setdefault(crossings[n].support, n)
+    return np.repeat(numbers[:, None], 2, axis=1)
+
+
+def _first_of(numbers: Integers, links: Integers) -> Booleans:
+    """Whether each link (m, 2) is the first of its points, given by their numbers (m, 2)."""
+    found = np.zeros(links.size, dtype=bool)
+    pairs = np.stack([numbers.ravel(), links.ravel()], axis=1)
+    found[np.unique(pairs, axis=0, return_index=True)[1]] = True
+    return found.reshape(links.shape)
 
 
 def _has_point(known: Sequence[Crossing], shared: Integers) -> list[bool]:

@@ -300,6 +300,11 @@ class CableNumbering:
         """Local block of a cable's node, or -1."""
         return int(self.node_blocks[self.row(c, k)])
 
+    def shift_blocks_at(self, rows: Integers) -> Indices:
+        """Local blocks of the shifts of nodes at vertices that shift, (n,)."""
+        at = np.searchsorted(self.shifts.vertices, self.nodes.support[rows, 0])
+        return self.shift_blocks[at]
+
     def support_blocks(self, rows: Integers) -> Integers:
         """Local blocks of the nodes' support vertices, (n, 3), padded with -1."""
         on = self.on[rows]

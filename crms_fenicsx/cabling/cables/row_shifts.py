@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import la
 from mpi4py import MPI
 
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
@@ -43,9 +44,14 @@ class RowShifts:
 
     @classmethod
     def of(
-        cls, cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape, membrane: Membrane
+        cls,
+        cables: Sequence[LaidCable],
+        nodes: NodeTable,
+        shape: StripShape,
+        membrane: Membrane,
+        kept: Booleans,
     ) -> RowShifts:
-        """Those of taut cables on their rows. Collective."""
+        """Those of taut cables on their rows, but for vertices (n,) to be kept. Collective."""
         slides = np.array(
             [c.taut and c.state.laid.line is not None and HOLDS[c.hold].sideways for c in cables],
             dtype=bool,
@@ -59,20 +65,19 @@ class RowShifts:
         on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
         on = on[nodes.taut[on]]
         strip = shape.strip
-        normals = _normals(shape)
-        held, fixed = _held_and_fixed(membrane, nodes, shape)
+        held, fixed = _held_and_fixed(membrane, nodes, shape, kept)
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
-        tangents = _tangents(nodes, shape, on)
+        tangents, normals = _tangents(nodes, shape, on), _normals(shape, ids)
         count = np.bincount(of, own)
-        free = (count > 0) & ~fixed[ids] & np.any(normals[ids] != 0.0, axis=1)
+        free = (count > 0) & ~fixed[ids] & normals.any(axis=1)
         free &= np.bincount(of, ~inner[on]) == 0
         bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
         free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
         pockets = np.bincount(of, ~own)
         free &= pockets < 2
-        n = normals[ids]
+        n = normals
         projectors = np.eye(3) - n[:, :, None] * n[:, None, :]
         # across the only row that slides, or along the row of the cable in a pocket
         one, pocket = np.zeros((2, len(ids), 3))
@@ -82,7 +87,9 @@ class RowShifts:
             (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
             np.cross(n, one),
         )  # fmt: skip
-        single = free & ((count == 1) | (pockets == 1))
+        # clamped to a slack cable it drags this one along
+        joined = np.bincount(of, clamped_nodes(nodes, cables)[on]) > 0
+        single = free & ((count == 1) & ~joined | (pockets == 1))
         d = along[single] / norm(along[single])[:, None]
         projectors[single] = d[:, :, None] * d[:, None, :]
         if not free.any():
@@ -101,12 +108,13 @@ class RowShifts:
         return replace(self, projectors=projectors, sizes=sizes)
 
 
-def _normals(shape: StripShape) -> Array:
-    """Normals of the stress-free surface at the strip's vertices, (n, 3); zero at rims, seams and
-    creases."""
+def _normals(shape: StripShape, vertices: Integers) -> Array:
+    """Normals of the stress-free surface at vertices of the strip, (n, 3); zero at rims, seams and
+    creases. On a rigid surface the cable's pressure, much larger than its sideways pull, has a part
+    along a direction that is off the surface."""
     strip = shape.strip
     solid = strip.simplices.cells[strip.is_outer & (strip.owner != NOBODY)]
-    return SmoothSurface.of(shape.stress_free, solid).normals
+    return SmoothSurface.of(shape.stress_free, solid).fitted(solid, vertices)
 
 
 def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
@@ -120,36 +128,37 @@ def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
 
 
 def _held_and_fixed(
-    membrane: Membrane, nodes: NodeTable, shape: StripShape
+    membrane: Membrane, nodes: NodeTable, shape: StripShape, kept: Booleans
 ) -> tuple[Booleans, Booleans]:
     """Whether each vertex of the strip (n,) is held in all directions, and whether its stress-free
-    place must stay: where it is held in some, on the borders of parts, below loads on vertices and
-    beside cells that cables fold. Collective."""
+    place must stay: where it is kept, held in some, on the borders of parts, and beside cells that
+    cables fold. Collective."""
     strip = shape.strip
-    held, fixed = np.zeros((2, len(strip.vertices)), dtype=np.int64)
+    held, fixed, stays = np.zeros((3, len(strip.vertices)), dtype=np.int64)
     mine = np.flatnonzero(strip.owner == membrane.comm.rank)
     corners = strip.simplices.cells[mine]
     dofs = membrane.V.dofmap.list[strip.local[mine]]
     held[corners] = membrane.held[dofs].all(axis=2)
-    fixed[corners] = membrane.held[dofs].any(axis=2)
+    fixed[corners], stays[corners] = membrane.held[dofs].any(axis=2), kept[dofs]
     kinds = _kinds(membrane)[strip.local[mine]]
     least, most = np.full(len(fixed), np.iinfo(np.int64).max), np.full(len(fixed), -1)
     np.minimum.at(least, corners, kinds[:, None])
     np.maximum.at(most, corners, kinds[:, None])
     membrane.comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
     membrane.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-    both = np.stack([held, fixed])
-    membrane.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-    held, fixed = both
+    flags = np.stack([held, fixed, stays])
+    membrane.comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
+    held, fixed, stays = flags
     folds = nodes.support[nodes.kind == FOLD, :2].ravel()
     crossed = np.isin(strip.vertices, folds)
-    fixed = (fixed > held) | (least < most) | crossed
+    fixed = (fixed > held) | (stays > 0) | (least < most) | crossed
     return held.astype(bool), fixed.astype(bool)
 
 
-def fixed_vertices(membrane: Membrane) -> Booleans:
+def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
     """Whether the stress-free place of each local vertex (n,) must stay in all motions of the mesh:
-    where it is held, but not within held areas, and on the borders of parts. Collective."""
+    where it is to be kept, where it is held, but not within held areas, and on the borders of
+    parts. Collective."""
     own = membrane.mesh.mesh.topology.index_map(2).size_local
     dofs = membrane.V.dofmap.list[:own]
     free = ~membrane.held.all(axis=1)[dofs].all(axis=1)
@@ -162,7 +171,7 @@ def fixed_vertices(membrane: Membrane) -> Booleans:
     sums.scatter_forward()
     n_free, count, mean, square = total.T
     borders = square * count - mean**2 > 0.5
-    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders)
+    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders | kept)
 
 
 def _kinds(membrane: Membrane) -> Indices:

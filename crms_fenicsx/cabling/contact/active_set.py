@@ -14,8 +14,14 @@ from typing import Protocol
 import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
-from crms_fenicsx.cabling.cables.points_on_edges import NodeTable, fractions_of, positions_of
+from crms_fenicsx.cabling.cables.points_on_edges import (
+    VERTEX,
+    NodeTable,
+    fractions_of,
+    positions_of,
+)
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact import lift_off as contact
 from crms_fenicsx.cabling.contact.free_spans import FreeSpans, Gap
@@ -173,7 +179,21 @@ class ActiveSet:
         for c, k in self._over_lifted(self.net.nodes) if tightened else ():
             if c in tightened:
                 contact.lift(self.net.cables[c], [k])
-        return changes
+        return changes + (self._join_clamps(shape) if tightened else [])
+
+    def _join_clamps(self, shape: StripShape) -> list[str]:
+        """Let cables that have lifted off clamps, while one of them was slack, touch down there."""
+        net, nodes = self.net, self.net.nodes
+        if not nodes.lifted.any():
+            return []
+        number = {cable.name: c for c, cable in enumerate(net.cables)}
+        rows: list[int] = []
+        for clamp in net.clamps:
+            own = np.isin(nodes.cable, [number[name] for name in clamp.cables]) & nodes.taut
+            own &= (nodes.kind == VERTEX) & (nodes.support[:, 0] == clamp.vertex)
+            if not nodes.lifted[own].all():
+                rows += ints(np.flatnonzero(own & nodes.lifted))
+        return self._touch(np.unique(np.array(rows, dtype=np.int64)), nodes, shape)
 
     def _over_lifted(self, nodes: NodeTable) -> set[NodeId]:
         """Nodes of cables over others that have lifted off, at common vertices."""
@@ -188,7 +208,9 @@ class ActiveSet:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
         net, nodes = self.net, lines.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
-        may = held[nodes.cable] & ~self._clamped(nodes)
+        folded = np.array([cable.state.laid.line is None for cable in net.cables], dtype=bool)
+        clamped = clamped_nodes(nodes, net.cables) & folded[nodes.cable]
+        may = held[nodes.cable] & ~clamped
         alone = nodes.ids(lines.released(shape, may & ~lines.shared))
         pulling = [(id, [id]) for id in alone] + self._pulling_together(shape, lines, may)
         released: dict[int, list[int]] = defaultdict(list)
@@ -253,13 +275,6 @@ class ActiveSet:
         return texts + [
             f"{cable.name} touches down at {cable.state.nodes[k].point}" for k in places
         ]
-
-    def _clamped(self, nodes: NodeTable) -> Booleans:
-        """Whether a clamp joins each node to another, (n,): these only lift off together."""
-        clamped = np.zeros(len(nodes.kind), dtype=bool)
-        for start, cable in zip(nodes.starts, self.net.cables, strict=False):
-            clamped[start + np.array(cable.clamped, dtype=np.int64)] = True
-        return clamped
 
     @property
     def _sliding(self) -> Booleans:

@@ -100,10 +100,11 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     """Wrap angle of the cable at each node, (n,). On the membrane it is the turn in the normal
     direction, smoothed like the normal force; zero where the cable would pull the membrane. A
-    pocket also guides the cable sideways: there the whole turn counts."""
+    pocket, or a line that is held, also guides the cable sideways: there the whole turn counts."""
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
-    ways = [up, left] if cable.keeps_line else [up]
+    guided = cable.keeps_line and cable.state.law.lateral is None
+    ways = [up, left] if guided else [up]
     parts = np.array([dot(before - after, way) for way in ways])
     chord = np.linalg.norm(parts, axis=0)  # of the unit circle
     parts *= 2 * np.arcsin(np.minimum(chord / 2, 1.0)) / np.where(chord > 0.0, chord, 1.0)

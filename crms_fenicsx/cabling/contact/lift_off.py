@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
 from crms_fenicsx.cabling.cables.points_on_edges import (
     ANCHOR,
@@ -123,7 +124,8 @@ class Polylines:
     ) -> tuple[Integers, Array]:
         """Contacts of cables at vertices that they share: rows (m, k) from the uppermost cable to
         the lowest, padded with -1, and the outward sums (m, k) of the pulls of each and those above
-        it, relative to their largest tension; -inf where not all these nodes `may` (n,) lift off.
+        it, relative to their largest tension; -inf where not all these nodes `may` (n,) lift off,
+        and where a cable would leave those that it is clamped to.
         """
         nodes = self.nodes
         rows, starts = stacks(nodes, cables)
@@ -147,7 +149,9 @@ class Polylines:
         sums[at] = np.where(may[rows] & (pulls > -1.0), pulls * tension, -np.inf)
         largest[at] = tension
         largest = np.maximum(np.maximum.accumulate(largest, axis=1), 1e-300)
-        return table, np.cumsum(sums, axis=1) / largest
+        joined = np.cumsum((table >= 0) & clamped_nodes(nodes, cables)[table], axis=1)
+        leaves = (joined > 0) & (joined < joined[:, -1:])
+        return table, np.where(leaves, -np.inf, np.cumsum(sums, axis=1) / largest)
 
     def gaps(
         self, shape: StripShape, crossings: Sequence[Crossing], reach: int
@@ -205,7 +209,8 @@ def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
     if not cable.lifts_off:
         return []
-    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.state.nodes), dtype=bool)))
+    lines = Polylines.of([cable])
+    return ints(lines.released(shape, ~clamped_nodes(lines.nodes, [cable])))
 
 
 def captured(cable: LaidCable, shape: StripShape, height: float | None = None) -> dict[int, Gap]:

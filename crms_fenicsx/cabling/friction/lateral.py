@@ -37,7 +37,7 @@ from crms_fenicsx.cabling.friction.slip import (
 from crms_fenicsx.energy.terms.lateral_friction import Slips, stored_and_lost
 from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElements
 from crms_fenicsx.foundation.meshes.triangles import dot, norm
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.model.friction import (
     ElementSlips,
     Friction,
@@ -242,17 +242,27 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
 def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     """Nodes with stick-slip friction."""
     nodes: list[int] = []
-    laws: list[Array] = [np.zeros((4, 0))]
+    laws: list[Array] = [np.zeros((7, 0))]
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
         bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
         nodes += [numbering.row(c, k) for k in slips.nodes]
-        laws.append(np.array([slips.slope, slips.offset, bounds, eps]))
+        across = np.where(np.array([len(s) == 1 for s in slips.supports]), 1 / slips.size, 0.0)
+        laws.append(np.array([slips.slope, slips.offset, bounds, eps, *(across * slips.left.T)]))
     rows, law = np.array(nodes, dtype=np.int64), np.concatenate(laws, axis=1)
     own = numbering.strip.simplices.owner[numbering.on[rows]] == numbering.rank
-    rows, points = rows[own], numbering.points_now()
-    pointers, blocks = numbering.lines(numbering.on[rows], points)
-    places = (points.place[rows] + 1).astype(np.int32)
-    return Slips(pointers.astype(np.int32), blocks, places, *law[:, own].copy())
+    slides = numbering.nodes.slides[rows]
+    on_edge, at_vertex = np.flatnonzero(own & slides), np.flatnonzero(own & ~slides)
+    points, of_edges = numbering.points_now(), rows[on_edge]
+    pointers, blocks = numbering.lines(numbering.on[of_edges], points)
+    shifts = numbering.shift_blocks_at(rows[at_vertex])
+    pointers = np.append(pointers, pointers[-1] + 1 + np.arange(len(shifts)))
+    places = np.append(points.place[of_edges] + 1, np.zeros(len(shifts)))
+    law = law[:, np.append(on_edge, at_vertex)]
+    slope, offset, bound, eps = law[:4].copy()
+    return Slips(
+        pointers.astype(np.int32), np.append(blocks, shifts).astype(np.int32),
+        places.astype(np.int32), slope, offset, bound, eps, law[4:].T.copy(),
+    )  # fmt: skip
 
 
 def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionElements:
@@ -277,6 +287,18 @@ def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionEleme
     offset, bound, eps = np.concatenate(laws, axis=1).copy()
     table = np.array(blocks, dtype=np.int32).reshape(-1, 3)
     return FrictionElements(table, np.concatenate(slopes), offset, bound, eps)
+
+
+def note_rows(numbering: CableNumbering) -> None:
+    """Note which vertices slide with the taut cables along rows."""
+    shifting = set(ints(numbering.shifts.vertices))
+    for cable in numbering.cables:
+        grip = cable.state.law.lateral
+        if cable.taut and grip is not None and cable.state.laid.line is not None:
+            on = (n.point for n in cable.state.nodes if n.point is not None)
+            own = tuple(p.support for p in on if len(p.support) == 1 and p.support[0] in shifting)
+            if own != grip.shifting:
+                cable.update(lateral=replace(grip, shifting=own))
 
 
 def _slips(

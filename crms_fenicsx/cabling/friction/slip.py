@@ -3,7 +3,8 @@
 The history is a curve on the stress-free membrane: the cable's line at the end of the last load
 step. It is independent of edges, so it survives sliding into other cells. The slip of a fold point
 is the signed distance of its material place from that curve, positive to the left of the cable,
-plus the remaining elastic slip: within a small slip eps friction is elastic, to prevent creep.
+plus the remaining elastic slip: within a small slip eps friction is elastic, to prevent creep. A
+cable along a row of vertices slips as their stress-free places shift.
 
 The friction force is perpendicular to the cable's own line, which may turn in a load step. So each
 update of the forces takes the present line, with the slips so far, as the origin of further slip.
@@ -60,16 +61,18 @@ def succession(
 
 @dataclass(frozen=True)
 class NodeSlips:
-    """Slips of sliding nodes, linear in their edge fractions s: ``slope * s + offset``."""
+    """Slips of sliding nodes, linear in their edge fractions s: ``slope * s + offset``; at vertices
+    of rows s is the shift across the row in cells."""
 
     nodes: list[int]  # (n,) their numbers
-    supports: list[Support]  # their edges
+    supports: list[Support]  # their edges or vertices
     slope: Array  # (n,), with
     offset: Array  # (n,) (length)
     slip: Array  # (n,) at the current places (length)
     size: Array  # (n,) size of the surrounding stress-free cells (length)
     moving: Array  # (n,) sliding direction of the curve there in the last load step
     known: Booleans  # (n,) whether the cable was on the membrane there before
+    left: Array  # (n, 3) direction of positive slip on the stress-free membrane; zero if unknown
 
 
 def material_curve(
@@ -118,15 +121,19 @@ def node_slips(
 ) -> NodeSlips:
     """Slips of a cable's sliding contacts, counted from a line of later in the step, if any; zero
     where it was not on the membrane before."""
-    line = line or curve
+    line, grip = line or curve, cable.state.law.lateral
+    shifting = set() if grip is None else {*grip.shifting}
     nodes, supports = [], []
     for k in cable.contacts():
-        point = cable.state.nodes[k].point
-        if cable.state.nodes[k].slides and point is not None:
+        node = cable.state.nodes[k]
+        if node.point is not None and (node.slides or node.support in shifting):
             nodes.append(k)
-            supports.append(point.support)
-    ends = np.array([[shape.stress_free_at(v) for v in s] for s in supports]).reshape(-1, 2, 3)
-    fractions, sides = cable.state.fractions[nodes], ends[:, 1] - ends[:, 0]
+            supports.append(node.support)
+    on_row = np.array([len(s) == 1 for s in supports], dtype=bool)
+    ends = np.array([[shape.stress_free_at(v) for v in (s[0], s[-1])] for s in supports])
+    ends = ends.reshape(-1, 2, 3)
+    fractions = np.where(on_row, 0.0, cable.state.fractions[nodes])
+    sides = ends[:, 1] - ends[:, 0]
     places = ends[:, 0] + fractions[:, None] * sides
     at, _, parts = curve.nearest(places)
     size = np.array([shape.stress_free_size(s) for s in supports])
@@ -139,15 +146,17 @@ def node_slips(
     # Elsewhere the cable has touched down in this step and has no slip yet.
     known = (at >= first - size) & (at <= last + size)
     slope, offset, moving = np.zeros((3, len(nodes)))
+    all_left = np.zeros((len(nodes), 3))
     moving[known] = curve.history(at[known], parts[known])[1]
     at, feet, parts = line.nearest(places[known])
     left = cross(normals[known], line.tangents(at, parts, size[known]))
     left /= np.linalg.norm(left, axis=1)[:, None]
-    slope[known] = np.sum(sides[known] * left, axis=1)
+    all_left[known] = left
+    slope[known] = np.where(on_row[known], size[known], np.sum(sides[known] * left, axis=1))
     offset[known] = np.sum((ends[known, 0] - feet) * left, axis=1)
     offset[known] += line.history(at, parts)[0]
     slip = slope * fractions + offset
-    return NodeSlips(nodes, supports, slope, offset, slip, size, moving, known)
+    return NodeSlips(nodes, supports, slope, offset, slip, size, moving, known, all_left)
 
 
 def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:
@@ -255,7 +264,11 @@ def law_sideways(
     u, v = shares(sideways, along)
     law = np.array(sideways.law(u, along.plastic(v)))
     # A node on a vertex cannot slip sideways: it may use the remaining capacity.
-    fixed = np.array([not cable.state.nodes[k].slides for k in nodes], dtype=bool)
+    slides = [
+        cable.state.nodes[k].slides or s in grip.shifting
+        for k, s in zip(nodes, grip.supports, strict=True)
+    ]
+    fixed = ~np.array(slides, dtype=bool)
     law[:, fixed] = 1.0
     law[0, fixed] = np.sqrt(1 - along.mobilised[fixed] ** 2)
     return LateralLaw(*law)

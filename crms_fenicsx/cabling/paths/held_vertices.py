@@ -188,7 +188,7 @@ def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[
     which it can only slide, and at clamps, unless all of their cables can slide."""
     near = TOL.pressed if cable.state.law.lateral is None else TOL.gripped
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
-    boundary = _along_boundary(nodes, shape)
+    boundary = along_boundary(nodes, shape)
     clamped = set(cable.clamped) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
     # near an edge's end or beyond it, or not on an edge
@@ -211,7 +211,7 @@ def _at(cable: LaidCable) -> dict[int, list[int]]:
     return dict(found)
 
 
-def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
+def along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
     """Nodes on vertices to or from which a cable runs along the boundary."""
     found = set[int]()
     for k, (a, b) in enumerate(pairwise(nodes)):

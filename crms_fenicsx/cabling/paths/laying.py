@@ -7,7 +7,6 @@ row of its vertices, and the rows of a net and the cells around them are gathere
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -23,7 +22,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
 from crms_fenicsx.foundation.meshes.triangles import closest_on_segments, norm, vectors
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, floats, ints
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError, PathWarning, as_text
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, as_text
 from crms_fenicsx.foundation.surface.closest_point import ON_SURFACE, Balls, feet_of
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import SurfacePoint, VertexPoint
@@ -101,7 +100,7 @@ def lay(
         )
     # not the number of a removed cable
     name = checks.new_name("lay_cable", "cable", name, (c.name for c in net.cables), net.laid + 1)
-    check_law(name, cable, laid_as.hold, L0, tension)
+    check_law(name, cable, laid_as, L0, tension)
     route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     slides = HOLDS[laid_as.hold].sideways
@@ -165,7 +164,7 @@ def lay_along(
     for one in lines:
         checks.new_name("lay_cable", "cable", one.name, taken)
         taken.add(one.name)
-        check_law(one.name, cable, one.laid_as.hold, L0, tension)
+        check_law(one.name, cable, one.laid_as, L0, tension)
     strip = cells_at(membrane, list(chain.from_iterable(rows)))
     shape = StripShape.of(membrane, strip)
     ways = [_way(membrane, shape, *both) for both in zip(lines, rows, strict=True)]
@@ -183,7 +182,6 @@ def lay_along(
         )
         for one, way in zip(lines, ways, strict=True)
     )
-    _tell_held(net, laid)
     net.add(laid, strip)
     return laid
 
@@ -196,20 +194,6 @@ def lay_net(
         Along(one.name, LaidAs(hold, line=one.name), one.path, of_net=True) for one in layout.lines
     ]
     return lay_along(net, cable, lines, tension=tension)
-
-
-def _tell_held(net: CableNet, laid: Sequence[LaidCable]) -> None:
-    """Warn once of cables that the mesh holds sideways though their attachment does not."""
-    held, known = (
-        [c.name for c in some if c.state.laid.line is not None and HOLDS[c.hold].sideways]
-        for some in (laid, net.cables)
-    )
-    if held and not known and net.membrane.comm.rank == 0:
-        text = (
-            f"lay_cable: {held[0]!r}, as all cables along lines of the mesh, is held sideways on "
-            'its line, as in a pocket; hold="outside" lifts off, hold="sleeve" does not.'
-        )
-        warnings.warn(text, PathWarning, stacklevel=7)
 
 
 def _way(membrane: Membrane, shape: StripShape, one: Along, row: list[int]) -> Path:

@@ -24,7 +24,7 @@ from crms_fenicsx.foundation.runtime.errors import InputError, PathError
 from crms_fenicsx.foundation.surface.corridor import cell_between
 from crms_fenicsx.foundation.surface.path import Path
 from crms_fenicsx.foundation.surface.points import EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.model.cable import HOLDS, Cable, Hold
+from crms_fenicsx.model.cable import HOLDS, Cable
 from crms_fenicsx.model.cable_state import CableLaw, CableNode, CableState, End, LaidAs, StepStart
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
@@ -148,8 +148,7 @@ def put(
 def _held_kind(cable: Cable, laid_as: LaidAs) -> Cable:
     """The cable without friction in directions in which it is fixed."""
     free = HOLDS[laid_as.hold]
-    slides = free.sideways and laid_as.line is None
-    if slides or (cable.sideways is None and free.along):
+    if free.sideways or (cable.sideways is None and free.along):
         return cable
     if not free.along or not cable.along:
         return replace(cable, friction=0.0)
@@ -188,8 +187,18 @@ def _put_in_folds(
     return moved
 
 
-def check_law(name: str, cable: Cable, hold: Hold, L0: float | None, tension: float | None) -> None:
-    """Check the law and the length of a new cable."""
+def check_law(
+    name: str, cable: Cable, laid_as: LaidAs, L0: float | None, tension: float | None
+) -> None:
+    """Check the laws and the length of a new cable."""
+    hold, line = laid_as.hold, laid_as.line
+    if line is not None and HOLDS[hold].sideways and cable.sideways is not None:
+        if cable.sideways.law == "step":
+            raise InputError(
+                f"lay_cable: {name!r} lies along {line!r}, a line of the mesh that slides with it, "
+                'but its friction has law="step", that of an edge which a cable crosses; use '
+                'law="coulomb", or lay it by its path, without `along`.'
+            )
     if hold == "bonded" and cable.law == "step":
         raise InputError(
             f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '

@@ -46,7 +46,10 @@ def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
     return {
         c: cable
         for c, cable in enumerate(cables)
-        if cable.taut and cable.state.law.lateral is not None and cable.state.law.lateral.known
+        if cable.taut
+        and cable.state.law.lateral is not None
+        and cable.state.law.lateral.known
+        and not cable.keeps_line
     }
 
 

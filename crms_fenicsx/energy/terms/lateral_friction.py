@@ -8,7 +8,8 @@ the minimisation:
 The force F f'(y) reaches F exactly at the slip eps and then stays constant, so that a sliding node
 feels Coulomb's force and an unloaded one does not creep (the mollifier of M. Li et al., Incremental
 potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's position on its
-edge, ``s = slope * fraction + offset``, see `cabling.friction.slip`.
+edge, ``s = slope * fraction + offset``, see `cabling.friction.slip`. The fraction of a vertex of a
+row that slides is that of its shift across the row in a cell.
 """
 
 from __future__ import annotations
@@ -89,12 +90,13 @@ def tangent_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
 
 @dataclass(frozen=True)
 class Slips(EdgePoints):
-    """This rank's nodes with friction."""
+    """This rank's nodes with friction; at a vertex of a row its shift is the only block."""
 
     slope: Array  # slope, offset: (n,) slip as a function of the edge fraction (length)
     offset: Array
     bound: Array  # (n,) friction force F of a sliding node (force)
     eps: Array  # (n,) slip at which it is reached (length)
+    across: Array  # (n, 3) fraction per shift of such a vertex (1/length); zero on edges
 
 
 class LateralFriction(EdgePointTerm):
@@ -109,6 +111,15 @@ class LateralFriction(EdgePointTerm):
     def renew(self, table: Slips) -> None:
         """Use other forces and material curves for the same nodes."""
         self.table = table
+
+    def locate(self, x: Array) -> None:
+        super().locate(x)
+        t = self.table
+        (shifted,) = np.nonzero(np.diff(t.pointers) == 1)
+        if len(shifted):
+            at, across = t.pointers[shifted], t.across[shifted]
+            self._gradients[at] = across
+            self._fractions[shifted] = np.sum(across * x[t.blocks[at]], axis=1)
 
     def evaluate(self) -> float:
         t = self.table

@@ -238,12 +238,16 @@ class EdgePointTerm(ElementTerm):
         """Second derivatives by the fractions if `exact`, else a bound of them, (n,) (force x
         length)."""
 
-    def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy; keeps what the gradient needs."""
+    def locate(self, x: Array) -> None:
+        """Find the fractions and their derivatives."""
         t = self.table
         edge_fractions(
             self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients
         )
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy; keeps what the gradient needs."""
+        self.locate(x)
         out[0] = self.evaluate()
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable
-from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, mix, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.meshes.triangles import cross, dot, double_areas, mix, norm
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Integers
 
 CREASE = np.cos(np.radians(15.0))
 """Cosine of the angle between the normals of a cell and its vertex beyond which the vertex counts
@@ -46,6 +46,33 @@ class SmoothSurface:
         slopes = dot(normals[cells], (areas / norm(areas)[:, None])[:, None])
         normals[cells[slopes < CREASE]] = 0.0
         return cls(points, normals)
+
+    def fitted(self, cells: Integers, vertices: Integers) -> Array:
+        """Normals (k, 3) at vertices (k,) of the quadrics through them that fit their neighbours;
+        zero where the surface is not smooth. Where the cells around are not symmetric, the mean of
+        their normals is off by (h / R)^2, to the same side all over a regular mesh."""
+        normals = self.normals[vertices]
+        row = np.full(len(self.points), -1)
+        row[vertices] = np.where(normals.any(axis=1), np.arange(len(vertices)), -1)
+        centre, other = cells[:, [0, 0, 1, 1, 2, 2]].ravel(), cells[:, [1, 2, 0, 2, 0, 1]].ravel()
+        near = row[centre] >= 0
+        of, ways = row[centre[near]], self.points[other[near]] - self.points[centre[near]]
+        count = np.maximum(np.bincount(of, minlength=len(vertices)), 1)
+        size = np.maximum(np.bincount(of, norm(ways), len(vertices)) / count, EPSILON)
+        ways /= size[of][:, None]
+        least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+        first = cross(least, normals)
+        first /= np.maximum(norm(first), EPSILON)[:, None]
+        second = cross(normals, first)
+        x, y, z = (dot(ways, axis[of]) for axis in (first, second, normals))
+        terms = np.stack([x, y, x * x, x * y, y * y], axis=1)
+        matrix, right = np.zeros((len(vertices), 5, 5)), np.zeros((len(vertices), 5))
+        np.add.at(matrix, of, terms[:, :, None] * terms[:, None, :])
+        np.add.at(right, of, terms * z[:, None])
+        # four neighbours do not determine all terms: the smallest ones then
+        found = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, 1e-9, hermitian=True), right)
+        normals = normals - found[:, :1] * first - found[:, 1:2] * second
+        return normals / np.maximum(norm(normals), EPSILON)[:, None]
 
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
         """Vectors (k, 3) (length) from points on facets to the surface, and unit normals there."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from friction_scene import friction_square
@@ -67,24 +69,32 @@ def test_force_is_mobilised_at_eps_and_never_grows():
 
 
 def fraction_twin(X, blocks, place):
-    """Share of the polyline's length before the node."""
+    """Share of the polyline's length before the node; of a shift the part across the row."""
+    if len(blocks) == 1:
+        return X[blocks[0]] @ place
     sizes = np.linalg.norm(np.diff(X[blocks], axis=0), axis=1)
     return sizes[:place].sum() / sizes.sum()
 
 
-def random_slips(n_points=9, seed=0):
-    """Four nodes on three edges, two of them on one, and all of them around eps."""
+def random_slips(seed=0):
+    """Four nodes on three edges, two of them on one, and three at vertices that shift, two of them
+    where rows cross; all of them around eps. Shifts start from zero."""
     rng = np.random.default_rng(seed)
-    X = rng.normal(size=(n_points, 3)) * 3
+    X = rng.normal(size=(11, 3)) * 3
+    X[9:] = 0.0
     edges = [([0, 1, 2, 3], 1), ([0, 1, 2, 3], 2), ([4, 5, 6], 1), ([3, 7, 8], 1)]
+    across = np.zeros((7, 3))
+    across[4:] = rng.normal(size=(3, 3))
+    edges += [([9], across[4]), ([10], across[5]), ([10], across[6])]
     pointers = np.cumsum([0, *(len(blocks) for blocks, _ in edges)]).astype(np.int32)
     blocks = np.concatenate([blocks for blocks, _ in edges]).astype(np.int32)
-    place = np.array([at for _, at in edges], dtype=np.int32)
-    slope = np.array([3.0, -2.0, 1.5, 2.5])
+    place = np.array([at for _, at in edges[:4]] + [0] * 3, dtype=np.int32)
+    slope = np.array([3.0, -2.0, 1.5, 2.5, 0.8, 1.2, -0.9])
     fractions = np.array([fraction_twin(X, b, at) for b, at in edges])
-    slip = np.array([0.02, -0.06, 0.3, -0.5])
-    bound = np.array([2.0, 1.0, 0.5, 3.0])
-    table = Slips(pointers, blocks, place, slope, slip - slope * fractions, bound, np.full(4, 0.1))
+    slip = np.array([0.02, -0.06, 0.3, -0.5, 0.01, -0.07, 0.4])
+    bound = np.array([2.0, 1.0, 0.5, 3.0, 1.5, 2.5, 0.7])
+    offset = slip - slope * fractions
+    table = Slips(pointers, blocks, place, slope, offset, bound, np.full(7, 0.1), across)
     return X, edges, table
 
 
@@ -101,7 +111,8 @@ def slip_twin(edges, table, x):
 
 def test_places_on_edges_and_their_gradients():
     X, edges, table = random_slips()
-    fractions, gradients = np.zeros(4), np.ones((len(table.blocks), 3))
+    edges = edges[:4]
+    fractions, gradients = np.zeros(7), np.ones((len(table.blocks), 3))
     x = np.random.default_rng(1).normal(size=X.shape) * 0.1
     edge_fractions(X, x, table.pointers, table.blocks, table.place, fractions, gradients)
     for k, (blocks, at) in enumerate(edges):
@@ -150,14 +161,21 @@ def test_other_forces_for_the_same_nodes():
     X, _, table = random_slips()
     f = TermOnPoints(LateralFriction(table), X)
     energy, g = f.value(0 * X)
-    double = Slips(
-        table.pointers, table.blocks, table.place, table.slope, table.offset,
-        2 * table.bound, table.eps,
-    )  # fmt: skip
-    f.term.renew(double)
+    f.term.renew(replace(table, bound=2 * table.bound))
     twice, g2 = f.value(0 * X)
     assert twice == pytest.approx(2 * energy, rel=1e-15)
     np.testing.assert_allclose(g2, 2 * g, rtol=1e-15)
+
+
+def test_shifts_count_from_where_their_blocks_are():
+    """Which tied vertices follow: their slip does not depend on it."""
+    X, _, table = random_slips()
+    x = 0.01 * np.random.default_rng(2).normal(size=X.shape)
+    far = X.copy()
+    far[9:] += 7.0
+    found = [TermOnPoints(LateralFriction(table), places).value(x) for places in (X, far)]
+    assert found[0][0] == found[1][0]
+    np.testing.assert_array_equal(found[0][1], found[1][1])
 
 
 def straight_edge(slip, bound=2.0, eps=0.1):
@@ -166,7 +184,7 @@ def straight_edge(slip, bound=2.0, eps=0.1):
     table = Slips(
         np.array([0, 3], dtype=np.int32), np.arange(3, dtype=np.int32),
         np.array([1], dtype=np.int32), np.array([2.0]), np.array([slip - 0.8]),
-        np.array([bound]), np.array([eps]),
+        np.array([bound]), np.array([eps]), np.zeros((1, 3)),
     )  # fmt: skip
     along = np.zeros((3, 3))
     along[1, 0] = 1.0

@@ -71,7 +71,8 @@ class _ShortEdges:
     """Short edges between near vertices, one of each active, the shortest first."""
 
     def __init__(self, mesh: CutMesh, lines: _LineEnds, near: Booleans, active: Booleans) -> None:
-        self.x, self.size, self.lines = mesh.points, mesh.size, lines
+        self.x, self.size, self.features = mesh.points, mesh.size, mesh.features
+        self.lines = lines
         sides = _sides(mesh.cells[around(mesh.cells, active)])
         p, q = sides.T
         sides = sides[near[p] & near[q] & (active[p] | active[q])]
@@ -116,7 +117,9 @@ class _ShortEdges:
         a, b = self.lines.ends[v].T
         fits, lined = ~self.lines.on[v], np.flatnonzero((a == r) | (b == r))
         own, a, b = v[lined], a[lined], b[lined]
-        fits[lined] = (self._bends(own, a, b) <= ASIDE * self.size[own]) & ~self._joined(a, b)
+        beside = zip(ints(a), ints(b), strict=True)
+        joined = np.array([q in self.features.beside[p] for p, q in beside], dtype=bool)
+        fits[lined] = (self._bends(own, a, b) <= ASIDE * self.size[own]) & ~joined
         tested = np.flatnonzero(fits)
         fits[tested] = self._keeps_shapes(v[tested], r[tested])
         tested = np.flatnonzero(fits)
