@@ -49,7 +49,7 @@ class MembraneLoad:
     factor: float = 0.0  # load factor, changed by load steps
     # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
+    # (m, 3) force per stress-free area of this rank's cells, of a fixed direction on areas
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
     at_vertices: bool = False  # whether its forces act on vertices, not on areas
 
@@ -66,7 +66,8 @@ class MembraneLoad:
         return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
 
     def on_stress_free_areas(self, membrane: Membrane) -> MembraneLoad:
-        """The load with forces of the present stress-free areas; unchanged if it is of others."""
+        """The load with forces of the present stress-free areas; unchanged if it acts on lines and
+        vertices, or along the normals."""
         if self.material is None:
             return self
         loads = membrane.cell_areas[:, None] * self.material
@@ -132,10 +133,7 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    load = shape.load(name, loads)
-    if per != "material":
-        return load
-    return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
+    return replace(shape.load(name, loads), material=loads / membrane.cell_areas[:, None])
 
 
 def wind_load(

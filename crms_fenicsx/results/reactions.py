@@ -12,7 +12,6 @@ from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.energy.minimization.initial_hessian import stiffen_across_sliders
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
@@ -228,11 +227,18 @@ def nodal_forces(system: System) -> Array:
     _leave_ends_to_anchors(system, g)
     _hand_on_edge_sliders(system, g)
     g[unknowns.shifts] = 0.0  # forces on stress-free places are no forces in space
+    following = _held_on_rows(system)  # these would pass their forces on to their places
+    at_supports = g[following]
+    g[following] = 0.0
     unknowns.gather_forces(vector, g)
+    forces = g[: unknowns.n_owned].copy()
+    if unknowns.n_shifts:
+        g[:] = 0.0
+        g[following] = at_supports
+        unknowns.add_ghosts(vector)
+        forces += g[: unknowns.n_owned]
     vector.destroy()
-    if system.cables is not None:
-        _leave_shifted_to_supports(system.cables.numbering, g)
-    return g[: unknowns.n_owned]
+    return forces
 
 
 def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
@@ -291,12 +297,13 @@ def _hand_on_edge_sliders(system: System, g: Array) -> None:
         g[blocks] = 0.0
 
 
-def _leave_shifted_to_supports(numbering: CableNumbering, g: Array) -> None:
-    """Move the forces on held vertices that follow their stress-free places back to them."""
-    own = np.flatnonzero(numbering.owners[numbering.n_nodes :] == numbering.rank)
-    own = own[numbering.shifts.held[own]]
-    shifts = numbering.shift_blocks[own]
-    g[numbering.shifted_blocks[own]], g[shifts] = g[shifts].copy(), 0.0
+def _held_on_rows(system: System) -> Indices:
+    """Local blocks of the held vertices that follow their stress-free places."""
+    if system.cables is None:
+        return np.zeros(0, dtype=np.int32)
+    numbering = system.cables.numbering
+    here = (numbering.shift_blocks >= 0) & numbering.shifts.held
+    return np.asarray(numbering.shifted_blocks[here])
 
 
 @dataclass(frozen=True)
@@ -313,9 +320,9 @@ class Residual:
     vector
         On all unknowns (force), zero for held ones. Each rank stores the membrane's vertices first,
         in the order of the owned degrees of freedom of `Scene.V`, then cable points and shifts of
-        the stress-free places of vertices of lines that slide (for a held vertex with the forces
-        on it); the first rank stores joints last. Without cables and joints it is a vector of
-        `Scene.V`.
+        the stress-free places of vertices of lines that slide (where a held vertex follows its
+        place, with the forces on it); the first rank stores joints last. Without cables and joints
+        it is a vector of `Scene.V`.
     """
 
     membrane: fem.Function

@@ -57,9 +57,7 @@ def oblique(comm: MPI.Intracomm, k: int) -> tuple[Solver, list[LaidCable]]:
     return Solver(scene, rtol=1e-10), cables
 
 
-def in_units(
-    mesh: MembraneMesh, length: float, force: float
-) -> tuple[Solver, LaidCable, float]:
+def in_units(mesh: MembraneMesh, length: float, force: float) -> tuple[Solver, LaidCable, float]:
     """The cable on "A" of a mesh in a unit of which `length` are a cm, `force` a kgf; its solver
     and the pressure."""
     area = force / length**2

@@ -60,12 +60,9 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            shift = system.largest_shift()
-            if shift > NEAR:
+            if system.largest_shift() > NEAR:
                 return True
-            near = residual <= TOL.path_residual * scale
-            near &= self.sliding is None or shift <= SETTLED  # states of other paths are compared
-            if not near or (changes and not self._may_join_paths()):
+            if not self._may_look(residual, scale) or (changes and not self._may_join_paths()):
                 return bool(changes)
             ends = look is not None and look(bool(changes))
             if ends:  # new paths are solved together with new contacts
@@ -110,6 +107,12 @@ class ContactLoop:
             if active.cycling_cable():
                 reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
+
+    def _may_look(self, residual: float, scale: float) -> bool:
+        """Whether a state is near equilibrium; with its rows at rest where it is compared with
+        those on other paths. Collective."""
+        rests = self.sliding is None or self.system.largest_shift() <= SETTLED
+        return rests and residual <= TOL.path_residual * scale
 
     def _may_join_paths(self) -> bool:
         """Whether paths may change together with contacts: where cables only lift off, so that the

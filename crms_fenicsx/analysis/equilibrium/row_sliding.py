@@ -13,7 +13,7 @@ from crms_fenicsx.cabling.cables.row_shifts import NEAR, fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
 
@@ -54,17 +54,32 @@ class RowSliding:
         if way > NEAR:
             motion = self._renewed()
             X, x = motion.move(X, x)
-            (ratio, place, near), _ = motion.quality(X)
-            if ratio <= 0.0:
-                names = ", ".join(self._rows[k].name for k in near[:2]) or "the cables"
-                self.collapse = (
-                    f"{names} would slide so far that cells near {as_text(place)} collapse; lay "
-                    "them nearer to where they come to rest, or hold the lines with slide=False"
-                )
+            ratio, why = self._narrowest(motion, X)
+            self.collapse = why if ratio <= 0.0 else ""
         place_stress_free(self.scene, X)
-        membrane.u.x.array[:] = (x - X).ravel()
+        u = membrane.u.x.array.reshape(-1, 3)
+        stays = membrane.held & ~here[:, None]  # displaced as prescribed, wherever it is
+        u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
+
+    def narrowed(self) -> str:
+        """Words on cells that have lost more than half of their areas, for a solve that has failed
+        since; "" if none have. Collective."""
+        if self._motion is None:
+            return ""
+        ratio, why = self._narrowest(self._motion, self.scene.membrane.stress_free)
+        return f"; {why}" if ratio < 0.5 else ""
+
+    def _narrowest(self, motion: MeshMotion, X: Array) -> tuple[float, str]:
+        """The smallest ratio of a cell's area to its first one, and words on its collapse.
+        Collective."""
+        (ratio, place, near), _ = motion.quality(X)
+        names = ", ".join(self._rows[k].name for k in near[:2]) or "the cables"
+        return ratio, (
+            f"{names} would slide so far that cells near {as_text(place)} collapse; lay them "
+            "nearer to where they come to rest, or hold the lines with slide=False"
+        )
 
     def _here(self, shifts: ShiftContribution) -> Booleans:
         """Whether each local vertex shifts, (n,)."""

@@ -20,7 +20,8 @@ from crms_fenicsx.model.cable import HOLDS
 
 
 class ShiftContribution(Contribution):
-    """Strain energy of the cells with a corner that shifts, which that of the plain cells excludes.
+    """Strain energy of the cells with a corner that shifts, which that of the plain cells excludes,
+    and what their loads per stress-free area change by the shifts.
 
     Attributes: `energy`: the term; `numbering`: blocks of the shifts.
     """

@@ -281,6 +281,8 @@ class System:
                 raise error.__cause__ from None
             raise
         self._solved = outcome.converged
+        if not outcome.converged and self._rows is not None:
+            outcome = replace(outcome, reason=outcome.reason + self._rows.narrowed())
         far = outcome.converged and self._moved(start) > FAR * self.scene.membrane.size
         return replace(outcome, nonconvex=far and not is_convex_from(self.potential, start))
 

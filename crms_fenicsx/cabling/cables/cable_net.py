@@ -267,7 +267,7 @@ def _refuse_two_grips(clamps: Sequence[Clamp]) -> None:
             raise InputError(
                 f"clamp: {other.name!r} and {clamp.name!r} have slip = {other.slip} and "
                 f"{clamp.slip} at one point, {as_text(clamp.place)}, where all cables have the "
-                "same clamp; give both the same slip."
+                "same clamp. Give both the same slip."
             )
 
 

@@ -31,7 +31,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization import outcome as endings
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_bounds
-from crms_fenicsx.energy.minimization.newton import NewtonMethod
+from crms_fenicsx.energy.minimization.newton import STEADY, NewtonMethod
 from crms_fenicsx.energy.minimization.outcome import (
     REASONS,
     SEARCH_FAILED,
@@ -148,6 +148,10 @@ class Minimizer:
             self._g0.copy(G)
             return 0.0 if self._close else self._energy0
         energy = self.potential.objective_gradient(tao, X, G)
+        if self.potential.unknowns.n_shifts and not math.isfinite(energy):
+            # cells collapse: a state as high as the start, from which the search goes a fifth of it
+            self._g0.copy(G)
+            return abs(self._energy0) * STEADY + (0.0 if self._close else self._energy0)
         if not self._close:
             return energy
         X.copy(self._step)
@@ -220,6 +224,8 @@ class Minimizer:
             ended = SEARCH_FAILED
         if self._error is not None:
             raise self._error
+        far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
+        self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
         return ended
 
     def reset_h0(self) -> None:
@@ -326,8 +332,6 @@ class Minimizer:
             potential.place(self._x)
             reason = "too many stages" if ended >= 0 else REASONS.get(ended, f"TAO reason {ended}")
             self._h0_is_outdated |= ended < 0
-            far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
-            self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)

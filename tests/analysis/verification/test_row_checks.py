@@ -24,6 +24,7 @@ def unloaded(solver: Solver) -> Array:
     return np.zeros((solver.system.unknowns.n_local, 3))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("rigid", [True, False], ids=["rigid", "free"])
 def test_sideways_forces_balance_unless_a_place_is_shifted(
     comm: MPI.Intracomm, rigid: bool
@@ -50,6 +51,7 @@ def test_sideways_forces_balance_unless_a_place_is_shifted(
     assert row_checks(solver.system, unloaded(solver), moved)[cable]["sideways balance"] > 3e-3
 
 
+@pytest.mark.ranks
 def test_forces_on_places_are_derivatives_of_the_energy(comm: MPI.Intracomm) -> None:
     """To 1e-6 of the largest, by central differences, also along the row, where they do not
     vanish."""
@@ -79,6 +81,7 @@ def test_forces_on_places_are_derivatives_of_the_energy(comm: MPI.Intracomm) -> 
     assert np.abs(found).max() > 0.01
 
 
+@pytest.mark.ranks
 def test_supports_of_a_rigid_sheet_take_the_contact_forces(comm: MPI.Intracomm) -> None:
     """At each vertex to 1e-9 of the tension; with pressure the sum balances it, to 1e-9 as well."""
     scene, cable = bent_row(comm, rigid=True)
@@ -99,6 +102,7 @@ def test_supports_of_a_rigid_sheet_take_the_contact_forces(comm: MPI.Intracomm) 
     assert foundations(solver.system).unbalanced < 1e-9
 
 
+@pytest.mark.ranks
 def test_sensitivities_follow_lines_that_slide(comm: MPI.Intracomm) -> None:
     """Derivatives of tensions of a small net agree with differences of load steps, to 1e-4, with
     none of them one-sided."""

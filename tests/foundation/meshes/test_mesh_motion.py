@@ -181,7 +181,7 @@ def test_affine_deformations_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
 
 
 def test_a_rigid_cap_stays_rigid(comm: MPI.Intracomm) -> None:
-    """The mesh moves on the sphere, off it by a fiftieth of the rise of its longest edges at most."""
+    """The mesh moves on the sphere, off it by a fiftieth of the rise of its longest edges."""
     sheet = Sheet(cap(comm))
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])[:, [1, 2, 0]]
