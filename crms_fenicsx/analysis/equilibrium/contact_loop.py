@@ -11,10 +11,10 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, SETTLED
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED
 from crms_fenicsx.cabling.contact.active_set import ActiveSet
 from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
 from crms_fenicsx.energy.minimization.outcome import Outcome

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
-from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
+from crms_fenicsx.cabling.cables.row_shifts import NEAR, fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.meshes.triangles import norm
@@ -18,13 +18,6 @@ from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
-
-NEAR = 0.02
-"""Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
-of the solve then has one energy, and converges."""
-
-SETTLED = 1e-6
-"""The same below which the rows have come to rest."""
 
 
 class RowSliding:

@@ -24,6 +24,13 @@ from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 
+NEAR = 0.02
+"""Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
+of the solve then has one energy, and converges."""
+
+SETTLED = 1e-6
+"""The same below which the rows have come to rest."""
+
 
 @dataclass(frozen=True)
 class RowShifts:
