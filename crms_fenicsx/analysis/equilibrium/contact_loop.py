@@ -11,7 +11,8 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from crms_fenicsx.analysis.equilibrium.row_sliding import NEAR, SETTLED
+from crms_fenicsx.analysis.equilibrium.row_sliding import SETTLED
+from crms_fenicsx.analysis.equilibrium.shift_contribution import NEAR
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
@@ -50,10 +51,10 @@ class ContactLoop:
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
-        looked, way = False, 0.0
+        looked, way, ended = False, 0.0, False
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
-            nonlocal changes, looked
+            nonlocal changes, looked, ended
             if looked:
                 return False
             system.write_scene()
@@ -64,11 +65,11 @@ class ContactLoop:
                 return True
             if residual > TOL.path_residual * scale or (changes and not self._may_join_paths()):
                 return bool(changes)
-            ends = look is not None and look(bool(changes))
-            if ends:  # new paths are solved together with new contacts
+            ended = look is not None and look(bool(changes))
+            if ended:  # new paths are solved together with new contacts
                 changes = []
             looked = not changes
-            return ends or bool(changes)
+            return ended or bool(changes)
 
         while True:
             if changes:
@@ -91,7 +92,7 @@ class ContactLoop:
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            elif not changes:
+            elif not changes and not ended:  # the mesh is to follow
                 system.write_scene()
             way = system.follow_rows()
             if system.collapse:

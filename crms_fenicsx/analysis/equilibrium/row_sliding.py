@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 
-from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
+from crms_fenicsx.analysis.equilibrium.shift_contribution import NEAR, ShiftContribution
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
 from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
@@ -18,12 +18,8 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
 
-NEAR = 0.02
-"""Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
-of the solve then has one energy, and converges."""
-
 SETTLED = 1e-6
-"""The same below which the rows have come to rest."""
+"""Shift, relative to the cell size, below which the rows have come to rest."""
 
 
 class RowSliding:

@@ -3,6 +3,8 @@ stress-free mesh that follows."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from mpi4py import MPI
 
@@ -15,6 +17,10 @@ from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMemb
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array
+
+NEAR = 0.02
+"""Shift, relative to the cell size, below which the mesh around the rows stays as it is, and turn
+of the directions below which these do: the rest of the solve then has one energy, and converges."""
 
 
 class ShiftContribution(Contribution):
@@ -45,11 +51,16 @@ class ShiftContribution(Contribution):
         membrane.energy.plain.x.array[cells] = 0.0
 
     def renew(self, unknowns: Unknowns) -> None:
-        """Start from the membrane's present stress-free places. Collective."""
+        """Start from the membrane's present stress-free places. Directions that have hardly turned
+        stay: renewed each time they would let the rows settle much more slowly. Collective."""
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
-        numbering.shifts = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        rows = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
+        before = numbering.shifts.projectors
+        if np.abs(rows.projectors - before).max() < NEAR:
+            rows = replace(rows, projectors=before)
+        numbering.shifts = rows
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
-from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.meshes.triangles import altitudes, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -32,7 +32,7 @@ class RowShifts:
     vertices: Integers  # (m,) ids
     projectors: Array  # (m, 3, 3) onto the directions in which they shift
     held: Booleans  # (m,) whether the membrane is held there, and moves with its stress-free place
-    sizes: Array  # (m,) cell sizes around (length)
+    sizes: Array  # (m,) least altitudes of the cells around, on which they collapse (length)
 
     @classmethod
     def none(cls) -> RowShifts:
@@ -88,9 +88,10 @@ class RowShifts:
         if not free.any():
             return cls.none()
         some = on[first[free]]
-        _, sizes = shape.around(nodes.on(strip.simplices)[some])
+        sizes, cells = np.full(len(strip.vertices), np.inf), strip.simplices.cells[strip.owner != NOBODY]
+        np.minimum.at(sizes, cells, altitudes(shape.stress_free[cells])[:, None])
         chosen = ids[free]
-        return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
+        return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes[chosen])
 
 
 def _normals(shape: StripShape) -> Array:

@@ -31,7 +31,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energy.minimization import outcome as endings
 from crms_fenicsx.energy.minimization.initial_hessian import InitialHessian, at_bounds
-from crms_fenicsx.energy.minimization.newton import NewtonMethod
+from crms_fenicsx.energy.minimization.newton import STEADY, NewtonMethod
 from crms_fenicsx.energy.minimization.outcome import (
     REASONS,
     SEARCH_FAILED,
@@ -148,6 +148,10 @@ class Minimizer:
             self._g0.copy(G)
             return 0.0 if self._close else self._energy0
         energy = self.potential.objective_gradient(tao, X, G)
+        if self.potential.unknowns.n_shifts and not math.isfinite(energy):
+            # cells collapse: a state as high as the start, from which the search goes a fifth as far
+            self._g0.copy(G)
+            return abs(self._energy0) * STEADY + (0.0 if self._close else self._energy0)
         if not self._close:
             return energy
         X.copy(self._step)
