@@ -55,6 +55,9 @@ class ContactLoop:
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked, ended
+            if residual <= TOL.path_residual * scale and system.largest_shift() > NEAR:
+                system.write_scene()  # the mesh is to follow
+                return True
             if looked:
                 return False
             system.write_scene()
@@ -86,6 +89,7 @@ class ContactLoop:
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane is stressed now
+            begins = total is None
             total = outcome if total is None else total + outcome
             if not outcome.converged:
                 return total
@@ -94,7 +98,7 @@ class ContactLoop:
                 changes = self._changes()
             elif not changes and not ended:  # the mesh is to follow
                 system.write_scene()
-            way = system.follow_rows()
+            way = system.follow_rows(begins)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             if not changes and 0.0 < way <= SETTLED:

@@ -195,15 +195,17 @@ class System:
         Collective."""
         return 0.0 if self.shifts is None else self.shifts.largest(self.potential)
 
-    def follow_rows(self) -> float:
+    def follow_rows(self, begins: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
-        `largest_shift`. Collective."""
+        `largest_shift`. `begins`: whether it is the first in a solve. Collective."""
         if self.shifts is None:
             return 0.0
         if self._rows is None:
             from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
 
             self._rows = RowSliding(self.scene)
+        if begins:
+            self._rows.begin()
         return self._rows.follow(self.shifts, self.potential)
 
     @property

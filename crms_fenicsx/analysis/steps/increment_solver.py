@@ -195,11 +195,12 @@ class IncrementSolver:
         """`at_once`: as for `lower_state`; None: states of less energy are not looked for."""
         if self._verifier is not None:
             self._verifier.begin()
-        outcome, verification = self.search.find(h0_prestress), None
+        search, verification = self.search, None
+        outcome = search.find(h0_prestress)
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._iterate_pressure(outcome)
         if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
-            outcome = self._iterate_wind(outcome)
+            outcome = self._iterate_wind(outcome, search)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:
             size = f"{hanging.volume:.3g}"
@@ -265,7 +266,7 @@ class IncrementSolver:
         reason = f"the pressure at free edges still turns after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
-    def _iterate_wind(self, outcome: Outcome) -> Outcome:
+    def _iterate_wind(self, outcome: Outcome, search: EquilibriumSearch) -> Outcome:
         """Solve again until the wind forces match the shape found."""
         scene, comm = self.scene, self.scene.comm
         for _ in range(BUDGET.follower_solves):
@@ -277,7 +278,7 @@ class IncrementSolver:
                 return outcome
             scene.loads.update(loads=turned)
             self._commit()
-            outcome = outcome + self.search.find((0.0,))
+            outcome = outcome + search.find((0.0,))
             if not outcome.converged:
                 return outcome
         reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
