@@ -29,14 +29,17 @@ Look = Callable[[bool], bool]
 
 
 class ContactLoop:
-    """Solves one load step on given paths."""
+    """Solves one load step on given paths.
+
+    Attributes: `once`: whether the mesh follows rows that slide only once.
+    """
 
     def __init__(
         self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: SceneState
     ) -> None:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
-        self._projections = 0
+        self._projections, self.once = 0, False
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -101,9 +104,11 @@ class ContactLoop:
             way = system.follow_rows(begins)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
-            if not changes and 0.0 < way <= SETTLED:
+            system.rows_rest = way <= SETTLED
+            ends = not changes and (self.once or system.rows_rest)
+            if ends and way > 0.0:
                 system.renew_base()
-            if not changes and way <= SETTLED:
+            if ends:
                 if not looked and look is not None:
                     look(False)
                 return total

@@ -109,17 +109,22 @@ class EquilibriumSearch:
         self.system, self.scene, self.tried = system, system.scene, tried
         self._history: ContactHistory = (set(), set())
 
-    def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Find the equilibrium and leave the scene in it. Collective."""
+    def find(self, h0_prestress: tuple[float, ...], once: bool = False) -> Outcome:
+        """Find the equilibrium and leave the scene in it. Collective. `once`: the mesh follows rows
+        that slide once, as the loads are to turn before the next search; see `rows_rest`."""
         self._begin_friction()
         self.system.prepare()
+        self.system.rows_rest = True
         if not self.scene.cables:
             self.system.read_scene()
             outcome = self.system.minimize(h0_prestress)
             self.system.write_scene()
             return outcome
         contacts, friction = self._loops(self.scene.state)
-        outcome = self._unsmoothed(friction.solve(h0_prestress), contacts)
+        contacts.once = once
+        outcome = friction.solve(h0_prestress)
+        if self.system.rows_rest:
+            outcome = self._unsmoothed(outcome, contacts)
         if self.tried is not None:
             self.tried.end_step(self.scene.cables)
         return outcome

@@ -57,6 +57,7 @@ class System:
     Attributes: `parts`: contributions of the scene's features, in the order of their terms;
     `membrane`, `pressure`, `cables`, `folds`, `friction`, `bars`, `ponds`: some of them, the last
     five None if absent; `unknowns`, `potential`: the layout, and the sum of the terms over it;
+    `rows_rest`: whether rows that slide had come to rest in the last solve;
     `objective`: minimum of the last solve, with friction more than the scene's energy (force x
     length).
     """
@@ -77,6 +78,7 @@ class System:
         self.potential: Potential
         self.minimizer: Minimizer | None = None
         self._rows: RowSliding | None = None
+        self.rows_rest = True
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""

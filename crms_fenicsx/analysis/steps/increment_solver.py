@@ -196,10 +196,11 @@ class IncrementSolver:
         if self._verifier is not None:
             self._verifier.begin()
         search, verification = self.search, None
-        outcome = search.find(h0_prestress)
+        windy = any(load.is_active_wind for load in self.scene.loads)
+        outcome = search.find(h0_prestress, once=windy)
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._iterate_pressure(outcome)
-        if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
+        if outcome.converged and windy:
             outcome = self._iterate_wind(outcome, search)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:
@@ -267,18 +268,18 @@ class IncrementSolver:
         return replace(outcome, converged=False, reason=reason)
 
     def _iterate_wind(self, outcome: Outcome, search: EquilibriumSearch) -> Outcome:
-        """Solve again until the wind forces match the shape found."""
+        """Solve again until the wind forces match the shape found, and rows that slide rest."""
         scene, comm = self.scene, self.scene.comm
         for _ in range(BUDGET.follower_solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
             size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
-            if size <= self._options.rtol * outcome.scale:
+            if size <= self._options.rtol * outcome.scale and self.system.rows_rest:
                 return outcome
             scene.loads.update(loads=turned)
             self._commit()
-            outcome = outcome + search.find((0.0,))
+            outcome = outcome + search.find((0.0,), once=True)
             if not outcome.converged:
                 return outcome
         reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
