@@ -270,7 +270,9 @@ class IncrementSolver:
     def _iterate_wind(self, outcome: Outcome, search: EquilibriumSearch) -> Outcome:
         """Solve again until the wind forces match the shape found, and rows that slide rest."""
         scene, comm = self.scene, self.scene.comm
-        for _ in range(BUDGET.follower_solves):
+        rows = self.system.shifts is not None  # each solve moves them only once
+        solves = BUDGET.follower_solves + (BUDGET.changes if rows else 0)
+        for _ in range(solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
@@ -282,7 +284,7 @@ class IncrementSolver:
             outcome = outcome + search.find((0.0,), once=True)
             if not outcome.converged:
                 return outcome
-        reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
+        reason = f"the wind still turns with the membrane after {solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def _commit(self) -> None:
