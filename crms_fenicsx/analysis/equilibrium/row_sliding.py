@@ -10,11 +10,11 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import NEAR, ShiftContribution
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
-from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
+from crms_fenicsx.cabling.cables.row_shifts import RowShifts, fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BUDGET
@@ -59,12 +59,12 @@ class RowSliding:
         here = self._here(shifts)
         at = np.searchsorted(rows.vertices, membrane.vertex_ids[here])
         X[here] += ways[at]
-        aside, X, x = self._below_spans(X, x)
+        aside, X, x = self._below_spans(rows, X, x)
         way = max(way, aside)
         if way == 0.0:
             return 0.0
         if way > NEAR:
-            motion = self._renewed()
+            motion = self._renewed(rows.vertices)
             X, x = motion.move(X, x)
             (ratio, place, near), _ = motion.quality(X)
             if ratio <= 0.0:
@@ -78,14 +78,14 @@ class RowSliding:
         logger.debug("rows slide by %.3g cells", way)
         return way
 
-    def _below_spans(self, X: Array, x: Array) -> tuple[float, Array, Array]:
+    def _below_spans(self, rows: RowShifts, X: Array, x: Array) -> tuple[float, Array, Array]:
         """Move vertices of rows that lie beside the spans above them, a few times in a solve;
         return the largest way relative to the cell size, 0 if all are small, and the places.
         Collective."""
         spans = [span for cable in self.scene.cables for span in _spans(cable)]
         if not spans or self._aside == BUDGET.changes:
             return 0.0, X, x
-        motion = self._renewed()
+        motion = self._renewed(rows.vertices)
         found = motion.under(X, x, spans)
         way = float((norm(found[0] - X) / motion.size).max(initial=0.0))
         way = float(self.scene.comm.allreduce(way, op=MPI.MAX))
@@ -98,8 +98,9 @@ class RowSliding:
         """Whether each local vertex shifts, (n,)."""
         return np.isin(self.scene.membrane.vertex_ids, shifts.numbering.shifts.vertices)
 
-    def _renewed(self) -> MeshMotion:
-        """The motion of the mesh with the present rows. Collective."""
+    def _renewed(self, shifting: Integers) -> MeshMotion:
+        """The motion of the mesh with the present rows, of which the vertices `shifting` (m,) slide
+        now; at their ends along the rim. Collective."""
         scene, membrane = self.scene, self.scene.membrane
         rows = tuple(cable for cable in scene.cables if cable.state.laid.line is not None)
         if self._motion is None or rows != self._rows:
@@ -109,9 +110,10 @@ class RowSliding:
                 np.array([k.support[0] for k in row.state.nodes if k.kind == "vertex"])
                 for row in rows
             ]
-            fixed = fixed_vertices(membrane)
-            none = np.zeros(0, dtype=np.int64)
-            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, none)
+            ends = np.array([v for row in vertices for v in row[[0, -1]]], dtype=np.int64)
+            sliding = ends[np.isin(ends, shifting)]
+            fixed = fixed_vertices(membrane) & ~np.isin(membrane.vertex_ids, sliding)
+            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, sliding)
         return self._motion
 
 

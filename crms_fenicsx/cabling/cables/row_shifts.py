@@ -14,14 +14,21 @@ import numpy as np
 from dolfinx import la
 from mpi4py import MPI
 
-from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
+from crms_fenicsx.cabling.cables.points_on_edges import (
+    ANCHOR,
+    FOLD,
+    VERTEX,
+    NodeTable,
+    positions_of,
+)
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
-from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
+from crms_fenicsx.foundation.meshes.smooth_surface import CREASE, SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import altitudes, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 
 @dataclass(frozen=True)
@@ -67,8 +74,12 @@ class RowShifts:
         tangents = _tangents(nodes, shape, on)
         count = np.bincount(of, own)
         free = (count > 0) & ~fixed[ids] & np.any(normals[ids] != 0.0, axis=1)
+        beyond = on[own & _passes_the_rim(nodes, positions_of(cables))[on]]
+        rim = _rim_tangents(nodes, shape, beyond, held)
+        ends = np.any(rim[ids] != 0.0, axis=1) & (count == 1) & (np.bincount(of) == 1) & ~fixed[ids]
         free &= np.bincount(of, ~inner[on]) == 0
         bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
+        free |= ends
         free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
         pockets = np.bincount(of, ~own)
         free &= pockets < 2
@@ -82,13 +93,17 @@ class RowShifts:
             (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
             np.cross(n, one),
         )  # fmt: skip
+        along[ends] = rim[ids[ends]]
         single = free & ((count == 1) | (pockets == 1))
         d = along[single] / norm(along[single])[:, None]
         projectors[single] = d[:, :, None] * d[:, None, :]
         if not free.any():
             return cls.none()
         some = on[first[free]]
-        sizes, cells = np.full(len(strip.vertices), np.inf), strip.simplices.cells[strip.owner != NOBODY]
+        sizes, cells = (
+            np.full(len(strip.vertices), np.inf),
+            strip.simplices.cells[strip.owner != NOBODY],
+        )
         np.minimum.at(sizes, cells, altitudes(shape.stress_free[cells])[:, None])
         chosen = ids[free]
         return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes[chosen])
@@ -110,6 +125,36 @@ def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
     size = len(shape.strip.vertices)
     places = [shape.stress_free[np.minimum(k, size - 1)] for k in rows]
     return np.asarray(places[1] - places[0])
+
+
+def _passes_the_rim(nodes: NodeTable, positions: Array) -> Booleans:
+    """Nodes (n,) at vertices from which a row goes on to an anchor elsewhere."""
+    last = len(nodes.kind) - 1
+    found = np.zeros(len(nodes.kind), dtype=bool)
+    for k, j in ((nodes.starts[:-1], 1), (nodes.starts[1:] - 1, -1)):
+        beside = np.clip(k + j, 0, last)
+        away = norm(positions[beside] - positions[k])
+        near = norm(positions[np.clip(k + 2 * j, 0, last)] - positions[beside])
+        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_PLACE * near)
+    return found & (nodes.kind == VERTEX)
+
+
+def _rim_tangents(nodes: NodeTable, shape: StripShape, on: Integers, held: Booleans) -> Array:
+    """Tangents (n, 3) of the rim at the strip's vertices where it is held and a cable passes on to
+    an anchor beyond, which slides along it; zero elsewhere, and at corners. `on`: rows of nodes at
+    which rows end."""
+    strip, X = shape.strip, shape.stress_free
+    found = np.zeros((len(strip.vertices), 3))
+    for v in np.unique(np.searchsorted(strip.vertices, nodes.support[on, 0])):
+        around = strip.simplices.cells[(strip.simplices.cells == v).any(axis=1)]
+        others, counts = np.unique(around[around != v], return_counts=True)
+        beside = others[counts == 1]
+        if not held[v] or len(beside) != 2:
+            continue
+        a, b = X[v] - X[beside[0]], X[beside[1]] - X[v]
+        if a @ b >= CREASE * norm(a) * norm(b):
+            found[v] = a + b
+    return found
 
 
 def _held_and_fixed(

@@ -69,8 +69,8 @@ class Potential:
         if X is not None:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
-        self.unknowns.place_tied_points(self.x)
         self.unknowns.project(self.x)
+        self.unknowns.place_tied_points(self.x)  # also to sliders
         self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self, vertices: bool = True) -> None:
