@@ -28,14 +28,17 @@ Look = Callable[[bool], bool]
 
 
 class ContactLoop:
-    """Solves one load step on given paths."""
+    """Solves one load step on given paths.
+
+    Attributes: `once`: whether the mesh follows rows that slide only once.
+    """
 
     def __init__(
         self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: SceneState
     ) -> None:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
-        self._projections = 0
+        self._projections, self.once = 0, False
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -50,10 +53,13 @@ class ContactLoop:
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
-        looked, ends, way = False, False, 0.0
+        looked, ended, way = False, False, 0.0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
-            nonlocal changes, looked, ends
+            nonlocal changes, looked, ended
+            if residual <= TOL.path_residual * scale and system.largest_shift() > NEAR:
+                system.write_scene()  # the mesh is to follow
+                return True
             if looked:
                 return False
             system.write_scene()
@@ -64,11 +70,11 @@ class ContactLoop:
                 return True
             if not self._may_look(residual, scale) or (changes and not self._may_join_paths()):
                 return bool(changes)
-            ends = look is not None and look(bool(changes))
-            if ends:  # new paths are solved together with new contacts
+            ended = look is not None and look(bool(changes))
+            if ended:  # new paths are solved together with new contacts
                 changes = []
             looked = not changes
-            return ends or bool(changes)
+            return ended or bool(changes)
 
         while True:
             if changes:
@@ -86,19 +92,22 @@ class ContactLoop:
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane is stressed now
+            begins = total is None
             total = outcome if total is None else total + outcome
-            if not outcome.converged or (ends and self.sliding is not None):
+            if not outcome.converged or (ended and self.sliding is not None):
                 return total
             if outcome.reason != "interrupted":
                 system.write_scene()
                 changes = self._changes()
-            elif not changes and not looked:  # a look may have changed paths
+            elif not changes and not looked and not ended:  # a look may have changed paths
                 system.write_scene()
-            way = system.follow_rows()
+            way = system.follow_rows(begins)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
+            system.rows_rest = way <= SETTLED
             # friction is updated from places also near equilibrium, where a look ends a solve
-            if not changes and way <= (NEAR if outcome.reason == "interrupted" else SETTLED):
+            rests = way <= (NEAR if outcome.reason == "interrupted" else SETTLED)
+            if not changes and (self.once or rests):
                 if way > 0.0:
                     system.renew_base()
                 if not looked and look is not None:

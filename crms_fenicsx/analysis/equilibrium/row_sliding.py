@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import logging
+from itertools import pairwise
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
-from crms_fenicsx.cabling.cables.row_shifts import NEAR, fixed_vertices
+from crms_fenicsx.cabling.cables.row_shifts import NEAR, RowShifts, fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
+from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BUDGET
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -31,6 +33,8 @@ class RowSliding:
         self._motion: MeshMotion | None = None
         self._rows: tuple[LaidCable, ...] = ()
         self._fixed: Booleans = np.zeros(0, dtype=bool)
+        self._sliding: Integers = np.zeros(0, dtype=np.int64)
+        self._aside = 0  # times that vertices have moved under spans in this solve
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -38,21 +42,28 @@ class RowSliding:
             self._motion.destroy()
         self._motion = None
 
+    def begin(self) -> None:
+        """Begin a solve."""
+        self._aside = 0
+
     def follow(self, shifts: ShiftContribution, potential: Potential) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
-        unless all are small; return the largest, relative to the cell size. Collective."""
+        unless all are small; return the largest, relative to the cell size. Vertices below spans
+        move under these. Collective."""
         self.collapse = ""
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
         ways = shifts.shifts(potential)
         way = float((norm(ways) / rows.sizes).max(initial=0.0))
-        if way == 0.0:
-            return 0.0
         X, x = membrane.stress_free.copy(), membrane.positions()
         here = self._here(shifts)
         at = np.searchsorted(rows.vertices, membrane.vertex_ids[here])
         X[here] += ways[at]
+        aside, X, x = self._below_spans(rows, X, x)
+        way = max(way, aside)
+        if way == 0.0:
+            return 0.0
         if way > NEAR:
-            motion = self._renewed()
+            motion = self._renewed(rows.vertices)
             X, x = motion.move(X, x)
             ratio, why = self._narrowest(motion, X)
             self.collapse = why if ratio <= 0.0 else ""
@@ -81,23 +92,56 @@ class RowSliding:
             "nearer to where they come to rest, or hold the lines with slide=False"
         )
 
+    def _below_spans(self, rows: RowShifts, X: Array, x: Array) -> tuple[float, Array, Array]:
+        """Move vertices of rows that lie beside the spans above them, a few times in a solve;
+        return the largest way relative to the cell size, 0 if all are small, and the places.
+        Collective."""
+        spans = [span for cable in self.scene.cables for span in _spans(cable)]
+        if not spans or self._aside == BUDGET.changes:
+            return 0.0, X, x
+        motion = self._renewed(rows.vertices)
+        found = motion.under(X, x, spans)
+        way = float((norm(found[0] - X) / motion.size).max(initial=0.0))
+        way = float(self.scene.comm.allreduce(way, op=MPI.MAX))
+        if way <= NEAR:
+            return 0.0, X, x
+        self._aside += 1
+        return way, *found
+
     def _here(self, shifts: ShiftContribution) -> Booleans:
         """Whether each local vertex shifts, (n,)."""
         return np.isin(self.scene.membrane.vertex_ids, shifts.numbering.shifts.vertices)
 
-    def _renewed(self) -> MeshMotion:
-        """The motion of the mesh with the present rows. Collective."""
+    def _renewed(self, shifting: Integers) -> MeshMotion:
+        """The motion of the mesh with the present rows, of which the vertices `shifting` (m,) slide
+        now; at their ends along the rim. Collective."""
         scene, membrane = self.scene, self.scene.membrane
         rows = tuple(cable for cable in scene.cables if cable.state.laid.line is not None)
+        vertices = [
+            np.array([k.support[0] for k in row.state.nodes if k.kind == "vertex"]) for row in rows
+        ]
+        ends = np.array([v for row in vertices for v in row[[0, -1]]], dtype=np.int64)
+        sliding = ends[np.isin(ends, shifting)]
         fixed = fixed_vertices(membrane, kept_vertices(scene))
+        fixed &= ~np.isin(membrane.vertex_ids, sliding)
         same = rows == self._rows and np.array_equal(fixed, self._fixed)
+        same = same and np.array_equal(sliding, self._sliding)
         if self._motion is None or not scene.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
-            self._rows, self._fixed = rows, fixed
-            vertices = [
-                np.array([k.support[0] for k in row.state.nodes if k.kind == "vertex"])
-                for row in rows
-            ]
-            none = np.zeros(0, dtype=np.int64)
-            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, none)
+            self._rows, self._fixed, self._sliding = rows, fixed, sliding
+            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, sliding)
         return self._motion
+
+
+def _spans(cable: LaidCable) -> list[Span]:
+    """The row vertices under each span of a taut cable along a line, and the span's ends."""
+    state = cable.state
+    if state.laid.line is None or not cable.taut or not state.lifted.any():
+        return []
+    ids = np.array([-1 if k.kind != "vertex" else k.support[0] for k in state.nodes])
+    ends = np.flatnonzero(~state.lifted)
+    return [
+        (below[below >= 0], state.positions[i], state.positions[j])
+        for i, j in pairwise(ints(ends))
+        if (below := ids[i + 1 : j]).max(initial=-1) >= 0
+    ]

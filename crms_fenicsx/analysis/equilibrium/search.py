@@ -26,6 +26,7 @@ from crms_fenicsx.model.tolerances import BUDGET
 
 if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.contact_loop import ContactLoop
+    from crms_fenicsx.cabling.contact.active_set import ContactHistory
     from crms_fenicsx.cabling.friction.passes import AxialIteration, LateralIteration
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
@@ -101,22 +102,29 @@ class FrictionLoop:
 
 class EquilibriumSearch:
     """Finds the equilibrium at a scene's loads, starting from its state; without tried paths on the
-    cables' present ones."""
+    cables' present ones. Repeated searches, at turned loads of one load step, go on with the
+    contacts of rows that slide: these would change back and forth as rows and loads turn."""
 
     def __init__(self, system: System, tried: TriedPaths | None) -> None:
         self.system, self.scene, self.tried = system, system.scene, tried
+        self._history: ContactHistory = (set(), set())
 
-    def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Find the equilibrium and leave the scene in it. Collective."""
+    def find(self, h0_prestress: tuple[float, ...], once: bool = False) -> Outcome:
+        """Find the equilibrium and leave the scene in it. Collective. `once`: the mesh follows rows
+        that slide once, as the loads are to turn before the next search; see `rows_rest`."""
         self._begin_friction()
         self.system.prepare()
+        self.system.rows_rest = True
         if not self.scene.cables:
             self.system.read_scene()
             outcome = self.system.minimize(h0_prestress)
             self.system.write_scene()
             return outcome
         contacts, friction = self._loops(self.scene.state)
-        outcome = self._unsmoothed(friction.solve(h0_prestress), contacts)
+        contacts.once = once
+        outcome = friction.solve(h0_prestress)
+        if self.system.rows_rest:
+            outcome = self._unsmoothed(outcome, contacts)
         if self.tried is not None:
             self.tried.end_step(self.scene.cables)
         return outcome
@@ -132,7 +140,9 @@ class EquilibriumSearch:
         if not self.system.slide:
             refuse_held_clamps(self.scene.net)
         if self.tried is None:
-            contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
+            history = self._history if self.system.shifts is not None else None
+            active = ActiveSet(self.scene.net, None, history)
+            contacts = ContactLoop(self.system, active, None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
         from crms_fenicsx.analysis.equilibrium.path_loop import PathLoop
         from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding

@@ -48,7 +48,8 @@ class ShiftContribution(Contribution):
         membrane.energy.plain.x.array[cells] = 0.0
 
     def renew(self, unknowns: Unknowns) -> None:
-        """Start from the membrane's present stress-free places. Collective."""
+        """Start from the membrane's present stress-free places. Directions that have hardly turned
+        stay: renewed each time they would let the rows settle much more slowly. Collective."""
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)

@@ -57,6 +57,7 @@ class System:
     Attributes: `parts`: contributions of the scene's features, in the order of their terms;
     `membrane`, `pressure`, `cables`, `folds`, `friction`, `bars`, `ponds`: some of them, the last
     five None if absent; `unknowns`, `potential`: the layout, and the sum of the terms over it;
+    `rows_rest`: whether rows that slide had come to rest in the last solve;
     `objective`: minimum of the last solve, with friction more than the scene's energy (force x
     length).
     """
@@ -77,6 +78,7 @@ class System:
         self.potential: Potential
         self.minimizer: Minimizer | None = None
         self._rows: RowSliding | None = None
+        self.rows_rest = True
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
@@ -195,15 +197,17 @@ class System:
         Collective."""
         return 0.0 if self.shifts is None else self.shifts.largest(self.potential)
 
-    def follow_rows(self) -> float:
+    def follow_rows(self, begins: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
-        `largest_shift`. Collective."""
+        `largest_shift`. `begins`: whether it is the first in a solve. Collective."""
         if self.shifts is None:
             return 0.0
         if self._rows is None:
             from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
 
             self._rows = RowSliding(self.scene)
+        if begins:
+            self._rows.begin()
         return self._rows.follow(self.shifts, self.potential)
 
     @property

@@ -195,11 +195,13 @@ class IncrementSolver:
         """`at_once`: as for `lower_state`; None: states of less energy are not looked for."""
         if self._verifier is not None:
             self._verifier.begin()
-        outcome, verification = self.search.find(h0_prestress), None
+        search, verification = self.search, None
+        windy = any(load.is_active_wind for load in self.scene.loads)
+        outcome = search.find(h0_prestress, once=windy)
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._iterate_pressure(outcome)
-        if outcome.converged and any(load.is_active_wind for load in self.scene.loads):
-            outcome = self._iterate_wind(outcome)
+        if outcome.converged and windy:
+            outcome = self._iterate_wind(outcome, search)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:
             size = f"{hanging.volume:.3g}"
@@ -265,22 +267,24 @@ class IncrementSolver:
         reason = f"the pressure at free edges still turns after {BUDGET.follower_solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
-    def _iterate_wind(self, outcome: Outcome) -> Outcome:
-        """Solve again until the wind forces match the shape found."""
+    def _iterate_wind(self, outcome: Outcome, search: EquilibriumSearch) -> Outcome:
+        """Solve again until the wind forces match the shape found, and rows that slide rest."""
         scene, comm = self.scene, self.scene.comm
-        for _ in range(BUDGET.follower_solves):
+        rows = self.system.shifts is not None  # each solve moves them only once
+        solves = BUDGET.follower_solves + (BUDGET.changes if rows else 0)
+        for _ in range(solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = zip(turned, scene.loads, strict=True)
             change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
             size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
-            if size <= self._options.rtol * outcome.scale:
+            if size <= self._options.rtol * outcome.scale and self.system.rows_rest:
                 return outcome
             scene.loads.update(loads=turned)
             self._commit()
-            outcome = outcome + self.search.find((0.0,))
+            outcome = outcome + search.find((0.0,), once=True)
             if not outcome.converged:
                 return outcome
-        reason = f"the wind still turns with the membrane after {BUDGET.follower_solves} solves"
+        reason = f"the wind still turns with the membrane after {solves} solves"
         return replace(outcome, converged=False, reason=reason)
 
     def _commit(self) -> None:

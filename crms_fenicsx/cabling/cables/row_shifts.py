@@ -15,18 +15,25 @@ from dolfinx import la
 from mpi4py import MPI
 
 from crms_fenicsx.cabling.cables.clamping import clamped_nodes
-from crms_fenicsx.cabling.cables.points_on_edges import FOLD, VERTEX, NodeTable
+from crms_fenicsx.cabling.cables.points_on_edges import (
+    ANCHOR,
+    FOLD,
+    VERTEX,
+    NodeTable,
+    positions_of,
+)
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
-from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
-from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.meshes.smooth_surface import CREASE, SmoothSurface
+from crms_fenicsx.foundation.meshes.triangles import altitudes, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 NEAR = 0.02
-"""Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
-of the solve then has one energy, and converges."""
+"""Shift, relative to the cell size, below which the mesh around the rows stays as it is, and turn
+of the directions below which these do: the rest of the solve then has one energy, and converges."""
 
 SETTLED = 1e-6
 """The same below which the rows have come to rest."""
@@ -40,7 +47,7 @@ class RowShifts:
     vertices: Integers  # (m,) ids
     projectors: Array  # (m, 3, 3) onto the directions in which they shift
     held: Booleans  # (m,) whether the membrane is held there, and moves with its stress-free place
-    sizes: Array  # (m,) cell sizes around (length)
+    sizes: Array  # (m,) least altitudes of the cells around, on which they collapse (length)
 
     @classmethod
     def none(cls) -> RowShifts:
@@ -78,9 +85,13 @@ class RowShifts:
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
         tangents, normals = _tangents(nodes, shape, on), _normals(shape, ids)
         count = np.bincount(of, own)
+        beyond = on[own & _passes_the_rim(nodes, positions_of(cables))[on]]
+        rim = _rim_tangents(nodes, shape, beyond, held)[ids]
+        ends = rim.any(axis=1) & (count == 1) & (np.bincount(of) == 1) & ~fixed[ids]
         free = (count > 0) & ~fixed[ids] & normals.any(axis=1)
         free &= np.bincount(of, ~inner[on]) == 0
         bonded = np.array([not HOLDS[cable.hold].along for cable in cables], dtype=bool)
+        free |= ends
         free &= np.bincount(of, bonded[nodes.cable[on]]) == 0
         pockets = np.bincount(of, ~own)
         free &= pockets < 2
@@ -94,6 +105,7 @@ class RowShifts:
             (pockets == 1)[:, None], pocket - np.sum(pocket * n, axis=1)[:, None] * n,
             np.cross(n, one),
         )  # fmt: skip
+        along[ends] = rim[ends]
         # clamped to a slack cable it drags this one along
         joined = np.bincount(of, clamped_nodes(nodes, cables)[on]) > 0
         single = free & ((count == 1) & ~joined | (pockets == 1))
@@ -102,16 +114,22 @@ class RowShifts:
         if not free.any():
             return cls.none()
         some = on[first[free]]
-        _, sizes = shape.around(nodes.on(strip.simplices)[some])
+        sizes, cells = (
+            np.full(len(strip.vertices), np.inf),
+            strip.simplices.cells[strip.owner != NOBODY],
+        )
+        np.minimum.at(sizes, cells, altitudes(shape.stress_free[cells])[:, None])
         chosen = ids[free]
-        return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes)
+        return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes[chosen])
 
     def renewed(self, now: RowShifts) -> RowShifts:
         """The same vertices with the directions and sizes of now, where these shift now: one that
-        has come to lie on a crease keeps its own."""
+        has come to lie on a crease keeps its own, as all do if they hardly turn."""
         _, here, there = np.intersect1d(self.vertices, now.vertices, return_indices=True)
         projectors, sizes = self.projectors.copy(), self.sizes.copy()
-        projectors[here], sizes[here] = now.projectors[there], now.sizes[there]
+        if np.abs(now.projectors[there] - projectors[here]).max(initial=0.0) > NEAR:
+            projectors[here] = now.projectors[there]
+        sizes[here] = now.sizes[there]
         return replace(self, projectors=projectors, sizes=sizes)
 
 
@@ -132,6 +150,36 @@ def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
     size = len(shape.strip.vertices)
     places = [shape.stress_free[np.minimum(k, size - 1)] for k in rows]
     return np.asarray(places[1] - places[0])
+
+
+def _passes_the_rim(nodes: NodeTable, positions: Array) -> Booleans:
+    """Nodes (n,) at vertices from which a row goes on to an anchor elsewhere."""
+    last = len(nodes.kind) - 1
+    found = np.zeros(len(nodes.kind), dtype=bool)
+    for k, j in ((nodes.starts[:-1], 1), (nodes.starts[1:] - 1, -1)):
+        beside = np.clip(k + j, 0, last)
+        away = norm(positions[beside] - positions[k])
+        near = norm(positions[np.clip(k + 2 * j, 0, last)] - positions[beside])
+        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_PLACE * near)
+    return found & (nodes.kind == VERTEX)
+
+
+def _rim_tangents(nodes: NodeTable, shape: StripShape, on: Integers, held: Booleans) -> Array:
+    """Tangents (n, 3) of the rim at the strip's vertices where it is held and a cable passes on to
+    an anchor beyond, which slides along it; zero elsewhere, and at corners. `on`: rows of nodes at
+    which rows end."""
+    strip, X = shape.strip, shape.stress_free
+    found = np.zeros((len(strip.vertices), 3))
+    for v in np.unique(np.searchsorted(strip.vertices, nodes.support[on, 0])):
+        around = strip.simplices.cells[(strip.simplices.cells == v).any(axis=1)]
+        others, counts = np.unique(around[around != v], return_counts=True)
+        beside = others[counts == 1]
+        if not held[v] or len(beside) != 2:
+            continue
+        a, b = X[v] - X[beside[0]], X[beside[1]] - X[v]
+        if a @ b >= CREASE * norm(a) * norm(b):
+            found[v] = a + b
+    return found
 
 
 def _held_and_fixed(

@@ -75,6 +75,9 @@ def joining(
 ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and lower of two crossing cables."""
 
+ContactHistory = tuple[set[ContactKey], set[ContactKey]]
+"""Contacts released, and those that then stay closed however the cable pulls."""
+
 
 class _ContactMemory(Protocol):
     """Contact history of the last load step."""
@@ -93,13 +96,16 @@ class ActiveSet:
     Attributes: `only_lifted`: whether all changes of the last update are cables that lift off.
     """
 
-    def __init__(self, net: CableNet, memory: _ContactMemory | None) -> None:
+    def __init__(
+        self, net: CableNet, memory: _ContactMemory | None, history: ContactHistory | None = None
+    ) -> None:
+        """`history`: of this load step, if cables have no memory of the last one."""
         self.net, self._memory = net, memory
         self._switches: Counter[str] = Counter()
         self._tried: set[str] = set()
         """Cables already tried in tension."""
-        self._first_look, self.only_lifted = True, False
-        self._released, self._settled = (
+        self._first_look, self.only_lifted = history is None, False
+        self._released, self._settled = history or (
             (set(), set()) if memory is None else (memory.released, memory.settled)
         )
 

@@ -149,7 +149,7 @@ class Minimizer:
             return 0.0 if self._close else self._energy0
         energy = self.potential.objective_gradient(tao, X, G)
         if self.potential.unknowns.n_shifts and not math.isfinite(energy):
-            # cells collapse: a state as high as the start, from which the search goes a fifth of it
+            # Cells collapse. From a state as high as the start the search goes a fifth as far.
             self._g0.copy(G)
             return abs(self._energy0) * STEADY + (0.0 if self._close else self._energy0)
         if not self._close:
