@@ -32,7 +32,7 @@ class Strategy:
     stages without half the residual, in which the energy fell by at least 3e-7 in 100; where it
     fell by less than 1e-9, four of seven failed."""
 
-    far_shift: float = 0.35
+    far_shift: float = 0.7
     """Shift of a stress-free place, relative to the cell size, at which a solve ends, to go on from
     a mesh that follows; a tenth of it where a line search has failed: cells collapse at about 1."""
 
