@@ -159,7 +159,9 @@ class Loads(Stateful[LoadsState]):
     def put_forces(self, forces: PerRank[fem.Function], *, name: Name = "forces") -> None:
         """Put forces on the membrane's vertices, as from another program. Collective.
 
-        They keep direction and size. The function is copied: later changes have no effect.
+        They keep direction and size. The function is copied: later changes have no effect. Lines
+        that slide with their cables stay at vertices with a force, except where all vertices around
+        have one too.
 
         Parameters
         ----------

@@ -355,7 +355,9 @@ class Scene:
         """Add a user's term to the potential energy, which load steps minimise.
 
         `energies` has its energy under its name; its forces are loads, which supports carry.
-        Checkpoints do not store terms: a script that resumes from one adds them again.
+        Checkpoints do not store terms: a script that resumes from one adds them again. A term of
+        single vertices follows those of lines that slide over the fabric; hold these lines with
+        ``Solver(slide=False)`` if it must not.
 
         Parameters
         ----------

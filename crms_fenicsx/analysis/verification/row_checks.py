@@ -25,13 +25,10 @@ from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.contact_force import contact_forces, forces_at
 from crms_fenicsx.cabling.paths.held_vertices import along_boundary
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import TOL
-
-SPREAD_OF_FRICTION = 1.1
-"""Factor of the bounds of friction, which follow the contact forces of the last update."""
 
 
 def row_checks(
@@ -50,7 +47,8 @@ def row_checks(
         return {}
     vertices, nodes = numbering.shifts.vertices, numbering.nodes
     pulls = {c: _pulls(cable) for c, cable in rows.items()}
-    forces, bounds = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    forces: Array = np.zeros((len(vertices), 3))
+    bounds = np.zeros(len(vertices))
     if system.shifts is not None:
         forces = _forces_on_cells(system.shifts, loads, shape)
     at, grip = dict[int, tuple[Integers, Integers]](), dict[int, Array]()
@@ -93,7 +91,7 @@ def _bounds(cable: LaidCable, shape: StripShape) -> Array:
     """Friction forces that may act sideways at a cable's nodes, (n,)."""
     if not cable.has_coulomb or cable.cable.sideways is None:
         return np.zeros(len(cable.state.nodes))
-    most = SPREAD_OF_FRICTION * cable.cable.sideways.at_rest
+    most = 1.1 * cable.cable.sideways.at_rest  # set by the contact forces of the last update
     return np.asarray(most * contact_forces(cable, shape).bearing)
 
 
@@ -112,7 +110,7 @@ def _held_aside(
     sewn = np.array([not HOLDS[other.hold].sideways for other in numbering.cables], dtype=bool)
     others = nodes.support[(nodes.size == 1) & sewn[nodes.cable], 0]
     (k,) = np.nonzero(stays & ~np.isin(nodes.support[own][:, 0], others))
-    lateral = np.abs(forces_at(cable, k.tolist(), shape)[1])
+    lateral = np.abs(forces_at(cable, ints(k), shape)[1])
     return float(np.maximum(lateral - grip[k] - TOL.contact * cable.tension, 0.0).sum())
 
 

@@ -206,8 +206,8 @@ def _held_and_fixed(
     held, fixed, stays = flags
     folds = nodes.support[nodes.kind == FOLD, :2].ravel()
     crossed = np.isin(strip.vertices, folds)
-    fixed = (fixed > held) | (stays > 0) | (least < most) | crossed
-    return held.astype(bool), fixed.astype(bool)
+    still = (fixed > held) | (stays > 0) | (least < most) | crossed
+    return held.astype(bool), np.asarray(still)
 
 
 def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
@@ -216,7 +216,7 @@ def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
     parts. Collective."""
     own = membrane.mesh.mesh.topology.index_map(2).size_local
     dofs = membrane.V.dofmap.list[:own]
-    free = ~membrane.held.all(axis=1)[dofs].all(axis=1)
+    free = ~np.asarray(membrane.held.all(axis=1))[dofs].all(axis=1)
     kinds = _kinds(membrane)[:own].astype(float)
     sums = la.vector(membrane.V.dofmap.index_map, 4, dtype=np.float64)
     total = sums.array.reshape(-1, 4)
