@@ -158,8 +158,8 @@ def _held_and_fixed(
     held, fixed, stays = flags
     folds = nodes.support[nodes.kind == FOLD, :2].ravel()
     crossed = np.isin(strip.vertices, folds)
-    fixed = (fixed > held) | (stays > 0) | (least < most) | crossed
-    return held.astype(bool), fixed.astype(bool)
+    fixed_there = (fixed > held) | (stays > 0) | (least < most) | crossed
+    return held.astype(bool), np.asarray(fixed_there)
 
 
 def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
