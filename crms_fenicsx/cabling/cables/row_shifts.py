@@ -32,8 +32,8 @@ from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 
 NEAR = 0.02
-"""Shift, relative to the cell size, below which the mesh around the rows stays as it is, and turn
-of the directions below which these do: the rest of the solve then has one energy, and converges."""
+"""Shift, relative to the cell size, below which the mesh around the rows stays as it is, the rest
+of the solve then has one energy, and converges."""
 
 SETTLED = 1e-6
 """The same below which the rows have come to rest."""
@@ -124,12 +124,10 @@ class RowShifts:
 
     def renewed(self, now: RowShifts) -> RowShifts:
         """The same vertices with the directions and sizes of now, where these shift now: one that
-        has come to lie on a crease keeps its own, as all do if they hardly turn."""
+        has come to lie on a crease keeps its own."""
         _, here, there = np.intersect1d(self.vertices, now.vertices, return_indices=True)
         projectors, sizes = self.projectors.copy(), self.sizes.copy()
-        if np.abs(now.projectors[there] - projectors[here]).max(initial=0.0) > NEAR:
-            projectors[here] = now.projectors[there]
-        sizes[here] = now.sizes[there]
+        projectors[here], sizes[here] = now.projectors[there], now.sizes[there]
         return replace(self, projectors=projectors, sizes=sizes)
 
 
