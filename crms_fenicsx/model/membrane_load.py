@@ -49,9 +49,9 @@ class MembraneLoad:
     factor: float = 0.0  # load factor, changed by load steps
     # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    # (m, 3) force per stress-free area of this rank's cells, of a fixed direction on areas
+    # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
-    at_vertices: bool = False  # whether its forces act on vertices, not on areas
+    at_vertices: bool = False  # whether it is of forces on vertices, not on areas or lines
 
     @property
     def is_active_wind(self) -> bool:
@@ -66,8 +66,7 @@ class MembraneLoad:
         return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
 
     def on_stress_free_areas(self, membrane: Membrane) -> MembraneLoad:
-        """The load with forces of the present stress-free areas; unchanged if it acts on lines and
-        vertices, or along the normals."""
+        """The load with forces of the present stress-free areas; unchanged if it is of others."""
         if self.material is None:
             return self
         loads = membrane.cell_areas[:, None] * self.material
@@ -133,7 +132,10 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    return replace(shape.load(name, loads), material=loads / membrane.cell_areas[:, None])
+    load = shape.load(name, loads)
+    if per != "material":
+        return load
+    return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
 
 
 def wind_load(
@@ -180,8 +182,7 @@ def line_load(
     lengths = norm(np.diff(membrane.positions()[ends], axis=1)[:, 0])
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
     total = membrane.comm.allreduce(float(lengths.sum()))
-    intensity = total * float(norm(vector)) / membrane.size**2
-    return MembraneLoad(name, nodal, intensity, at_vertices=True)
+    return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

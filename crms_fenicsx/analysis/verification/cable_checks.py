@@ -172,12 +172,7 @@ class CableVerifier:
                     self.doubts.setdefault(cable, []).append(check)
                 if value >= found.get(name, (0.0, ""))[0]:
                     found[name] = value, cable.name
-        apart = [
-            float(np.linalg.norm(a.state.positions[i] - b.state.positions[k]))
-            / min(a.length, b.length)
-            for (a, i), (b, k) in _crossings(scene.cables, scene.net.crossings)
-        ]
-        if apart:
+        if apart := _apart(scene):
             found["crossing cables apart"] = max(apart), ""
         if scene.clamps:
             found["clamps that hold nothing"] = float(_open_clamps(scene)), ""
@@ -188,6 +183,14 @@ class CableVerifier:
             Check(name, float(value), LIMITS[name], found[name][1], name not in MESH_DEPENDENT)
             for name, value in zip(names, worst, strict=True)
         ]
+
+
+def _apart(scene: Scene) -> list[float]:
+    """Distances between the points of crossing cables, relative to the shorter one."""
+    return [
+        float(np.linalg.norm(a.state.positions[i] - b.state.positions[k])) / min(a.length, b.length)
+        for (a, i), (b, k) in _crossings(scene.cables, scene.net.crossings)
+    ]
 
 
 def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[float]]:
@@ -218,8 +221,8 @@ def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[fl
                     error = np.linalg.norm(force - end.reaction)
                     errors[i] = error / max(cable.tension, 1e-300)
         if cable.taut:
-            known = (numbering.block(c, k) for k in cable.contacts()[1:-1])
-            blocks = [block for block in known if 0 <= block < system.unknowns.n_owned]
+            known = numbering.node_blocks[starts[c] + np.array(cable.contacts()[1:-1], dtype=int)]
+            blocks = known[(known >= 0) & (known < system.unknowns.n_owned)]
             errors[2] = np.sum(np.where(held[blocks], 0.0, g[blocks]) ** 2)
     total = np.zeros_like(local)
     system.scene.comm.Allreduce(local, total)

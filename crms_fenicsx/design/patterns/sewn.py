@@ -188,7 +188,7 @@ def compare(
     >>> found.whole.mean.round(1)
     array([2., 2.])
     """
-    if solver.scene.mesh is not pattern.pieces.mesh:
+    if solver.scene.mesh.edges is not pattern.pieces.mesh.edges:  # which all its scenes share
         raise InputError(
             "compare: the solver's scene is not sewn from these pieces; use that of "
             "patterns.sew(pattern), or of an adjusted one."

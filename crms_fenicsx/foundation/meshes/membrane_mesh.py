@@ -111,7 +111,7 @@ class MembraneMesh:
         """This mesh for the first scene, and for each further one a mesh with nodes of its own,
         which the lines of another scene do not move."""
         if not self.given:
-            self.given.append(self.mesh.geometry.x.copy())
+            self.given.append(np.array(self.mesh.geometry.x, dtype=np.float64))
             return self
         nodes = self.given[0]
         return dataclasses.replace(self, mesh=with_nodes(self.mesh, nodes.copy()), given=[nodes])

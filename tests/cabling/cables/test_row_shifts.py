@@ -9,6 +9,7 @@ from lined_roof import CELLS, LINES, SIDE, STEEL, bare_scene, lined_roof, lined_
 from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, Scene, meshes
+from crms_fenicsx.analysis.equilibrium.shift_contribution import kept_vertices
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts, fixed_vertices
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -21,7 +22,9 @@ H = SIDE / CELLS
 def shifts(scene: Scene) -> tuple[RowShifts, Array]:
     """Those of a scene and the places of their vertices in its plan, in cells."""
     net = scene.net
-    found = RowShifts.of(net.cables, net.nodes, net.strip_shape(), scene.membrane)
+    found = RowShifts.of(
+        net.cables, net.nodes, net.strip_shape(), scene.membrane, kept_vertices(scene)
+    )
     assert isinstance(net.nodes, NodeTable)
     ids, X = scene.membrane.vertex_ids, scene.membrane.stress_free
     table = {}
@@ -109,7 +112,7 @@ def test_ends_lifted_vertices_and_supports_stay(comm: MPI.Intracomm) -> None:
     scene.fix(lambda x: abs(x[family] - k * H) + abs(x[1 - family] - 4 * H) < 0.1, "z")
     scene.lay_cable(STEEL, along="A1", hold="outside", tension=2.0)
     assert len(shifts(scene)[0].vertices) == CELLS - 2
-    assert fixed_vertices(scene.membrane).any()
+    assert fixed_vertices(scene.membrane, kept_vertices(scene)).any()
 
 
 def test_vertices_of_a_rigid_sheet_are_held_there(comm: MPI.Intracomm) -> None:
