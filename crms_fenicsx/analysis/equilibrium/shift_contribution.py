@@ -57,10 +57,11 @@ class ShiftContribution(Contribution):
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
         rows = RowShifts.of(scene.cables, numbering.nodes, shape, scene.membrane)
-        before = numbering.shifts.projectors
-        if np.abs(rows.projectors - before).max() < NEAR:
-            rows = replace(rows, projectors=before)
-        numbering.shifts = rows
+        before = numbering.shifts
+        if np.array_equal(rows.vertices, before.vertices):  # blocks are numbered for these
+            turn = np.abs(rows.projectors - before.projectors).max()
+            kept = before.projectors if turn < NEAR else rows.projectors
+            numbering.shifts = replace(rows, projectors=kept)
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:

@@ -28,7 +28,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.model.tolerances import SAME_POINT
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def _passes_the_rim(nodes: NodeTable, positions: Array) -> Booleans:
         beside = np.clip(k + j, 0, last)
         away = norm(positions[beside] - positions[k])
         near = norm(positions[np.clip(k + 2 * j, 0, last)] - positions[beside])
-        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_PLACE * near)
+        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_POINT * near)
     return found & (nodes.kind == VERTEX)
 
 
