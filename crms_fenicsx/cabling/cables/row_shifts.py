@@ -29,10 +29,10 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Int
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.model.tolerances import SAME_POINT
 
 NEAR = 0.02
-"""Shift, relative to the cell size, below which the mesh around the rows stays as it is, the rest
+"""Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
 of the solve then has one energy, and converges."""
 
 SETTLED = 1e-6
@@ -158,7 +158,7 @@ def _passes_the_rim(nodes: NodeTable, positions: Array) -> Booleans:
         beside = np.clip(k + j, 0, last)
         away = norm(positions[beside] - positions[k])
         near = norm(positions[np.clip(k + 2 * j, 0, last)] - positions[beside])
-        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_PLACE * near)
+        found[beside] = (nodes.kind[k] == ANCHOR) & (away > SAME_POINT * near)
     return found & (nodes.kind == VERTEX)
 
 
