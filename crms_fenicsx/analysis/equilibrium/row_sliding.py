@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
-from crms_fenicsx.cabling.cables.row_shifts import NEAR, RowShifts, fixed_vertices
+from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED, RowShifts, fixed_vertices
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
@@ -21,11 +21,16 @@ from crms_fenicsx.model.tolerances import BUDGET
 
 logger = logging.getLogger("crms_fenicsx")
 
+MANY = 20
+"""Motions of the mesh in a solve after which the vertices that still shift stay: those under taut
+cables come to rest in 3 to 15."""
+
 
 class RowSliding:
     """Moves the stress-free mesh of a scene with its rows after a solve.
 
-    Attributes: `collapse`: why the last motion cannot be used; "" if it can.
+    Attributes: `collapse`: why the last motion cannot be used; "" if it can; `resting` (m,): ids of
+    vertices that stay for the rest of the load step.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -35,6 +40,8 @@ class RowSliding:
         self._fixed: Booleans = np.zeros(0, dtype=bool)
         self._sliding: Integers = np.zeros(0, dtype=np.int64)
         self._aside = 0  # times that vertices have moved under spans in this solve
+        self._motions = 0
+        self.resting: Integers = np.zeros(0, dtype=np.int64)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -44,7 +51,7 @@ class RowSliding:
 
     def begin(self) -> None:
         """Begin a solve."""
-        self._aside = 0
+        self._aside = self._motions = 0
 
     def follow(self, shifts: ShiftContribution, potential: Potential) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
@@ -62,6 +69,12 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
+        self._motions += 1
+        if self._motions > MANY and way > SETTLED:
+            # below nearly slack cables, whose stiffness is less than that of the mesh
+            still = norm(ways) > 0.1 * way * rows.sizes
+            self.resting = np.union1d(self.resting, rows.vertices[still])
+            logger.debug("%d vertices of rows stay", len(self.resting))
         if way > NEAR:
             motion = self._renewed(rows.vertices)
             X, x = motion.move(X, x)

@@ -15,7 +15,7 @@ from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.model.cable import HOLDS
 
 
@@ -27,10 +27,15 @@ class ShiftContribution(Contribution):
     """
 
     def __init__(
-        self, scene: Scene, membrane: MembraneContribution, numbering: CableNumbering
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        numbering: CableNumbering,
+        resting: Integers,
     ) -> None:
         super().__init__(scene)
         self.numbering, self._membrane = numbering, membrane.energy
+        numbering.shifts = numbering.shifts.but(resting)
         strip, rank = numbering.strip, scene.comm.rank
         simplices = strip.simplices
         at = np.full(len(simplices.vertices), -1)
@@ -47,16 +52,16 @@ class ShiftContribution(Contribution):
         self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
         membrane.energy.plain.x.array[cells] = 0.0
 
-    def renew(self, unknowns: Unknowns) -> None:
-        """Start from the membrane's present stress-free places. Directions that have hardly turned
-        stay: renewed each time they would let the rows settle much more slowly. Collective."""
+    def renew(self, unknowns: Unknowns, resting: Integers) -> None:
+        """Start from the membrane's present stress-free places; the vertices `resting` (m,) stay
+        there. Collective."""
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
         now = RowShifts.of(
             scene.cables, numbering.nodes, shape, scene.membrane, kept_vertices(scene)
         )
-        numbering.shifts = numbering.shifts.renewed(now)
+        numbering.shifts = numbering.shifts.renewed(now).but(resting)
         self.energy.renew(self._membrane)
 
     def read_scene(self, potential: Potential) -> None:

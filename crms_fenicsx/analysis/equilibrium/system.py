@@ -164,7 +164,7 @@ class System:
         if len(cables.numbering.shifts.nodes):
             from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
 
-            self.shifts = ShiftContribution(scene, self.membrane, cables.numbering)
+            self.shifts = ShiftContribution(scene, self.membrane, cables.numbering, self._resting)
             terms.append(self.shifts.energy)
             self.parts.append(self.shifts)
         if scene.net.has_friction or any(
@@ -211,6 +211,11 @@ class System:
         return self._rows.follow(self.shifts, self.potential)
 
     @property
+    def _resting(self) -> Integers:
+        """Ids of vertices of rows that stay for the rest of the load step, (m,)."""
+        return np.zeros(0, dtype=np.int64) if self._rows is None else self._rows.resting
+
+    @property
     def collapse(self) -> str:
         """Why the last motion of the mesh cannot be used; "" if it can."""
         return "" if self._rows is None else self._rows.collapse
@@ -221,7 +226,7 @@ class System:
         self.membrane.renew_places()
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)
-        self.shifts.renew(self.unknowns)
+        self.shifts.renew(self.unknowns, self._resting)
         self.read_scene()
         self.renew_friction()
         self._built_for = self.scene.versions.model_version, True
@@ -336,6 +341,8 @@ class System:
     def commit(self) -> None:
         """End a load step. Collective."""
         self.potential.commit()
+        if self._rows is not None:
+            self._rows.resting = self._rows.resting[:0]
         self.scene.versions.change_state()
         for part in self.parts:
             part.commit()
