@@ -142,7 +142,9 @@ class CableState:
     fold points on their unfolded edges, and of edge sliders on their held edges, outside 0 ... 1 if
     pulled beyond an end, NaN for other nodes; `lifted`: nodes that the cable passes off the
     membrane, in a straight line; `reference_positions`: of the nodes on the stress-free membrane,
-    the cable's material curve, NaN where it is off the membrane.
+    the cable's material curve, NaN where it is off the membrane; `row`: of the vertices of its line
+    when the mesh last followed them, with the surface's normals there, which give the directions in
+    which these shift since; None before it did.
     """
 
     nodes: Annotated[tuple[CableNode, ...], "n"]
@@ -153,6 +155,7 @@ class CableState:
     law: CableLaw
     laid: LaidAs = LaidAs()
     memory: SearchMemory = SearchMemory()
+    row: Annotated[Array, "n", 2, 3] | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

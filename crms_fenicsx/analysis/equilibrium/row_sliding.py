@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
-from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED, RowShifts, fixed_vertices
+from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED, RowShifts, fixed_vertices, rows_of
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
@@ -21,9 +21,12 @@ from crms_fenicsx.model.tolerances import BUDGET
 
 logger = logging.getLogger("crms_fenicsx")
 
-MANY = 20
-"""Motions of the mesh in a solve after which the vertices that still shift stay: those under taut
-cables come to rest in 3 to 15."""
+STALLED = 15
+"""Motions of the mesh in a solve in which the shifts have not halved, after which the vertices that
+still shift stay: those below taut cables come to rest with 2 at most."""
+
+FAR = 0.3
+"""Shift, relative to the cell size, above which rows are still under way."""
 
 
 class RowSliding:
@@ -40,7 +43,7 @@ class RowSliding:
         self._fixed: Booleans = np.zeros(0, dtype=bool)
         self._sliding: Integers = np.zeros(0, dtype=np.int64)
         self._aside = 0  # times that vertices have moved under spans in this solve
-        self._motions = 0
+        self._least, self._stalled = np.inf, 0
         self.resting: Integers = np.zeros(0, dtype=np.int64)
 
     def destroy(self) -> None:
@@ -51,7 +54,8 @@ class RowSliding:
 
     def begin(self) -> None:
         """Begin a solve."""
-        self._aside = self._motions = 0
+        self._aside = self._stalled = 0
+        self._least = np.inf
 
     def follow(self, shifts: ShiftContribution, potential: Potential) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
@@ -69,8 +73,9 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
-        self._motions += 1
-        if self._motions > MANY and way > SETTLED:
+        self._stalled += SETTLED < 0.5 * self._least < way < FAR
+        self._least = min(self._least, way)
+        if self._stalled > STALLED:
             # below nearly slack cables, whose stiffness is less than that of the mesh
             still = norm(ways) > 0.1 * way * rows.sizes
             self.resting = np.union1d(self.resting, rows.vertices[still])
@@ -80,12 +85,28 @@ class RowSliding:
             X, x = motion.move(X, x)
             ratio, why = self._narrowest(motion, X)
             self.collapse = why if ratio <= 0.0 else ""
+        self._keep_rows(moved=False)
         place_stress_free(self.scene, X)
+        if way > NEAR:
+            self._keep_rows(moved=True)
         u = membrane.u.x.array.reshape(-1, 3)
         stays = membrane.held & ~here[:, None]  # displaced as prescribed, wherever it is
         u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
+
+    def _keep_rows(self, moved: bool) -> None:
+        """Keep the present places of the rows of which none are known, or of all if the mesh has
+        `moved`: shifts go across these. Collective."""
+        net = self.scene.net
+        rows = [cable for cable in net.cables if cable.state.laid.line is not None]
+        rows = [cable for cable in rows if moved or cable.state.row is None]
+        if not rows:
+            return
+        places = rows_of([], net.nodes, net.strip_shape())
+        for start, cable in zip(net.nodes.starts, net.cables, strict=False):
+            if cable in rows:
+                cable.update(row=places[start : start + len(cable.state.nodes)].copy())
 
     def narrowed(self) -> str:
         """Words on cells that have lost more than half of their areas, for a solve that has failed

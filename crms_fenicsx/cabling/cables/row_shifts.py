@@ -83,7 +83,8 @@ class RowShifts:
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
-        tangents, normals = _tangents(nodes, shape, on), _normals(shape, ids)
+        rows = rows_of(cables, nodes, shape)
+        tangents, normals = _tangents(rows[:, 0], on), rows[on[first], 1]
         count = np.bincount(of, own)
         beyond = on[own & _passes_the_rim(nodes, positions_of(cables))[on]]
         rim = _rim_tangents(nodes, shape, beyond, held)[ids]
@@ -145,14 +146,28 @@ def _normals(shape: StripShape, vertices: Integers) -> Array:
     return SmoothSurface.of(shape.stress_free, solid).fitted(solid, vertices)
 
 
-def _tangents(nodes: NodeTable, shape: StripShape, on: Integers) -> Array:
+def rows_of(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> Array:
+    """Stress-free places and normals (n, 2, 3) of the nodes at vertices when the mesh last followed
+    the rows of these cables, or now: directions that turned with each shift would let the rows
+    settle more slowly."""
+    at = np.searchsorted(shape.strip.vertices, nodes.support[:, 0])
+    at = np.minimum(at, len(shape.strip.vertices) - 1)
+    rows = np.zeros((len(at), 2, 3))
+    new = np.ones(len(at), dtype=bool)
+    for start, cable in zip(nodes.starts, cables, strict=False):
+        if cable.state.row is not None:
+            end = start + len(cable.state.row)
+            rows[start:end], new[start:end] = cable.state.row, False
+    new &= nodes.size == 1
+    ids, of = np.unique(at[new], return_inverse=True)
+    rows[new, 0], rows[new, 1] = shape.stress_free[at[new]], _normals(shape, ids)[of]
+    return rows
+
+
+def _tangents(places: Array, on: Integers) -> Array:
     """Tangents of the rows at some nodes on the stress-free surface, (n, 3) (length)."""
-    last = len(nodes.kind) - 1
-    before, after = np.maximum(on - 1, 0), np.minimum(on + 1, last)
-    rows = [np.searchsorted(shape.strip.vertices, nodes.support[k, 0]) for k in (before, after)]
-    size = len(shape.strip.vertices)
-    places = [shape.stress_free[np.minimum(k, size - 1)] for k in rows]
-    return np.asarray(places[1] - places[0])
+    before, after = np.maximum(on - 1, 0), np.minimum(on + 1, len(places) - 1)
+    return np.asarray(places[after] - places[before])
 
 
 def _passes_the_rim(nodes: NodeTable, positions: Array) -> Booleans:

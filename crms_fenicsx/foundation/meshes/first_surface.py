@@ -185,7 +185,7 @@ def walk(places, points, normals, corners, facets, beside, cells, weights):  # t
                         )
                     at[j] /= double
                     change = max(change, abs(at[j] - last[j]))
-                low = np.argmin(at)
+                low = int(np.argmin(at))
                 if change < 1e-13 or at[low] < -0.5:  # known well enough
                     break
             onward = beside[c, (low + 1) % 3]

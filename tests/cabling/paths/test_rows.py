@@ -186,10 +186,10 @@ def test_the_script_goes_on_after_a_kill(
     whole = script("whole", False)
     find = EquilibriumSearch.find
 
-    def killed(self: EquilibriumSearch, *arguments: Any) -> Any:
+    def killed(self: EquilibriumSearch, *arguments: Any, **options: Any) -> Any:
         if self.scene.pressure == 6.0:
             raise KeyboardInterrupt
-        return find(self, *arguments)
+        return find(self, *arguments, **options)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(EquilibriumSearch, "find", killed)
@@ -214,11 +214,11 @@ def test_combinations_of_loads_go_on_after_a_kill(
     find = EquilibriumSearch.find
 
     def script(name: str, resume: bool, comm: MPI.Intracomm, until: str = "") -> list[list[float]]:
-        def seen(self: EquilibriumSearch, *arguments: Any) -> Any:
+        def seen(self: EquilibriumSearch, *arguments: Any, **options: Any) -> Any:
             if solver.case and solver.case == until:
                 raise KeyboardInterrupt
             solved.append(scene.pressure)
-            return find(self, *arguments)
+            return find(self, *arguments, **options)
 
         scene = bare_scene(lined_roof(comm))
         scene.lay_net(net_of_lines(), STEEL, hold="outside", tension=2.0)
