@@ -77,18 +77,7 @@ class ContactLoop:
             return ended or bool(changes)
 
         while True:
-            if changes:
-                logger.debug("%s", "; ".join(changes))
-                if self.sliding is not None:
-                    self.sliding.straighten()
-                system.rebuild()
-                system.read_scene()
-            elif way > 0.0:
-                system.renew_base()
-            # every term starts the step from there, but the mesh goes on from where it has moved
-            if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
-                _restore_positions(self.scene, self.start)
-                system.read_scene()
+            self._prepare(changes, way)
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane is stressed now
@@ -116,6 +105,23 @@ class ContactLoop:
             if active.cycling_cable():
                 reason = f"{active.cycling_cable()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
+
+    def _prepare(self, changes: Sequence[str], way: float) -> None:
+        """Bring the potential to changed contacts, or to a mesh that has followed its rows by a
+        `way`. Collective."""
+        system = self.system
+        if changes:
+            logger.debug("%s", "; ".join(changes))
+            if self.sliding is not None:
+                self.sliding.straighten()
+            system.rebuild()
+            system.read_scene()
+        elif way > 0.0:
+            system.renew_base()
+        # every term starts the step from there, but the mesh goes on from where it has moved
+        if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
+            _restore_positions(self.scene, self.start)
+            system.read_scene()
 
     def _may_look(self, residual: float, scale: float) -> bool:
         """Whether a state is near equilibrium; with its rows at rest where it is compared with
