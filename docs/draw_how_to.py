@@ -146,7 +146,7 @@ def closeup(box: tuple[float, float, float, float], **titles: str) -> Draw:
             ax.set(aspect="equal", xlim=box[:2], ylim=box[2:], xlabel="x [m]")
             ax.set_title(title, fontsize=11)
         axes[0].set_ylabel("y [m]")
-        figure.savefig(file, dpi=110)
+        figure.savefig(file, dpi=92)
 
     return draw
 
