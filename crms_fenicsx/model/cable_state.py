@@ -155,7 +155,7 @@ class CableState:
     law: CableLaw
     laid: LaidAs = LaidAs()
     memory: SearchMemory = SearchMemory()
-    row: Annotated[Array, "n", 2, 3] | None = None
+    row: Annotated[Array, "v", 2, 3] | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

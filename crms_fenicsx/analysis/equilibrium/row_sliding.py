@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
+from crms_fenicsx.cabling.cables.points_on_edges import VERTEX
 from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED, RowShifts, fixed_vertices, rows_of
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
@@ -103,10 +104,12 @@ class RowSliding:
         rows = [cable for cable in rows if moved or cable.state.row is None]
         if not rows:
             return
-        places = rows_of([], net.nodes, net.strip_shape())
-        for start, cable in zip(net.nodes.starts, net.cables, strict=False):
+        nodes = net.nodes
+        places = rows_of([], nodes, net.strip_shape())
+        for (start, end), cable in zip(pairwise(ints(nodes.starts)), net.cables, strict=True):
             if cable in rows:
-                cable.update(row=places[start : start + len(cable.state.nodes)].copy())
+                at_vertices = nodes.kind[start:end] == VERTEX
+                cable.update(row=places[start:end][at_vertices])
 
     def narrowed(self) -> str:
         """Words on cells that have lost more than half of their areas, for a solve that has failed

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from dolfinx import la
@@ -25,7 +26,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE, SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import altitudes, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers, ints
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -153,12 +154,11 @@ def rows_of(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) ->
     at = np.searchsorted(shape.strip.vertices, nodes.support[:, 0])
     at = np.minimum(at, len(shape.strip.vertices) - 1)
     rows = np.zeros((len(at), 2, 3))
-    new = np.ones(len(at), dtype=bool)
-    for start, cable in zip(nodes.starts, cables, strict=False):
+    new = nodes.kind == VERTEX
+    for (start, end), cable in zip(pairwise(ints(nodes.starts)), cables, strict=False):
         if cable.state.row is not None:
-            end = start + len(cable.state.row)
-            rows[start:end], new[start:end] = cable.state.row, False
-    new &= nodes.size == 1
+            own = start + np.flatnonzero(nodes.kind[start:end] == VERTEX)
+            rows[own], new[own] = cable.state.row, False
     ids, of = np.unique(at[new], return_inverse=True)
     rows[new, 0], rows[new, 1] = shape.stress_free[at[new]], _normals(shape, ids)[of]
     return rows
