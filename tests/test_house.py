@@ -60,7 +60,7 @@ BUDGETS = {
     "model": 3145,
     "energy": 8051,
     "cabling": 8344,
-    "analysis": 7296,
+    "analysis": 7299,
     "results": 10598,
     "solver": 987,
     "design": 8434,

@@ -109,9 +109,9 @@ class EquilibriumSearch:
         self.system, self.scene, self.tried = system, system.scene, tried
         self._history: ContactHistory = (set(), set())
 
-    def find(self, h0_prestress: tuple[float, ...], once: bool = False) -> Outcome:
-        """Find the equilibrium and leave the scene in it. Collective. `once`: the mesh follows rows
-        that slide once, as the loads are to turn before the next search; see `rows_rest`."""
+    def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Find the equilibrium and leave the scene in it. Collective. In wind, which is to turn
+        before the next search, the mesh follows rows that slide only once; see `rows_rest`."""
         self._begin_friction()
         self.system.prepare()
         self.system.rows_rest = True
@@ -121,7 +121,7 @@ class EquilibriumSearch:
             self.system.write_scene()
             return outcome
         contacts, friction = self._loops(self.scene.state)
-        contacts.once = once
+        contacts.once = any(load.is_active_wind for load in self.scene.loads)
         outcome = friction.solve(h0_prestress)
         if self.system.rows_rest:
             outcome = self._unsmoothed(outcome, contacts)

@@ -197,7 +197,7 @@ class IncrementSolver:
             self._verifier.begin()
         search, verification = self.search, None
         windy = any(load.is_active_wind for load in self.scene.loads)
-        outcome = search.find(h0_prestress, once=windy)
+        outcome = search.find(h0_prestress)
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._iterate_pressure(outcome)
         if outcome.converged and windy:
@@ -281,7 +281,7 @@ class IncrementSolver:
                 return outcome
             scene.loads.update(loads=turned)
             self._commit()
-            outcome = outcome + search.find((0.0,), once=True)
+            outcome = outcome + search.find((0.0,))
             if not outcome.converged:
                 return outcome
         reason = f"the wind still turns with the membrane after {solves} solves"

