@@ -92,7 +92,7 @@ class LaidAs:
     layer: int = 0  # of two crossing cables the one with the higher layer lies on top
     joints: tuple[str | None, str | None] = (None, None)  # to which its ends are fixed, by name
     bonds: Bonds | None = None  # to the fabric
-    # group of edges along which it lies, from vertex to vertex, and which holds it sideways
+    # group of edges along which it lies, from vertex to vertex, and which slides with it
     line: str | None = None
 
 
@@ -144,7 +144,7 @@ class CableState:
     membrane, in a straight line; `reference_positions`: of the nodes on the stress-free membrane,
     the cable's material curve, NaN where it is off the membrane; `row`: of the vertices of its line
     when the mesh last followed them, with the surface's normals there, which give the directions in
-    which these shift since; None before it did.
+    which these shift since; None before they first did.
     """
 
     nodes: Annotated[tuple[CableNode, ...], "n"]

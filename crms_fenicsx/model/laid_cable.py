@@ -113,7 +113,8 @@ class LaidCable(Handle[CableState]):
 
     @property
     def keeps_line(self) -> bool:
-        """Whether it stays on its line on the fabric, and so crosses the same edges."""
+        """Whether it always crosses the same edges: it stays on its line on the fabric, or lies
+        along a line of the mesh, with which it may slide."""
         return not HOLDS[self.hold].sideways or self.state.laid.line is not None
 
     @property

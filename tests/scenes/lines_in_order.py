@@ -16,9 +16,8 @@ from crms_fenicsx import Cable, IsotropicMembrane, LaidCable, Scene, Solver, mes
 from crms_fenicsx.design.form_finding import find_form
 
 SIDE = 12.0
-SAME = (
-    5e-5  # distance, relative to the membrane's size, of points between which lengths are smoothed
-)
+SAME = 5e-5
+"""Distance, relative to the membrane's size, of points between which lengths are smoothed."""
 
 
 def heights(kind: str, x: Floats, y: Floats) -> Floats:

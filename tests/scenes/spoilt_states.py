@@ -73,7 +73,7 @@ def masts(comm: MPI.Intracomm, E: float = 100.0) -> Solver:
 
 def checked(solver: Solver, spoil: Callable[[], None] | None = None) -> Verification:
     """The verification of the state that a solver is in, once something has been spoiled."""
-    verifier = Verifier(solver.scene, solver.slide)
+    verifier = Verifier(solver.scene)
     solver.system.potential.sum_up()
     verifier.begin()
     if spoil is not None:

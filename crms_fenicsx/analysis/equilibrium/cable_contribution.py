@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.contribution import Contribution
-from crms_fenicsx.analysis.equilibrium.shift_contribution import kept_vertices
+from crms_fenicsx.analysis.equilibrium.kept_vertices import kept_vertices
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.clamping import end_step, placed
 from crms_fenicsx.cabling.cables.element_tables import (

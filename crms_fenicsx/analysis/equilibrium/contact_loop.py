@@ -28,17 +28,16 @@ Look = Callable[[bool], bool]
 
 
 class ContactLoop:
-    """Solves one load step on given paths.
-
-    Attributes: `once`: whether the mesh follows rows that slide only once.
-    """
+    """Solves one load step on given paths."""
 
     def __init__(
         self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: SceneState
     ) -> None:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
-        self._projections, self.once = 0, False
+        self._projections = 0
+        # in wind, which is to turn before the next search, the mesh follows rows only once
+        self._once = any(load.is_active_wind for load in self.scene.loads)
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -57,7 +56,8 @@ class ContactLoop:
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked, ended
-            if residual <= TOL.path_residual * scale and system.largest_shift() > NEAR:
+            shift, near = system.largest_shift(), residual <= TOL.path_residual * scale
+            if near and shift > NEAR:
                 system.write_scene()  # the mesh is to follow
                 return True
             if looked:
@@ -66,9 +66,11 @@ class ContactLoop:
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
             changes = self._changes()
-            if system.largest_shift() > NEAR:
+            if shift > NEAR:
                 return True
-            if not self._may_look(residual, scale) or (changes and not self._may_join_paths()):
+            # states on other paths are compared with rows at rest
+            near = near and (self.sliding is None or shift <= SETTLED)
+            if not near or (changes and not self._may_join_paths()):
                 return bool(changes)
             ended = look is not None and look(bool(changes))
             if ended:  # new paths are solved together with new contacts
@@ -93,10 +95,9 @@ class ContactLoop:
             way = system.follow_rows(begins)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
-            system.rows_rest = way <= SETTLED
             # friction is updated from places also near equilibrium, where a look ends a solve
             rests = way <= (NEAR if outcome.reason == "interrupted" else SETTLED)
-            if not changes and (self.once or rests):
+            if not changes and (self._once or rests):
                 if way > 0.0:
                     system.renew_base()
                 if not looked and look is not None:
@@ -122,12 +123,6 @@ class ContactLoop:
         if system.has_history and self.scene.membrane.moved is self.start.membrane.moved:
             _restore_positions(self.scene, self.start)
             system.read_scene()
-
-    def _may_look(self, residual: float, scale: float) -> bool:
-        """Whether a state is near equilibrium; with its rows at rest where it is compared with
-        those on other paths. Collective."""
-        rests = self.sliding is None or self.system.largest_shift() <= SETTLED
-        return rests and residual <= TOL.path_residual * scale
 
     def _may_join_paths(self) -> bool:
         """Whether paths may change together with contacts: where cables only lift off, so that the

@@ -8,11 +8,19 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution, kept_vertices
+from crms_fenicsx.analysis.equilibrium.kept_vertices import kept_vertices
+from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
 from crms_fenicsx.cabling.cables.points_on_edges import VERTEX
-from crms_fenicsx.cabling.cables.row_shifts import NEAR, SETTLED, RowShifts, fixed_vertices, rows_of
+from crms_fenicsx.cabling.cables.row_shifts import (
+    NEAR,
+    SETTLED,
+    RowShifts,
+    fixed_vertices,
+    row_places,
+)
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
@@ -39,6 +47,7 @@ class RowSliding:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.collapse = scene, ""
+        self._surface: FirstSurface | None = None
         self._motion: MeshMotion | None = None
         self._rows: tuple[LaidCable, ...] = ()
         self._fixed: Booleans = np.zeros(0, dtype=bool)
@@ -105,7 +114,7 @@ class RowSliding:
         if not rows:
             return
         nodes = net.nodes
-        places = rows_of([], nodes, net.strip_shape())
+        places = row_places([], nodes, net.strip_shape())
         for (start, end), cable in zip(pairwise(ints(nodes.starts)), net.cables, strict=True):
             if cable in rows:
                 at_vertices = nodes.kind[start:end] == VERTEX
@@ -163,10 +172,12 @@ class RowSliding:
         fixed &= ~np.isin(membrane.vertex_ids, sliding)
         same = rows == self._rows and np.array_equal(fixed, self._fixed)
         same = same and np.array_equal(sliding, self._sliding)
+        if self._surface is None:
+            self._surface = FirstSurface(membrane.V, membrane.vertex_ids, membrane.given)
         if self._motion is None or not scene.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self._rows, self._fixed, self._sliding = rows, fixed, sliding
-            self._motion = MeshMotion(membrane.V, membrane.given, vertices, fixed, sliding)
+            self._motion = MeshMotion(membrane.V, self._surface, vertices, fixed, sliding)
         return self._motion
 
 

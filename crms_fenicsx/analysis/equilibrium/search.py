@@ -121,7 +121,6 @@ class EquilibriumSearch:
             self.system.write_scene()
             return outcome
         contacts, friction = self._loops(self.scene.state)
-        contacts.once = any(load.is_active_wind for load in self.scene.loads)
         outcome = friction.solve(h0_prestress)
         if self.system.rows_rest:
             outcome = self._unsmoothed(outcome, contacts)

@@ -19,6 +19,7 @@ from crms_fenicsx.analysis.equilibrium.contribution import (
     unloaded_scales,
 )
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.cabling.cables.row_shifts import SETTLED
 from crms_fenicsx.energy.minimization.minimizer import Interrupt, Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.energy.minimization.potential import Potential
@@ -55,11 +56,11 @@ class System:
     are recreated when cables are laid, tighten or slacken.
 
     Attributes: `parts`: contributions of the scene's features, in the order of their terms;
-    `membrane`, `pressure`, `cables`, `folds`, `friction`, `bars`, `ponds`: some of them, the last
-    five None if absent; `unknowns`, `potential`: the layout, and the sum of the terms over it;
-    `rows_rest`: whether rows that slide had come to rest in the last solve;
-    `objective`: minimum of the last solve, with friction more than the scene's energy (force x
-    length).
+    `membrane`, `pressure`, `cables`, `folds`, `friction`, `bars`, `ponds`, `shifts`: some of them,
+    the last six None if absent; `slide`: whether cables slide sideways; `unknowns`, `potential`:
+    the layout, and the sum of the terms over it; `rows_rest`: whether rows that slide had come to
+    rest in the last solve; `objective`: minimum of the last solve, with friction more than the
+    scene's energy (force x length).
     """
 
     def __init__(self, scene: Scene, prefix: str, rtol: float, slide: bool = True) -> None:
@@ -195,20 +196,32 @@ class System:
     def largest_shift(self) -> float:
         """Largest shift of a stress-free place in the last solve, relative to the cell size.
         Collective."""
-        return 0.0 if self.shifts is None else self.shifts.largest(self.potential)
+        return self.unknowns.largest_shift(self.potential.x)
 
     def follow_rows(self, begins: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
         `largest_shift`. `begins`: whether it is the first in a solve. Collective."""
-        if self.shifts is None:
-            return 0.0
+        way = 0.0
+        if self.shifts is not None:
+            way = self._row_sliding(begins).follow(self.shifts, self.potential)
+        self.rows_rest = way <= SETTLED
+        return way
+
+    def _row_sliding(self, begins: bool) -> RowSliding:
+        """The motion of the mesh with its rows, kept over all layouts."""
         if self._rows is None:
             from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
 
             self._rows = RowSliding(self.scene)
         if begins:
             self._rows.begin()
-        return self._rows.follow(self.shifts, self.potential)
+        return self._rows
+
+    def release(self) -> None:
+        """Free all PETSc objects, for good."""
+        self.destroy()
+        if self._rows is not None:
+            self._rows.destroy()
 
     @property
     def _resting(self) -> Integers:
@@ -227,6 +240,8 @@ class System:
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)
         self.shifts.renew(self.unknowns, self._resting)
+        for term in self.scene.terms:
+            term.attach(self.unknowns)
         self.read_scene()
         self.renew_friction()
         self._built_for = self.scene.versions.model_version, True

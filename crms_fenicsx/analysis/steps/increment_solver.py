@@ -112,7 +112,7 @@ class IncrementSolver:
 
     def __init__(self, scene: Scene, options: Options) -> None:
         self.scene, self._options = scene, options
-        self._verifier = Verifier(scene, options.slide) if options.verify else None
+        self._verifier = Verifier(scene) if options.verify else None
         self._system: System | None = None
         self._version = 0
         """Number of the scene's state that the system has led to."""
@@ -135,7 +135,7 @@ class IncrementSolver:
     def release(self) -> None:
         """Free the potential's memory; `system` makes it again."""
         if self._system is not None:
-            self._system.destroy()
+            self._system.release()
         self._system = self.tried = None
 
     @property

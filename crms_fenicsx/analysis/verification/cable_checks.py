@@ -115,8 +115,7 @@ class _Nodes:
 class CableVerifier:
     """Checks the cables of a solved state; keeps the tables of their nodes until these change."""
 
-    def __init__(self, slide: bool) -> None:
-        self._slide = slide
+    def __init__(self) -> None:
         self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
         self.doubts: dict[LaidCable, list[Check]] = {}
@@ -139,7 +138,7 @@ class CableVerifier:
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
         self.doubts, self.others = {}, pulls_of_others(scene.cables)
-        held = [cable.keeps_line or not self._slide for cable in scene.cables]
+        held = [cable.keeps_line or not system.slide for cable in scene.cables]
         lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
         rows = row_checks(system, loads, shape)

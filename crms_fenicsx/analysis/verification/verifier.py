@@ -63,10 +63,10 @@ GEOMETRIC_TERMS = "pressure", "dead load", "pond", "bars"
 
 
 class Verifier:
-    """Checks load steps of a scene, in which cables may `slide` to other cells."""
+    """Checks load steps of a scene."""
 
-    def __init__(self, scene: Scene, slide: bool = True) -> None:
-        self.scene, self.comm, self._slide = scene, scene.comm, slide
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.comm = scene, scene.comm
         self._random = np.random.default_rng((2026, scene.comm.rank))
         self._prescribed: tuple[Array, Array] = np.zeros((0, 3)), np.zeros((0, 2, 3))
         self._joints: list[Array] = []
@@ -99,7 +99,7 @@ class Verifier:
             if self._cables is None:
                 from crms_fenicsx.analysis.verification.cable_checks import CableVerifier
 
-                self._cables = CableVerifier(self._slide)
+                self._cables = CableVerifier()
             checks += self._cables.check(system, self._prescribed[1], loads)
         if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))

@@ -330,9 +330,8 @@ def damping(numbering: CableNumbering, segments: Indices) -> Damping:
     rows = rows[own]
     ends = numbering.support_blocks(rows)[:, :2]
     sliders = np.concatenate([numbering.node_blocks[rows, None], ends], axis=1).astype(np.int32)
-    blocks = numbering.shift_blocks
-    mine = np.flatnonzero(numbering.owners[numbering.n_nodes :] == numbering.rank)
-    shifts = blocks[mine], numbering.shifts.sizes[mine]
+    mine = numbering.own_shifts
+    shifts = numbering.shift_blocks[mine], numbering.shifts.sizes[mine]
     return Damping(Springs(sliders, numbering.fractions()[rows], segments, *shifts))
 
 

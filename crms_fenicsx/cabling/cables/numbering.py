@@ -259,16 +259,23 @@ class CableNumbering:
         here = self.shift_blocks >= 0
         self.shifted_blocks = np.where(here, self.node_blocks[self.shifts.nodes], -1)
         unknowns.shifts, unknowns.n_shifts = self.shift_blocks[here], len(here)
-        unknowns.shift_sizes = self.shifts.sizes[here]
         self.place_shifts(unknowns)
         self.place_points(unknowns.X)
         return unknowns
 
     def renew_places(self, unknowns: Unknowns, shape: StripShape) -> None:
-        """Read the stress-free places of the vertices again."""
+        """Read the stress-free places of the vertices again; bounds stay in space."""
+        before = unknowns.X.copy()
         unknowns.X[unknowns.vertex_blocks()] = vertex_places(self.u.function_space)
         far = [self.strip.row_of[v] for v in self.far_vertices]
         unknowns.X[unknowns.far_vertex_blocks()[: len(far)]] = shape.stress_free[far]
+        for bounds in unknowns.bounds or ():
+            bounds += before - unknowns.X
+
+    @property
+    def own_shifts(self) -> Integers:
+        """Which of the shifts this rank owns, (k,)."""
+        return np.flatnonzero(self.owners[self.n_nodes :] == self.rank)
 
     def place_shifts(self, unknowns: Unknowns) -> None:
         """Put the shifts of this rank where their vertices are now, which tied ones follow."""
@@ -346,6 +353,7 @@ class CableNumbering:
             (self.shift_blocks[here], self.shifts.projectors[here]),
         )
         unknowns.set_sliders(self.shift_blocks[here], self.shifts.projectors[here])
+        unknowns.shift_sizes = self.shifts.sizes[here]
         if np.any((nodes.kind == EDGE_SLIDER) & nodes.taut):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)

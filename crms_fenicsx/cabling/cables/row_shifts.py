@@ -77,14 +77,13 @@ class RowShifts:
         inner = np.zeros(len(vertex), dtype=bool)
         inner[1:-1] = vertex[:-2] & vertex[1:-1] & vertex[2:]
         inner[nodes.starts[:-1]] = inner[nodes.starts[1:] - 1] = False
-        on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & (nodes.size == 1))
-        on = on[nodes.taut[on]]
+        on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted & nodes.taut)
         strip = shape.strip
         held, fixed = _held_and_fixed(membrane, nodes, shape, kept)
         at = np.searchsorted(strip.vertices, nodes.support[on, 0])
         own = slides[nodes.cable[on]]
         ids, first, of = np.unique(at, return_index=True, return_inverse=True)
-        rows = rows_of(cables, nodes, shape)
+        rows = row_places(cables, nodes, shape)
         tangents, normals = _tangents(rows[:, 0], on), rows[on[first], 1]
         count = np.bincount(of, own)
         beyond = on[own & _passes_the_rim(nodes, positions_of(cables))[on]]
@@ -147,10 +146,10 @@ def _normals(shape: StripShape, vertices: Integers) -> Array:
     return SmoothSurface.of(shape.stress_free, solid).fitted(solid, vertices)
 
 
-def rows_of(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> Array:
+def row_places(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) -> Array:
     """Stress-free places and normals (n, 2, 3) of the nodes at vertices when the mesh last followed
-    the rows of these cables, or now: directions that turned with each shift would let the rows
-    settle more slowly."""
+    the rows of these cables, or now if no cables are given: directions that turned with each shift
+    would let the rows settle more slowly."""
     at = np.searchsorted(shape.strip.vertices, nodes.support[:, 0])
     at = np.minimum(at, len(shape.strip.vertices) - 1)
     rows = np.zeros((len(at), 2, 3))
@@ -159,8 +158,9 @@ def rows_of(cables: Sequence[LaidCable], nodes: NodeTable, shape: StripShape) ->
         if cable.state.row is not None:
             own = start + np.flatnonzero(nodes.kind[start:end] == VERTEX)
             rows[own], new[own] = cable.state.row, False
-    ids, of = np.unique(at[new], return_inverse=True)
-    rows[new, 0], rows[new, 1] = shape.stress_free[at[new]], _normals(shape, ids)[of]
+    if new.any():
+        ids, of = np.unique(at[new], return_inverse=True)
+        rows[new, 0], rows[new, 1] = shape.stress_free[at[new]], _normals(shape, ids)[of]
     return rows
 
 
@@ -188,11 +188,12 @@ def _rim_tangents(nodes: NodeTable, shape: StripShape, on: Integers, held: Boole
     which rows end."""
     strip, X = shape.strip, shape.stress_free
     found = np.zeros((len(strip.vertices), 3))
-    for v in np.unique(np.searchsorted(strip.vertices, nodes.support[on, 0])):
+    ends = np.unique(np.searchsorted(strip.vertices, nodes.support[on, 0]))
+    for v in ends[held[ends]]:
         around = strip.simplices.cells[(strip.simplices.cells == v).any(axis=1)]
         others, counts = np.unique(around[around != v], return_counts=True)
         beside = others[counts == 1]
-        if not held[v] or len(beside) != 2:
+        if len(beside) != 2:
             continue
         a, b = X[v] - X[beside[0]], X[beside[1]] - X[v]
         if a @ b >= CREASE * norm(a) * norm(b):

@@ -167,7 +167,7 @@ class ActiveSet:
             else:
                 taut = tight = cable.is_tight(nearly=untried and not judged)
             alone = cable.slides_freely and not cable.is_divided
-            new = solved is not None and judged and tight and untried
+            new = judged and tight and untried
             if solved is not None and new and alone and cable.folds_cells:
                 if flat is None:
                     flat = floats(solved.flat_lengths(shape, fractions_of(self.net.cables)))

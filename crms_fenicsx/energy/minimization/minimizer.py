@@ -166,7 +166,7 @@ class Minimizer:
         except BaseException as error:  # PETSc would replace it by an error of its own
             self._error, self._interrupted = error, True
         over = self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual)
-        if over or self._shifted(self._x) > self.strategy.far_shift:
+        if over or self._largest_shift() > self.strategy.far_shift:
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
@@ -178,16 +178,9 @@ class Minimizer:
                 self.potential.place(X)
             self._interrupted = self._interrupt(residual, self._scale, not left)
 
-    def _shifted(self, X: PETSc.Vec) -> float:
-        """Largest shift of a stress-free place at X, relative to the cell size. Collective."""
-        unknowns = self.potential.unknowns
-        if unknowns.n_shifts == 0:
-            return 0.0
-        own = unknowns.shifts < unknowns.n_owned
-        ways = X.array_r.reshape(-1, 3)[unknowns.shifts[own]]
-        squares = np.einsum("ni,ni->n", ways, ways) / unknowns.shift_sizes[own] ** 2
-        largest = float(squares.max(initial=0.0))
-        return float(self.potential.comm.allreduce(largest, op=MPI.MAX) ** 0.5)
+    def _largest_shift(self) -> float:
+        """Largest shift of a stress-free place at TAO's state. Collective."""
+        return self.potential.unknowns.largest_shift(self._x.array_r.reshape(-1, 3))
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether to change the measure of energy or to rebuild H0."""
@@ -225,7 +218,7 @@ class Minimizer:
         if self._error is not None:
             raise self._error
         far = self.strategy.far_shift * (0.1 if ended == SEARCH_FAILED else 1.0)
-        self._interrupted |= self._shifted(self._x) > far  # go on from a mesh that follows
+        self._interrupted |= self._largest_shift() > far  # go on from a mesh that follows
         return ended
 
     def reset_h0(self) -> None:

@@ -21,6 +21,7 @@ from typing import ClassVar, Self
 import numba
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
@@ -225,6 +226,17 @@ class Unknowns(LocalBlocks):
         """Global numbers of the local blocks, (n_local,)."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
         return np.concatenate([owned, self.ghosts])
+
+    def largest_shift(self, x: Array) -> float:
+        """Largest shift of a stress-free place, relative to the cell size, at owned displacements x
+        (n, 3). Collective where some shift."""
+        if self.n_shifts == 0:
+            return 0.0
+        own = self.shifts < self.n_owned
+        ways = x[self.shifts[own]]
+        squares = np.einsum("ni,ni->n", ways, ways) / self.shift_sizes[own] ** 2
+        largest = float(squares.max(initial=0.0))
+        return float(self.comm.allreduce(largest, op=MPI.MAX) ** 0.5)
 
     def update_ghosts(self, vector: PETSc.Vec) -> None:
         """Copy owned values to the ghosts on other ranks."""

@@ -19,15 +19,16 @@ from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Int
 class FirstSurface:
     """Vertices by their number in the mesh as given, and cells in its order, on all ranks.
 
-    Attributes: `smooth`: the surface through the vertices; `cells` (m, 3); `edges`
-    (e, 2), and their `lengths`; `rim` (n,): vertices at
-    edges that do not have two cells; `rims` (k, 2): these edges; `size` (n,): mean length of the
-    edges around each vertex; `flat`: whether all cells lie in one plane; `least` (n,): lengths by
-    which nothing has moved.
+    Attributes: `ids` (l,): numbers of the local vertices; `smooth`: the surface through the
+    vertices; `cells` (m, 3); `edges` (e, 2), and their `lengths`; `rim` (n,): vertices at edges
+    that do not have two cells; `rims` (k, 2): these edges; `size` (n,): mean length of the edges
+    around each vertex; `flat`: whether all cells lie in one plane; `least` (n,): lengths by which
+    nothing has moved.
     """
 
     def __init__(self, V: fem.FunctionSpace, ids: Integers, places: Array) -> None:
         """Gather places (n, 3) of the local vertices, with numbers `ids` (n,). Collective."""
+        self.ids = ids
         mesh, own = V.mesh, V.dofmap.index_map.size_local
         count = mesh.topology.index_map(2).size_local
         numbers = np.asarray(mesh.topology.original_cell_index[:count], dtype=np.int64)

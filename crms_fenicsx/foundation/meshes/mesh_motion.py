@@ -18,11 +18,11 @@ from dolfinx import fem, la
 
 from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.harmonic_extension import HarmonicExtension
-from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.meshes.orientation import connected_labels
 from crms_fenicsx.foundation.meshes.row_pieces import RowPieces, mixed
 from crms_fenicsx.foundation.meshes.triangles import (
     arc_lengths,
+    closest_on_segments,
     cross,
     dot,
     double_areas,
@@ -50,19 +50,17 @@ class MeshMotion:
     def __init__(
         self,
         V: fem.FunctionSpace,
-        first: Array,
+        surface: FirstSurface,
         rows: Sequence[Integers],
         fixed: Booleans,
         sliding: Integers,
     ) -> None:
-        """Take the stress-free places `first` (n, 3) of the first mesh; the vertices along each
-        row, where crossing rows share one; vertices `fixed` (n,) that never move, beside those of
-        rims, seams and creases, which are found here; and the rows' ends that slide along the rim,
-        if they do not lie at a corner of it."""
-        self._V, self._first = V, first
-        self._ids = np.zeros(len(first), dtype=np.int64)
-        self._ids[V.dofmap.list] = cell_vertex_ids(V.mesh)
-        self._surface = surface = FirstSurface(V, self._ids, first)
+        """Take the surface of the first mesh; the vertices along each row, where crossing rows
+        share one; vertices `fixed` (n,) that never move, beside those of rims, seams and creases,
+        which the surface knows; and the rows' ends that slide along the rim, if they do not lie at
+        a corner of it."""
+        self._V, self._surface = V, surface
+        self._ids, self._first = surface.ids, surface.smooth.points[surface.ids]
         self._own = V.dofmap.index_map.size_local
         stays = np.zeros(len(surface.rim), dtype=bool)
         for some in V.mesh.comm.allgather(self._ids[: self._own][fixed[: self._own]]):
@@ -88,6 +86,8 @@ class MeshMotion:
         )
         self._local = np.flatnonzero(np.isin(self._ids, self._numbers))
         self._place = np.searchsorted(self._numbers, self._ids[self._local])
+        self._here = np.full(len(self._numbers), -1)  # local degrees of freedom of rows, or -1
+        self._here[self._place] = self._local
         free = ~(stays | surface.rim)
         self._within, self._single = free[self._numbers], free & (count == 1)
         known = stays | (norm(surface.smooth.normals) == 0.0)
@@ -137,16 +137,6 @@ class MeshMotion:
         X[moves] = new[moves]
         return X, x
 
-    def rim_tangents(self, X: Array) -> Array:
-        """Unit tangents (k, 3) of the rim at the `sliding` vertices."""
-        at, tangents = self._gathered(X), np.zeros((len(self.sliding), 3))
-        for line in self._rims:
-            places = at[np.searchsorted(self._numbers, line)]
-            inner = np.flatnonzero(self._slides[line])
-            k = [ints(self.sliding).index(v) for v in ints(line[inner])]
-            tangents[k] = _unit(places[inner + 1] - places[inner - 1])
-        return tangents
-
     def under(self, X: Array, x: Array, spans: Sequence[Span]) -> tuple[Array, Array]:
         """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved sideways
         within the deformed surface until they lie under them, by at most half a cell. The rest of
@@ -159,7 +149,9 @@ class MeshMotion:
             k = np.searchsorted(self._numbers, vertices)
             tangents = np.gradient(at[k], axis=0) if len(k) > 1 else np.zeros((1, 3))
             free = np.flatnonzero(self._single[vertices])
-            local, of = _found(self._ids, vertices[free])
+            local = self._here[k[free]]
+            of = np.flatnonzero(local >= 0)
+            local = local[of]
             across = cross(normals[local], tangents[free[of]])
             side = cross(current[local], np.broadcast_to(chord, across.shape))
             across, side = _unit(across), _unit(side)
@@ -292,15 +284,6 @@ def _between(wanted: Array, arcs: Array, values: Array) -> Array:
 
 def _arc_at(place: Array, line: Array, arcs: Array) -> float:
     """Arc length of a line's point (n, 3) closest to a place."""
-    steps = np.diff(line, axis=0)
-    t = np.clip(dot(place - line[:-1], steps) / dot(steps, steps), 0.0, 1.0)
-    gaps = norm(line[:-1] + t[:, None] * steps - place)
+    t, _, gaps = closest_on_segments(line[:-1], np.diff(line, axis=0), place)
     k = int(np.argmin(gaps))
     return float(arcs[k] + t[k] * (arcs[k + 1] - arcs[k]))
-
-
-def _found(ids: Integers, vertices: Integers) -> tuple[Integers, Integers]:
-    """Local degrees of freedom of the vertices that are here, and which of these (k,) they are."""
-    order = np.argsort(vertices)
-    local = np.flatnonzero(np.isin(ids, vertices))
-    return local, order[np.searchsorted(vertices[order], ids[local])]

@@ -370,7 +370,8 @@ def _check_apart(plan: PlanShape, rows: PlanRows) -> None:
 
 def tell_turns(call: str, points: Array, cells: Integers, rows: Mapping[str, list[int]]) -> None:
     """Tell where rows of vertices turn sideways on the surface of the cells (m, 3)."""
-    normals = vertex_normals(points, cells)
+    near = np.isin(cells, [vertex for row in rows.values() for vertex in row]).any(axis=1)
+    normals = vertex_normals(points, cells[near])
     for name, row in rows.items():
         turns = np.abs(side_turns(points[row], normals[row]))
         worst = int(np.argmax(turns))

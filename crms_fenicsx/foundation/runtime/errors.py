@@ -40,12 +40,11 @@ class ConvergenceError(RuntimeError):
 
 
 class PathWarning(UserWarning):
-    """A cable is blocked or held, lies where it cannot lie, or stays where its edge moves.
+    """A cable is blocked, lies where it cannot lie, or stays where its edge moves.
 
-    A fold point has run into a mesh vertex, which blocks its path; a cable lies along a line of the
-    mesh, which holds it sideways; `meshes.along` has made cells of small angles; a cable end has
-    moved to the lower side of the membrane; or an edge moves under a cable end that has an anchor
-    in space.
+    A fold point has run into a mesh vertex, which blocks its path; `meshes.along` has made cells of
+    small angles; a cable end has moved to the lower side of the membrane; or an edge moves under a
+    cable end that has an anchor in space.
     """
 
 

@@ -19,8 +19,6 @@ from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene.scene import place_stress_free
 
-pytestmark = pytest.mark.filterwarnings("ignore:lay_cable:crms_fenicsx.PathWarning")
-
 T, Y, W = 103.0532, 29.39128, -298.76483
 """Tension, stress-free place of the middle and energy in the limit of fine meshes."""
 

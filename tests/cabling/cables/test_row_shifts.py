@@ -14,8 +14,6 @@ from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts, fixed_vertices
 from crms_fenicsx.foundation.runtime.arrays import Array
 
-pytestmark = pytest.mark.filterwarnings("ignore:lay_cable:crms_fenicsx.PathWarning")
-
 H = SIDE / CELLS
 
 

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from crms_fenicsx import meshes
 from crms_fenicsx.foundation.dofs.layout import vertex_places
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
+from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, gathered, rows_of
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -43,7 +44,8 @@ class Sheet:
         self.ids[V.dofmap.list] = cell_vertex_ids(mesh.mesh)
         self.fixed = np.zeros(len(self.first), dtype=bool)
         ends = np.array([self.rows[k // 2][-(k % 2)] for k in sliding], dtype=np.int64)
-        self.V, self.motion = V, MeshMotion(V, self.first, self.rows, self.fixed, ends)
+        surface = FirstSurface(V, self.ids, self.first)
+        self.V, self.motion = V, MeshMotion(V, surface, self.rows, self.fixed, ends)
         self.comm, self.own, self.cells = mesh.comm, V.dofmap.index_map.size_local, V.dofmap.list
 
     def on(self, row: Integers) -> Integers:
@@ -328,11 +330,7 @@ def test_ends_slide_around_a_cap(comm: MPI.Intracomm, sliding: tuple[int, ...]) 
     sheet = Sheet(cap(comm), sliding)
     ends = sheet.motion.sliding
     assert len(ends) == len(sliding)
-    tangents = sheet.motion.rim_tangents(sheet.first)
     whole = sheet.whole(sheet.first)
-    radii = whole[ends] / np.linalg.norm(whole[ends], axis=1)[:, None]
-    np.testing.assert_allclose(np.linalg.norm(tangents, axis=1), 1.0)
-    np.testing.assert_allclose((tangents * radii).sum(axis=1), 0.0, atol=0.1)
     X, angle = sheet.first.copy(), 0.1
     k = np.isin(sheet.ids, ends)
     c, s = np.cos(angle), np.sin(angle)
@@ -404,7 +402,8 @@ def test_fixed_vertices_stay(comm: MPI.Intracomm) -> None:
     fixed = place < 0.1
     fixed[middle] = True
     assert fixed.sum() > 3
-    motion = MeshMotion(sheet.V, sheet.first, sheet.rows, fixed, np.zeros(0, dtype=np.int64))
+    surface = FirstSurface(sheet.V, sheet.ids, sheet.first)
+    motion = MeshMotion(sheet.V, surface, sheet.rows, fixed, np.zeros(0, dtype=np.int64))
     X = sheet.first + bow(0.1)(sheet.first) * np.isin(sheet.ids, sheet.rows[0])[:, None]
     X[middle] = sheet.first[middle]
     new, _ = motion.move(X, X)
