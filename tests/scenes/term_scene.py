@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from grids import numbered, triangles
 from mpi4py import MPI
 from taylor import OnMesh, noise
@@ -27,6 +28,22 @@ FABRIC = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(1.0, 0.4, 0.3)
 )
 STIFF_FABRIC = replace(FABRIC, wrinkling=False)
+TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
+TENSED_FABRIC = OrthotropicMembrane(
+    1394.0, 140.0, 12.0, 0.065, 1.0, warp=(1.0, 0.4, 0.3), prestress=(2.0, 1.0)
+)
+MATERIALS = {
+    "relaxed": ISOTROPIC,
+    "relaxed, prestressed": TENSED,
+    "raw": STIFF,
+    "orthotropic": FABRIC,
+    "orthotropic, prestressed": TENSED_FABRIC,
+    "orthotropic, raw": STIFF_FABRIC,
+}
+every_material = pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS.keys())
+
+TRIANGLE = np.array([(1.0, 2.0, 0.5), (9.0, 1.0, 1.0), (6.0, 8.0, -1.0)])
+"""An acute triangle in space."""
 
 
 def grid_points() -> Array:

@@ -14,6 +14,7 @@ from vtu_file import read_vtu
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver
 from crms_fenicsx.analysis.scene.scene import place_stress_free
 from crms_fenicsx.energy.terms.term import EnergyTerm
+from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 
@@ -98,3 +99,52 @@ def test_files_hold_the_places_of_each_step(comm: MPI.Intracomm, tmp_path: Path)
             assert np.abs(found - displacement[due_order]).max() < 1e-12
             cables = read_vtu(folder / "steps" / f"cables_{k:06d}.vtu")
             assert np.abs(cables.points - line).max() < 1e-12
+
+
+class Noted(EnergyTerm):
+    """A term without energy that notes the stress-free places it is attached to."""
+
+    name = "noted"
+
+    def attach(self, unknowns: Unknowns) -> None:
+        super().attach(unknowns)
+        self.places = unknowns.X[: unknowns.n_vertices].copy()
+
+    def sums(self, x: Array, out: Array) -> None:
+        out[:] = 0.0
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        pass
+
+
+@pytest.mark.ranks
+def test_terms_are_attached_to_the_moved_places(comm: MPI.Intracomm) -> None:
+    scene, _ = bent_row(comm, rigid=False)
+    term = Noted()
+    scene.add_term(term)
+    first = scene.membrane.stress_free.copy()
+    Solver(scene).advance(pressure=0.2)
+    own = len(term.places)
+    assert comm.allreduce(float(np.abs(scene.membrane.stress_free - first).max())) > 0.05
+    np.testing.assert_array_equal(term.places, scene.membrane.stress_free[:own])
+
+
+def test_a_floor_stays_where_it_is(comm: MPI.Intracomm) -> None:
+    """Bounds follow stress-free places that rise, and sizes of shifts those that move apart."""
+    scene, _ = bent_row(comm, rigid=False)
+    scene.floor(-1.0)
+    solver = Solver(scene)
+    solver.advance(pressure=0.2)
+    system = solver.system
+    before = system.unknowns.shift_sizes.copy()
+    place_stress_free(scene, 1.01 * scene.membrane.stress_free)
+    system.renew_base()
+    bounds, unknowns = system.unknowns.bounds, system.unknowns
+    assert bounds is not None
+    free = np.isfinite(bounds[0][: unknowns.n_vertices, 2])
+    levels = (bounds[0] + unknowns.X)[: unknowns.n_vertices, 2]
+    assert free.any()
+    np.testing.assert_allclose(levels[free], -1.0, atol=1e-12)
+    np.testing.assert_allclose(unknowns.shift_sizes, 1.01 * before, rtol=1e-12)
+    assert system.potential.damping is not None
+    np.testing.assert_array_equal(system.potential.damping.springs.sizes, unknowns.shift_sizes)

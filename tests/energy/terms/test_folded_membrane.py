@@ -17,11 +17,12 @@ from taylor import (
 from term_scene import (
     FABRIC,
     ISOTROPIC,
-    STIFF,
-    STIFF_FABRIC,
+    TENSED_FABRIC,
+    TRIANGLE,
     cable_square,
     directions,
     displaced,
+    every_material,
     irregular_square,
     moved,
     on_mesh,
@@ -36,24 +37,8 @@ from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.meshes import from_arrays
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
-from crms_fenicsx.model.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.materials import LINEAR
 
-TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
-TENSED_FABRIC = OrthotropicMembrane(
-    1394.0, 140.0, 12.0, 0.065, 1.0, warp=(1.0, 0.4, 0.3), prestress=(2.0, 1.0)
-)
-MATERIALS = {
-    "relaxed": ISOTROPIC,
-    "relaxed, prestressed": TENSED,
-    "raw": STIFF,
-    "orthotropic, prestressed": TENSED_FABRIC,
-    "orthotropic, raw": STIFF_FABRIC,
-    "orthotropic": FABRIC,
-}
-every_material = pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS.keys())
-
-TRIANGLE = np.array([(1.0, 2.0, 0.5), (9.0, 1.0, 1.0), (6.0, 8.0, -1.0)])
-"""An acute triangle in space."""
 FOLDS = {
     "none": ((), (), ()),
     "one on two sides": ((0.3,), (0.6,), ()),

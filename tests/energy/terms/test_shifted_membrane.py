@@ -22,9 +22,12 @@ from term_scene import (
     FABRIC,
     ISOTROPIC,
     STIFF,
-    STIFF_FABRIC,
+    TENSED,
+    TENSED_FABRIC,
+    TRIANGLE,
     directions,
     displaced,
+    every_material,
     irregular_square,
     rotation,
 )
@@ -44,26 +47,9 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 from crms_fenicsx.model.materials import (
     LINEAR,
-    IsotropicMembrane,
     MembraneMaterial,
-    OrthotropicMembrane,
 )
 
-TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
-TENSED_FABRIC = OrthotropicMembrane(
-    1394.0, 140.0, 12.0, 0.065, 1.0, warp=(1.0, 0.4, 0.3), prestress=(2.0, 1.0)
-)
-MATERIALS = {
-    "relaxed": ISOTROPIC,
-    "relaxed, prestressed": TENSED,
-    "raw": STIFF,
-    "orthotropic": FABRIC,
-    "orthotropic, prestressed": TENSED_FABRIC,
-    "orthotropic, raw": STIFF_FABRIC,
-}
-every_material = pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS.keys())
-
-TRIANGLE = np.array([(1.0, 2.0, 0.5), (9.0, 1.0, 1.0), (6.0, 8.0, -1.0)])
 LOAD = np.array([0.3, -0.2, 0.9])
 MOVES = {
     2: 0.25 * TRIANGLE + 0.1,
