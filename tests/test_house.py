@@ -56,11 +56,11 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 10720,
-    "model": 3145,
-    "energy": 8051,
-    "cabling": 8344,
-    "analysis": 7299,
+    "foundation": 10714,
+    "model": 3146,
+    "energy": 8045,
+    "cabling": 8352,
+    "analysis": 7323,
     "results": 10598,
     "solver": 987,
     "design": 8434,
@@ -70,7 +70,7 @@ BUDGETS = {
 RATCHETS = {
     "isinstance of own types": 139,
     "attributes that are born late": 105,
-    "files of less than 100 lines": 22,
+    "files of less than 100 lines": 24,
     "public functions and classes": 1064,
     "classes": 432,
     "module constants": 261,

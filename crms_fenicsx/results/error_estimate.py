@@ -65,13 +65,13 @@ class ErrorEstimator:
         self._space = fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,)))
         self._dofs: Indices = self._space.dofmap.list
         tags, n = scene.membrane.cell_tags, mesh.topology.index_map(2).size_local
+        self._areas, self._normals = scene.membrane.cell_areas, cell_normals(mesh)
         self._tags = np.zeros(n) if tags is None else tags.values.astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
         """Estimated error of the scene's present state. Collective."""
-        # stress-free places may have moved
-        self._areas: Array = self._scene.membrane.cell_areas
-        self._normals: Array = cell_normals(self._scene.mesh.mesh)
+        self._areas = self._scene.membrane.cell_areas  # which may have moved
+        self._normals = cell_normals(self._scene.mesh.mesh)
         tensors = cell_tensors(system)
         frames, axes, images = tensors.frames, tensors.axes, tensors.images
         folded = tensors.folded

@@ -196,7 +196,7 @@ class System:
     def largest_shift(self) -> float:
         """Largest shift of a stress-free place in the last solve, relative to the cell size.
         Collective."""
-        return self.unknowns.largest_shift(self.potential.x)
+        return 0.0 if self.shifts is None else self.unknowns.largest_shift(self.potential.x)
 
     def follow_rows(self, begins: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as

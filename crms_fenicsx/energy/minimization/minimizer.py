@@ -180,7 +180,8 @@ class Minimizer:
 
     def _largest_shift(self) -> float:
         """Largest shift of a stress-free place at TAO's state. Collective."""
-        return self.potential.unknowns.largest_shift(self._x.array_r.reshape(-1, 3))
+        unknowns = self.potential.unknowns
+        return unknowns.largest_shift(self._x.array_r.reshape(-1, 3)) if unknowns.n_shifts else 0.0
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether to change the measure of energy or to rebuild H0."""

@@ -229,9 +229,7 @@ class Unknowns(LocalBlocks):
 
     def largest_shift(self, x: Array) -> float:
         """Largest shift of a stress-free place, relative to the cell size, at owned displacements x
-        (n, 3). Collective where some shift."""
-        if self.n_shifts == 0:
-            return 0.0
+        (n, 3). Collective."""
         own = self.shifts < self.n_owned
         ways = x[self.shifts[own]]
         squares = np.einsum("ni,ni->n", ways, ways) / self.shift_sizes[own] ** 2
