@@ -51,23 +51,24 @@ class ContactLoop:
         changes = active.tighten()  # contacts need a solved state
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
+        # on a roof that is still flat rows would slide far, and back
+        flat = h0_prestress[0] > 0.0 and system.shifts is None
+        lines = [c for c in self.scene.cables if c.state.laid.line is not None]
+        system.holds_rows = flat and system.slide and len(lines) > 0
         total: Outcome | None = None
         looked, ended, way = False, False, 0.0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked, ended
             shift, near = system.largest_shift(), residual <= TOL.path_residual * scale
-            if near and shift > NEAR:
-                system.write_scene()  # the mesh is to follow
-                return True
             if looked:
                 return False
             system.write_scene()
             if residual > self._weakest() * TOL.contact_residual and not last:
                 return False
+            if system.holds_rows and not near:
+                return False
             changes = self._changes()
-            if shift > NEAR:
-                return True
             # states on other paths are compared with rows at rest
             near = near and (self.sliding is None or shift <= SETTLED)
             if not near or (changes and not self._may_join_paths()):
@@ -92,7 +93,8 @@ class ContactLoop:
                 changes = self._changes()
             elif not changes and not looked and not ended:  # a look may have changed paths
                 system.write_scene()
-            way = system.follow_rows(begins)
+            solved = outcome.reason != "interrupted" and not changes
+            way = system.follow_rows(begins, solved)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve
@@ -141,6 +143,7 @@ class ContactLoop:
 
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""
+        held, self.system.holds_rows = self.system.holds_rows, False
         shape = self.scene.net.strip_shape()
         changes = self.active.update(shape)
         if not changes and self.sliding is not None and self.scene.clamps:
@@ -150,7 +153,7 @@ class ContactLoop:
         if self.sliding is not None and not changes and self._projections < BUDGET.changes:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
-        return changes
+        return [*changes, "rows slide"] if held else changes
 
 
 def _restore_positions(scene: Scene, state: SceneState) -> None:

@@ -30,12 +30,10 @@ from crms_fenicsx.model.tolerances import BUDGET
 
 logger = logging.getLogger("crms_fenicsx")
 
-STALLED = 15
-"""Motions of the mesh in a solve in which the shifts have not halved, after which the vertices that
-still shift stay: those below taut cables come to rest with 2 at most."""
-
-FAR = 0.3
-"""Shift, relative to the cell size, above which rows are still under way."""
+SLOW, MOTIONS = 0.7, 5
+"""Ratio of a vertex's shift to the one before, after solves with the same contacts, above which it
+is slow, and number of slow ones in a load step after which the vertex stays. Below nearly slack
+cables it would wander for ever: the errors of the mesh are stiffer than the cable there."""
 
 
 class RowSliding:
@@ -53,8 +51,8 @@ class RowSliding:
         self._fixed: Booleans = np.zeros(0, dtype=bool)
         self._sliding: Integers = np.zeros(0, dtype=np.int64)
         self._aside = 0  # times that vertices have moved under spans in this solve
-        self._least, self._stalled = np.inf, 0
         self.resting: Integers = np.zeros(0, dtype=np.int64)
+        self.begin()
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -63,15 +61,27 @@ class RowSliding:
         self._motion = None
 
     def begin(self) -> None:
-        """Begin a solve."""
-        self._aside = self._stalled = 0
-        self._least = np.inf
+        """Begin a load step."""
+        self.resting = np.zeros(0, dtype=np.int64)
+        self._forget()
 
-    def follow(self, shifts: ShiftContribution, potential: Potential) -> float:
+    def _forget(self) -> None:
+        """Forget the last motions, of other contacts."""
+        self._ids: Integers = np.zeros(0, dtype=np.int64)
+        self._slow: Integers = np.zeros(0, dtype=np.int64)  # number of slow ones at each
+        self._ways: Array = np.zeros((0, 3))  # shifts in the last solve
+        self._steps: list[Array] = []  # those made after each solve, and what these have changed
+        self._changes: list[Array] = []
+
+    def follow(
+        self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
+    ) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
         unless all are small; return the largest, relative to the cell size. Vertices below spans
-        move under these. Collective."""
+        move under these. `begins`: whether it is the first in a solve; `solved`: whether it
+        follows a solved state without new contacts. Collective."""
         self.collapse = ""
+        self._aside = 0 if begins else self._aside
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
         ways = shifts.shifts(potential)
         way = float((norm(ways) / rows.sizes).max(initial=0.0))
@@ -83,16 +93,14 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
-        self._stalled += SETTLED < 0.5 * self._least < way < FAR
-        self._least = min(self._least, way)
-        if self._stalled > STALLED:
-            # below nearly slack cables, whose stiffness is less than that of the mesh
-            still = norm(ways) > 0.1 * way * rows.sizes
-            self.resting = np.union1d(self.resting, rows.vertices[still])
-            logger.debug("%d vertices of rows stay", len(self.resting))
+        further = None
+        if solved:
+            further = rows.vertices, self._further(rows, ways)
+        else:
+            self._forget()
         if way > NEAR:
             motion = self._renewed(rows.vertices)
-            X, x = motion.move(X, x)
+            X, x = motion.move(X, x, further)
             ratio, why = self._narrowest(motion, X)
             self.collapse = why if ratio <= 0.0 else ""
         self._keep_rows(moved=False)
@@ -104,6 +112,29 @@ class RowSliding:
         u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
+
+    def _further(self, rows: RowShifts, ways: Array) -> Array:
+        """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
+        last motions tell: Anderson's extrapolation of a fixed point. Those that are slow stay."""
+        if not np.array_equal(rows.vertices, self._ids):
+            self._forget()
+            self._ids, self._slow = rows.vertices, np.zeros(len(ways), dtype=np.int64)
+        step, sizes = ways, norm(ways)
+        if self._steps:
+            self._slow += sizes > np.maximum(SLOW * norm(self._ways), SETTLED * rows.sizes)
+            self._changes.append((ways - self._ways).ravel())
+            changes, steps = np.stack(self._changes, axis=1), np.stack(self._steps, axis=1)
+            factors = np.linalg.lstsq(changes, ways.ravel(), rcond=None)[0]
+            step = ways - ((steps + changes) @ factors).reshape(-1, 3)
+            if (norm(step) > rows.sizes).any():
+                step = ways
+            rest = np.setdiff1d(rows.vertices[self._slow >= MOTIONS], self.resting)
+            if len(rest):
+                self.resting = np.union1d(self.resting, rest)
+                logger.debug("%d vertices of rows stay", len(self.resting))
+        self._ways = ways
+        self._steps.append(step.ravel())
+        return step - ways
 
     def _keep_rows(self, moved: bool) -> None:
         """Keep the present places of the rows of which none are known, or of all if the mesh has

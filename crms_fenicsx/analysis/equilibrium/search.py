@@ -108,6 +108,7 @@ class EquilibriumSearch:
     def __init__(self, system: System, tried: TriedPaths | None) -> None:
         self.system, self.scene, self.tried = system, system.scene, tried
         self._history: ContactHistory = (set(), set())
+        system.begin_rows()
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Find the equilibrium and leave the scene in it. Collective. In wind, which is to turn

@@ -79,7 +79,7 @@ class System:
         self.potential: Potential
         self.minimizer: Minimizer | None = None
         self._rows: RowSliding | None = None
-        self.rows_rest = True
+        self.rows_rest, self.holds_rows = True, False
         self._solved = True
         """Whether the last solve converged; if not, the next one does without Newton's method,
         which would most often fail in the same way, and slowly."""
@@ -123,7 +123,9 @@ class System:
         if scene.cables:
             from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
 
-            self.cables = CableContribution(scene, self.membrane.energy, frame, self.slide)
+            self.cables = CableContribution(
+                scene, self.membrane.energy, frame, self.slide and not self.holds_rows
+            )
             self.unknowns, folds = self.cables.unknowns, self.cables.folds()
             damping = self.cables.damping()
         else:
@@ -198,24 +200,26 @@ class System:
         Collective."""
         return 0.0 if self.shifts is None else self.unknowns.largest_shift(self.potential.x)
 
-    def follow_rows(self, begins: bool) -> float:
+    def begin_rows(self) -> None:
+        """Begin a load step for rows that slide."""
+        self.holds_rows = False
+        if self._rows is not None:
+            if len(self._resting):
+                self.invalidate()
+            self._rows.begin()
+
+    def follow_rows(self, begins: bool, solved: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
-        `largest_shift`. `begins`: whether it is the first in a solve. Collective."""
+        `largest_shift`. `begins`, `solved`: see `RowSliding.follow`. Collective."""
         way = 0.0
         if self.shifts is not None:
-            way = self._row_sliding(begins).follow(self.shifts, self.potential)
+            if self._rows is None:
+                from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
+
+                self._rows = RowSliding(self.scene)
+            way = self._rows.follow(self.shifts, self.potential, begins, solved)
         self.rows_rest = way <= SETTLED
         return way
-
-    def _row_sliding(self, begins: bool) -> RowSliding:
-        """The motion of the mesh with its rows, kept over all layouts."""
-        if self._rows is None:
-            from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
-
-            self._rows = RowSliding(self.scene)
-        if begins:
-            self._rows.begin()
-        return self._rows
 
     def release(self) -> None:
         """Free all PETSc objects, for good."""

@@ -32,11 +32,11 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_POINT
 
-NEAR = 0.02
+NEAR = 1e-3
 """Shift, relative to the cell size, below which the mesh around the rows stays as it is: the rest
 of the solve then has one energy, and converges."""
 
-SETTLED = 1e-6
+SETTLED = 1e-5
 """The same below which the rows have come to rest."""
 
 

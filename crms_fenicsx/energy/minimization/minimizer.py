@@ -162,7 +162,8 @@ class Minimizer:
         """TAO's callback after each iteration: ask whether to stop; end the stage if that pays."""
         residual = tao.getSolutionStatus()[2]
         try:
-            self._ask(residual, self._x)
+            if tao.getIterationNumber() > 0:
+                self._ask(residual, self._x)
         except BaseException as error:  # PETSc would replace it by an error of its own
             self._error, self._interrupted = error, True
         over = self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual)
@@ -230,7 +231,8 @@ class Minimizer:
         """Rebuild H0 at the current state, and set it in TAO the first time. Returns whether it is
         usable. `renewals`: rebuilds so far in this solve; `failures`: consecutive failed line
         searches."""
-        prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
+        near = self._residual0 < self.strategy.exact * self._scale
+        prestress = h0_prestress[-1 if near else min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
             least = self.strategy.unsettled * (self._residual0 / max(self._scale, 1e-300)) ** 2
@@ -298,7 +300,8 @@ class Minimizer:
                 residual, tolerance, self._scale, stressed=h0_prestress[0] == 0.0, first=stages == 0
             ):
                 residual, tolerance, rounding = self._evaluate()
-            if self._newton_method.active or self._relaxation is not None:  # in stages TAO asks
+            relaxes = self._relaxation is not None and self._relaxation.has_points
+            if self._newton_method.active or relaxes:  # in stages TAO asks
                 self._ask(residual)
             end = self._end(residual, tolerance, stages)
             if end or (failures >= 3 and residual > 0.5 * best):
@@ -321,6 +324,7 @@ class Minimizer:
                 fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *self._trial)
                 failures = 0 if fallen else failures + 1
                 continue
+            self._h0_is_outdated = False
             ended = self._run(residual)
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
@@ -330,7 +334,7 @@ class Minimizer:
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
         worn = iterations - renewed > self._most_h0_iterations
-        self._h0_is_outdated |= worn or reason != "converged"
+        self._h0_is_outdated |= worn or reason not in ("converged", "interrupted")
         converged = reason in ("converged", "interrupted")
         if not converged and rounding > tolerance:
             reason += endings.DROWNED.format(rounding)

@@ -60,8 +60,8 @@ class Strategy:
     """Reduction of the residual that is required of `quick_steps` such steps."""
     quick_steps: int = 10
     """Steps after which this is checked."""
-    exact: float = 1e-2
-    """Residual below which H0 is the second derivatives."""
+    exact: float = 0.2
+    """Residual below which H0 is the second derivatives, without prestress."""
     slow: float = 0.7
     """Reduction of the residual by a quick step with another H0 above which the next step tries the
     second derivatives earlier."""

@@ -103,9 +103,12 @@ class MeshMotion:
     def destroy(self) -> None:
         self._extension.destroy()
 
-    def move(self, X: Array, x: Array) -> tuple[Array, Array]:
+    def move(
+        self, X: Array, x: Array, further: tuple[Integers, Array] | None = None
+    ) -> tuple[Array, Array]:
         """Stress-free and current places (n, 3) after a motion, from those after a solve, which
-        differ from the last motion's in rows only, or from the first mesh's.
+        differ from the last motion's in rows only, or from the first mesh's. `further`: vertices
+        (m,) and how far beyond they go (m, 3), except at the rim.
 
         The vertices of rows are spread again between ends and crossings in the proportions of the
         first mesh, those of the rim beside sliding ends as well. The others move as a harmonic
@@ -116,7 +119,11 @@ class MeshMotion:
         for line in self._rims:
             self._slide(line, at, now)
         final, numbers, within = at.copy(), self._numbers, self._within
-        final[within] = self._on_surface(at[within], numbers[within])
+        if further is not None:
+            beyond = np.zeros_like(final)
+            beyond[np.searchsorted(numbers, further[0])] = further[1]
+            final[within] += beyond[within]
+        final[within] = self._on_surface(final[within], numbers[within])
         k, found, before, after, shares = self._pieces.spread(
             final, lambda k, p: self._surface.onto(numbers[k], p)[0]
         )

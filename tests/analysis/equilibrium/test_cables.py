@@ -337,7 +337,9 @@ def test_friction_is_renewed_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return FOUND
 
     monkeypatch.setattr(search, "FrictionLoop", Loop)
-    system: Any = SimpleNamespace(scene=None, renew_smoothing_length=lambda: changes.pop(0))
+    system: Any = SimpleNamespace(
+        scene=None, renew_smoothing_length=lambda: changes.pop(0), begin_rows=lambda: None
+    )
     contacts: Any = SimpleNamespace(solve_in_cells=in_cells)
     found = EquilibriumSearch(system, None)._unsmoothed(FOUND, contacts)
     assert solved == ["friction", "in cells", "in cells"]
