@@ -20,7 +20,6 @@ from crms_fenicsx.cabling.cables.row_shifts import (
     row_places,
 )
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
@@ -47,7 +46,6 @@ class RowSliding:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.collapse = scene, ""
-        self._surface: FirstSurface | None = None
         self._motion: MeshMotion | None = None
         self._rows: tuple[LaidCable, ...] = ()
         self._fixed: Booleans = np.zeros(0, dtype=bool)
@@ -172,12 +170,10 @@ class RowSliding:
         fixed &= ~np.isin(membrane.vertex_ids, sliding)
         same = rows == self._rows and np.array_equal(fixed, self._fixed)
         same = same and np.array_equal(sliding, self._sliding)
-        if self._surface is None:
-            self._surface = FirstSurface(membrane.V, membrane.vertex_ids, membrane.given)
         if self._motion is None or not scene.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self._rows, self._fixed, self._sliding = rows, fixed, sliding
-            self._motion = MeshMotion(membrane.V, self._surface, vertices, fixed, sliding)
+            self._motion = MeshMotion(membrane.V, membrane.first_surface, vertices, fixed, sliding)
         return self._motion
 
 
