@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.collapse_words import COLLAPSED, collapse_words
+from crms_fenicsx.analysis.equilibrium.held_rims import within_held_rims
 from crms_fenicsx.analysis.equilibrium.kept_vertices import kept_vertices
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
@@ -162,7 +163,8 @@ class RowSliding:
         ]
         ends = np.array([v for row in vertices for v in row[[0, -1]]], dtype=np.int64)
         sliding = ends[np.isin(ends, shifting)]
-        fixed = fixed_vertices(membrane, kept_vertices(scene))
+        goes = within_held_rims(membrane, sliding) if len(sliding) else False
+        fixed = fixed_vertices(membrane, kept_vertices(scene), goes)
         fixed &= ~np.isin(membrane.vertex_ids, sliding)
         same = rows == self._rows and np.array_equal(fixed, self._fixed)
         same = same and np.array_equal(sliding, self._sliding)

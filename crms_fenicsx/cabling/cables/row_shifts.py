@@ -229,10 +229,10 @@ def _held_and_fixed(
     return held.astype(bool), np.asarray(still)
 
 
-def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
+def fixed_vertices(membrane: Membrane, kept: Booleans, but: Booleans | bool = False) -> Booleans:
     """Whether the stress-free place of each local vertex (n,) must stay in all motions of the mesh:
-    where it is to be kept, where it is held, but not within held areas, and on the borders of
-    parts. Collective."""
+    where it is to be kept, where it is held, `but` for some (n,), but not within held areas, and on
+    the borders of parts. Collective."""
     own = membrane.mesh.mesh.topology.index_map(2).size_local
     dofs = membrane.V.dofmap.list[:own]
     free = ~np.asarray(membrane.held.all(axis=1))[dofs].all(axis=1)
@@ -245,4 +245,5 @@ def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
     sums.scatter_forward()
     n_free, count, mean, square = total.T
     borders = square * count - mean**2 > 0.5
-    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders | kept)
+    held = membrane.held.any(axis=1) & ~np.asarray(but)
+    return np.asarray((held & (n_free > 0)) | borders | kept)
