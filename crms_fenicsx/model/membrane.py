@@ -15,11 +15,12 @@ from mpi4py import MPI
 
 from crms_fenicsx.foundation.dofs.layout import vertex_places
 from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
+from crms_fenicsx.foundation.meshes.placed_fields import PlacedFields
 from crms_fenicsx.foundation.meshes.triangles import (
     OpenEdges,
     area_vectors,
-    cell_normals,
     open_edges,
 )
 from crms_fenicsx.foundation.runtime import checks
@@ -32,9 +33,9 @@ from crms_fenicsx.foundation.runtime.errors import (
     PenaltyWarning,
     raised_together,
 )
+from crms_fenicsx.model.frames import checked_frames, own_areas
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.strengths import Strengths
-from crms_fenicsx.model.tolerances import SAME_PLACE
 
 STABLE_PENALTY = (1e-3, 1.0)
 """Range of penalty factors in which folded cells are stable and do not lock."""
@@ -104,7 +105,7 @@ class Membrane:
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
         # (n, 2, 3) images in the mesh of the unit vectors along warp and weft of the cells' own
         # stress-free shapes; None where the mesh is stress-free
-        self.frames = None if frames is None else _checked_frames(mesh, frames)
+        self.frames = None if frames is None else checked_frames(mesh, frames)
         # for results only, not part of the state: strengths by part, their partial factors by the
         # names of the acting loads, and radii of reinforcement by group of points
         self.strengths: dict[str, Strengths] = {}
@@ -193,6 +194,34 @@ class Membrane:
         own = self.mesh.mesh.topology.index_map(2).size_local
         areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:own], axis=1)
         return areas if self.frames is None else areas * own_areas(self.frames[:own])
+
+    @cached_property
+    def kinds(self) -> Indices:
+        """Kinds of this rank's cells, (n,): numbers by material and whether pressure acts."""
+        tags = np.zeros(len(self.pressed), dtype=np.int64)
+        if self.cell_tags is not None:
+            tags[self.cell_tags.indices] = self.cell_tags.values
+        return np.asarray(2 * tags + self.pressed)
+
+    @cached_property
+    def first_surface(self) -> FirstSurface:
+        """The mesh as given, on all ranks. Collective."""
+        return FirstSurface(self.V, self.vertex_ids, self.given)
+
+    def at_places(self, data: Array, places: Array) -> Array:
+        """Values (n, ...) of a field in this rank's cells at their present stress-free places, from
+        its values (n, ...) when these were at `places` (k, 3). Collective."""
+        if self.moved is None:
+            return data
+        fields = self._first_fields
+        if not self.comm.allreduce(np.array_equal(places, self.given), op=MPI.LAND):
+            surface = FirstSurface(self.V, self.vertex_ids, places)
+            fields = PlacedFields(self.V, surface, self.kinds)
+        return fields.values(data, self.stress_free)
+
+    @cached_property
+    def _first_fields(self) -> PlacedFields:
+        return PlacedFields(self.V, self.first_surface, self.kinds)
 
     @cached_property
     def nodal_values(self) -> fem.FunctionSpace:
@@ -341,30 +370,6 @@ class Membrane:
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
         self.held_edges[edges] = True
-
-
-def own_areas(frames: Array) -> Array:
-    """Ratio (n,) of the areas of the cells' own stress-free shapes to those in the mesh."""
-    return np.asarray(1.0 / np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1))
-
-
-def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
-    """Check that frames lie in this rank's cells, right-handed with the normals. Collective."""
-    with raised_together(mesh.comm):
-        given, normals = np.asarray(frames, dtype=float), cell_normals(mesh.mesh)
-        if given.shape != (len(normals), 2, 3) or not np.isfinite(given).all():
-            raise InputError(
-                f"Scene: frames of shape {given.shape} for {len(normals)} cells; pass finite ones "
-                "(n, 2, 3), as patterns.sew does."
-            )
-        sense = np.einsum("ni,ni->n", np.cross(given[:, 0], given[:, 1]), normals)
-        size = np.linalg.norm(given, axis=2)
-        tilt = np.abs(np.einsum("nai,ni->na", given, normals))
-        if (sense <= 0.0).any() or (tilt > SAME_PLACE * size).any():
-            raise InputError(
-                "Scene: frames turn a cell over, or do not lie in it; pass those of patterns.sew."
-            )
-    return given
 
 
 def _assign_materials(

@@ -49,9 +49,14 @@ class MembraneLoad:
     factor: float = 0.0  # load factor, changed by load steps
     # forces (force) on joints of bars, by name
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
+    # (m, 3) force per stress-free area of this rank's cells, of a fixed direction; None for forces
+    # on vertices and lines
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
     at_vertices: bool = False  # whether it is of forces on vertices, not on areas or lines
+    # displacements of the stress-free places, as in `MembraneState`, when it was put, and the load
+    # as put if they have moved since
+    placed: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
+    put: MembraneLoad | None = field(default=None, repr=False)
 
     @property
     def is_active_wind(self) -> bool:
@@ -65,12 +70,19 @@ class MembraneLoad:
         shape = _Shape(membrane)
         return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
 
-    def on_stress_free_areas(self, membrane: Membrane) -> MembraneLoad:
-        """The load with forces of the present stress-free areas; unchanged if it is of others."""
-        if self.material is None:
+    def at_stress_free_places(self, membrane: Membrane) -> MembraneLoad:
+        """The load on the cells where they are now in the stress-free shape; unchanged if it is one
+        on vertices or lines. Collective."""
+        put = self.put or self
+        if put.material is None and put.suction is None:
             return self
-        loads = membrane.cell_areas[:, None] * self.material
-        return replace(self, forces=_Shape(membrane).nodal(loads))
+        places = membrane.given if put.placed is None else membrane.given + put.placed
+        if put.suction is not None:
+            return replace(self, suction=membrane.at_places(put.suction, places), put=put)
+        assert put.material is not None
+        material = membrane.at_places(put.material, places)
+        forces = _Shape(membrane).nodal(membrane.cell_areas[:, None] * material)
+        return replace(self, forces=forces, material=material, put=put)
 
 
 class _Shape:
@@ -114,7 +126,8 @@ class _Shape:
         """A load from forces (m, 3) on the cells. Collective."""
         local = np.array([np.linalg.norm(loads, axis=1).sum(), self.areas.sum()])
         total, area = self.membrane.comm.allreduce(local, op=MPI.SUM)
-        return MembraneLoad(name, self.nodal(loads), float(total / area), suction)
+        intensity, placed = float(total / area), self.membrane.moved
+        return MembraneLoad(name, self.nodal(loads), intensity, suction, placed=placed)
 
 
 def fixed_direction_load(
@@ -132,10 +145,7 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    load = shape.load(name, loads)
-    if per != "material":
-        return load
-    return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
+    return replace(shape.load(name, loads), material=loads / membrane.cell_areas[:, None])
 
 
 def wind_load(

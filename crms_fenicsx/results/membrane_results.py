@@ -320,8 +320,8 @@ def membrane_results(system: System) -> MembraneResults:
     E, axes, images = cells.strains, cells.axes, cells.images
     S = cells.forces.copy()
     for term in scene.terms:
-        if term.section_forces is not None:
-            S += np.einsum("nai,nij,nbj->nab", axes, term.section_forces, axes)
+        if term.present_forces is not None:
+            S += np.einsum("nai,nij,nbj->nab", axes, term.present_forces, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 

@@ -24,6 +24,7 @@ from crms_fenicsx.energy.terms.pressure import (
     moved_volume,
     rim_of,
 )
+from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.model.materials import UFL_LAW
@@ -86,6 +87,10 @@ class MembraneContribution(Contribution):
         energy.renew_materials()
         self.renew_places()
         energy.plain.x.array[:] = 1.0
+        for term in self.scene.terms:
+            if isinstance(term, ResidualStress):
+                term.follow(self.scene.membrane)
+                term.elsewhere = term.elsewhere[:0]
         if folds is not None:
             energy.plain.x.array[folds.folded.cells] = 0.0
             compiled = UFL_LAW not in (m.law for m in energy.materials.values())

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.analysis.equilibrium.collapse_words import COLLAPSED, collapse_words
+from crms_fenicsx.analysis.equilibrium.held_rims import within_held_rims
 from crms_fenicsx.analysis.equilibrium.kept_vertices import kept_vertices
 from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
 from crms_fenicsx.analysis.scene.scene import Scene, place_stress_free
@@ -20,11 +22,9 @@ from crms_fenicsx.cabling.cables.row_shifts import (
     row_places,
 )
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
-from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BUDGET
 
@@ -45,7 +45,6 @@ class RowSliding:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.collapse = scene, ""
-        self._surface: FirstSurface | None = None
         self._motion: MeshMotion | None = None
         self._rows: tuple[LaidCable, ...] = ()
         self._fixed: Booleans = np.zeros(0, dtype=bool)
@@ -101,8 +100,7 @@ class RowSliding:
         if way > NEAR:
             motion = self._renewed(rows.vertices)
             X, x = motion.move(X, x, further)
-            ratio, why = self._narrowest(motion, X)
-            self.collapse = why if ratio <= 0.0 else ""
+            self.collapse = self._narrowed(motion, X, COLLAPSED)
         self._keep_rows(moved=False)
         place_stress_free(self.scene, X)
         if way > NEAR:
@@ -156,18 +154,15 @@ class RowSliding:
         since; "" if none have. Collective."""
         if self._motion is None:
             return ""
-        ratio, why = self._narrowest(self._motion, self.scene.membrane.stress_free)
-        return f"; {why}" if ratio < 0.5 else ""
+        why = self._narrowed(self._motion, self.scene.membrane.stress_free, 0.5)
+        return f"; {why}" if why else ""
 
-    def _narrowest(self, motion: MeshMotion, X: Array) -> tuple[float, str]:
-        """The smallest ratio of a cell's area to its first one, and words on its collapse.
-        Collective."""
+    def _narrowed(self, motion: MeshMotion, X: Array, most: float) -> str:
+        """Words on the cell with the smallest ratio of its area to its first one, if that is at
+        `most` so; else "". Collective."""
         (ratio, place, near), _ = motion.quality(X)
-        names = ", ".join(self._rows[k].name for k in near[:2]) or "the cables"
-        return ratio, (
-            f"{names} would slide so far that cells near {as_text(place)} collapse; lay them "
-            "nearer to where they come to rest, or hold the lines with slide=False"
-        )
+        rows = [self._rows[k] for k in near]
+        return collapse_words(self.scene, place, rows) if ratio <= most else ""
 
     def _below_spans(self, rows: RowShifts, X: Array, x: Array) -> tuple[float, Array, Array]:
         """Move vertices of rows that lie beside the spans above them, a few times in a solve;
@@ -199,16 +194,15 @@ class RowSliding:
         ]
         ends = np.array([v for row in vertices for v in row[[0, -1]]], dtype=np.int64)
         sliding = ends[np.isin(ends, shifting)]
-        fixed = fixed_vertices(membrane, kept_vertices(scene))
+        goes = within_held_rims(membrane, sliding) if len(sliding) else False
+        fixed = fixed_vertices(membrane, kept_vertices(scene), goes)
         fixed &= ~np.isin(membrane.vertex_ids, sliding)
         same = rows == self._rows and np.array_equal(fixed, self._fixed)
         same = same and np.array_equal(sliding, self._sliding)
-        if self._surface is None:
-            self._surface = FirstSurface(membrane.V, membrane.vertex_ids, membrane.given)
         if self._motion is None or not scene.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self._rows, self._fixed, self._sliding = rows, fixed, sliding
-            self._motion = MeshMotion(membrane.V, self._surface, vertices, fixed, sliding)
+            self._motion = MeshMotion(membrane.V, membrane.first_surface, vertices, fixed, sliding)
         return self._motion
 
 

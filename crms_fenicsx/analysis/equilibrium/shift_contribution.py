@@ -11,6 +11,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.energy.minimization.potential import Potential
+from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -48,6 +49,9 @@ class ShiftContribution(Contribution):
         )
         self.energy = ShiftedMembraneEnergy(table, membrane.energy.stiffening)
         membrane.energy.plain.x.array[cells] = 0.0
+        for term in self._residual():
+            term.elsewhere = cells
+        self._read_residual()
 
     def renew(self, unknowns: Unknowns, resting: Integers) -> None:
         """Start from the membrane's present stress-free places; the vertices `resting` (m,) stay
@@ -60,6 +64,19 @@ class ShiftContribution(Contribution):
         )
         numbering.shifts = numbering.shifts.renewed(now).but(resting)
         self.energy.renew(self._membrane)
+        for term in self._residual():
+            term.follow(scene.membrane)
+        self._read_residual()
+
+    def _residual(self) -> list[ResidualStress]:
+        return [term for term in self.scene.terms if isinstance(term, ResidualStress)]
+
+    def _read_residual(self) -> None:
+        """Copy the section forces of residual stresses, which leave these cells."""
+        table = self.energy.table
+        table.residual[:] = 0.0
+        for term in self._residual():
+            table.residual[:] += term.components(table.axes, table.cells)
 
     def read_scene(self, potential: Potential) -> None:
         self.numbering.place_shifts(potential.unknowns)

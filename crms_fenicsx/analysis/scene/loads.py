@@ -90,8 +90,8 @@ class Loads(Stateful[LoadsState]):
     def put_load(self, force: Traction, *, name: Name = "load", per: Area = "surface") -> None:
         """Put a load of fixed direction on the membrane.
 
-        Its forces follow from the current shape and then keep direction and size;
-        `Solver.advance` scales them by the load's factor.
+        Its forces follow from the current shape and then keep direction and size, and their places
+        on the fabric; `Solver.advance` scales them by the load's factor.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class Loads(Stateful[LoadsState]):
         """Put wind on the membrane; `Solver.advance` applies it by its factor.
 
         The pressure stays normal to the surface: a load step ends when the wind's forces are those
-        on the deformed shape. Coefficients stay with the cells as these move.
+        on the deformed shape. Coefficients stay with the fabric as it moves.
 
         Parameters
         ----------
@@ -344,8 +344,8 @@ class Loads(Stateful[LoadsState]):
         self.versions.change_model(acts=factor != 0.0)
 
     def follow_stress_free_places(self) -> None:
-        """Renew the forces of loads by stress-free area."""
-        self.update(loads=tuple(load.on_stress_free_areas(self.membrane) for load in self))
+        """Renew the loads on cells, which have moved. Collective."""
+        self.update(loads=tuple(load.at_stress_free_places(self.membrane) for load in self))
 
     def add(self, load: MembraneLoad) -> None:
         """Add a load made on the current shape."""

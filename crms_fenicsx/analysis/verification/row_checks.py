@@ -139,6 +139,8 @@ def _forces_on_cells(contribution: ShiftContribution, loads: Array, shape: Strip
         taut, np.sum(strain * (prestress + s), axis=1),
         np.sum((strain + rest) * s - rest * prestress, axis=1),
     ) / 2 - np.sum(q * (x - X).mean(axis=1), axis=1)  # fmt: skip
+    phi += np.sum(strain * term.table.residual, axis=1)
+    s = s + term.table.residual
     S = s[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
     on_places = np.einsum("n,nia,nab,nkb->nki", areas, F, S, n)
     inplane = (areas * phi)[:, None, None] * n - np.einsum("nia,nki->nka", F, on_places)

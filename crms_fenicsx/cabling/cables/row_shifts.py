@@ -26,7 +26,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.foundation.meshes.smooth_surface import CREASE, SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import altitudes, norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers, ints
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -214,7 +214,7 @@ def _held_and_fixed(
     dofs = membrane.V.dofmap.list[strip.local[mine]]
     held[corners] = membrane.held[dofs].all(axis=2)
     fixed[corners], stays[corners] = membrane.held[dofs].any(axis=2), kept[dofs]
-    kinds = _kinds(membrane)[strip.local[mine]]
+    kinds = membrane.kinds[strip.local[mine]]
     least, most = np.full(len(fixed), np.iinfo(np.int64).max), np.full(len(fixed), -1)
     np.minimum.at(least, corners, kinds[:, None])
     np.maximum.at(most, corners, kinds[:, None])
@@ -229,14 +229,14 @@ def _held_and_fixed(
     return held.astype(bool), np.asarray(still)
 
 
-def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
+def fixed_vertices(membrane: Membrane, kept: Booleans, but: Booleans | bool = False) -> Booleans:
     """Whether the stress-free place of each local vertex (n,) must stay in all motions of the mesh:
-    where it is to be kept, where it is held, but not within held areas, and on the borders of
-    parts. Collective."""
+    where it is to be kept, where it is held, `but` for some (n,), but not within held areas, and on
+    the borders of parts. Collective."""
     own = membrane.mesh.mesh.topology.index_map(2).size_local
     dofs = membrane.V.dofmap.list[:own]
     free = ~np.asarray(membrane.held.all(axis=1))[dofs].all(axis=1)
-    kinds = _kinds(membrane)[:own].astype(float)
+    kinds = membrane.kinds[:own].astype(float)
     sums = la.vector(membrane.V.dofmap.index_map, 4, dtype=np.float64)
     total = sums.array.reshape(-1, 4)
     for k, values in enumerate((free, np.ones(own), kinds, kinds**2)):
@@ -245,12 +245,5 @@ def fixed_vertices(membrane: Membrane, kept: Booleans) -> Booleans:
     sums.scatter_forward()
     n_free, count, mean, square = total.T
     borders = square * count - mean**2 > 0.5
-    return np.asarray((membrane.held.any(axis=1) & (n_free > 0)) | borders | kept)
-
-
-def _kinds(membrane: Membrane) -> Indices:
-    """Numbers of the kinds of this rank's cells, (n,): by material and whether pressure acts."""
-    tags = np.zeros(len(membrane.pressed), dtype=np.int64)
-    if membrane.cell_tags is not None:
-        tags[membrane.cell_tags.indices] = membrane.cell_tags.values
-    return np.asarray(2 * tags + membrane.pressed)
+    held = membrane.held.any(axis=1) & ~np.asarray(but)
+    return np.asarray((held & (n_free > 0)) | borders | kept)

@@ -26,6 +26,7 @@ from crms_fenicsx.foundation.dofs.layout import Unknowns, edge_ends
 from crms_fenicsx.foundation.meshes.triangles import area_vectors, cell_normals, cross
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Indices
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+from crms_fenicsx.model.frames import own_areas
 from crms_fenicsx.model.materials import (
     LINEAR,
     N_PARAMETERS,
@@ -35,7 +36,6 @@ from crms_fenicsx.model.materials import (
     MembraneMaterial,
     law_terms,
 )
-from crms_fenicsx.model.membrane import own_areas
 from crms_fenicsx.model.ufl_material import UflMembrane
 
 if TYPE_CHECKING:

@@ -12,16 +12,18 @@ from crms_fenicsx.energy.terms.integral import Integral, one_point
 from crms_fenicsx.energy.terms.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, FormPattern
-from crms_fenicsx.foundation.dofs.layout import Unknowns
+from crms_fenicsx.foundation.dofs.layout import Unknowns, vertex_places
 from crms_fenicsx.foundation.meshes.triangles import cell_normals
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
+from crms_fenicsx.model.membrane import Membrane
 
 
 class ResidualStress(EnergyTerm):
-    """Energy ``int S : E`` of constant second Piola-Kirchhoff forces S at the strain E, those of
-    each cell also where stress-free places move. Shapes and units: forces (n, 3, 3) (force per
-    length)."""
+    """Energy ``int S : E`` of constant second Piola-Kirchhoff forces S at the strain E, given
+    for the places of the cells. Shapes and units: forces (n, 3, 3) (force per length).
+
+    Attributes: `elsewhere` (k,): cells whose energy another term has."""
 
     name = "residual stress"
     exact_hessian = True
@@ -30,6 +32,8 @@ class ResidualStress(EnergyTerm):
     def __init__(self, u: fem.Function, forces: Array) -> None:
         V = u.function_space
         self.u, self.section_forces = u, forces
+        self._places, self._present = vertex_places(V), forces
+        self.elsewhere: Indices = np.zeros(0, dtype=np.int32)
         self._S = S = fem.Function(fem.functionspace(V.mesh, ("DG", 0, (3,))))
         stress = ufl.as_matrix([[S[0], S[2]], [S[2], S[1]]])
         basis = tangent_basis(V.mesh, None)
@@ -47,13 +51,26 @@ class ResidualStress(EnergyTerm):
         self._hessian = FormPattern(fem.form(geometric * one_point(V.mesh)), V)
         self.patterns = (self._hessian,)
 
+    def follow(self, membrane: Membrane) -> None:
+        """Take the forces at the present stress-free places of the cells. Collective."""
+        assert self.section_forces is not None
+        self._present = membrane.at_places(self.section_forces, self._places)
+
+    @property
+    def present_forces(self) -> Array:
+        return self._present
+
+    def components(self, axes: Array, cells: Indices) -> Array:
+        """Section forces (S11, S22, S12) of some cells in axes (n, 2, 3), (n, 3)."""
+        both = np.einsum("nia,nab,njb->nij", axes, self._present[cells], axes)
+        return np.asarray(both[:, [0, 1, 0], [0, 1, 1]])
+
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
-        forces = self.section_forces
-        assert forces is not None
-        axes = _axes(self.u.function_space.mesh)[: len(forces)]
-        both = np.einsum("nia,nab,njb->nij", axes, forces, axes)
-        self._S.x.array[: 3 * len(forces)] = both[:, [0, 1, 0], [0, 1, 1]].ravel()
+        cells = np.arange(len(self._present), dtype=np.int32)
+        values = self.components(_axes(self.u.function_space.mesh)[cells], cells)
+        values[self.elsewhere] = 0.0
+        self._S.x.array[: values.size] = values.ravel()
         self._hessian.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:

@@ -61,6 +61,8 @@ class ShiftedCells(ElementTable):
     laws: Indices
     parameters: Array
     weights: Array  # (n, 3) load (force per stress-free area), to be set as loads change
+    # (n, 3) section forces beside the law's, S11, S22, S12 in the axes, to be set with the places
+    residual: Array
     addresses = ("corners", "shifts")
 
     @classmethod
@@ -78,7 +80,7 @@ class ShiftedCells(ElementTable):
             np.einsum("nki,nai->nka", sides, axes),
             axes,
             *membrane.laws(cells),
-            np.zeros((len(cells), 3)),
+            *np.zeros((2, len(cells), 3)),
         )
 
     @property
@@ -135,13 +137,14 @@ def _shift(x, block):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _evaluate(  # type: ignore[no-untyped-def]
-    X, x, corners, shifts, sides, axes, rest, weights, own_areas, law, p, areas, slopes, images,
-    densities, out, energies, orthotropic,
+    X, x, corners, shifts, sides, axes, rest, weights, residual, own_areas, law, p, areas, slopes,
+    images, densities, out, forces, energies, orthotropic,
 ):  # fmt: skip
     """Energy of all cells, and of each into `energies` (n,); areas A (n,), gradients n_c `slopes`
     (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
-    (n, 7). For a cell without a positive stress-free area the energy is NaN, which no line search
-    accepts, as it does infinity if it compares changes with the energy."""
+    (n, 7), section forces with the residual ones `forces` (n, 3). For a cell without a positive
+    stress-free area the energy is NaN, which no line search accepts, as it does infinity if it
+    compares changes with the energy."""
     e, s, energy = np.empty(3), np.empty(3), 0.0
     for c in range(len(corners)):
         i, j, k = corners[c]
@@ -159,7 +162,7 @@ def _evaluate(  # type: ignore[no-untyped-def]
             energies[c] = np.nan
             energy += energies[c]
             areas[c] = densities[c] = 0.0
-            n[:], images[c], out[c] = 0.0, 0.0, 0.0
+            n[:], images[c], out[c], forces[c] = 0.0, 0.0, 0.0, 0.0
             continue
         # changes of squared sides and product, as differences would cancel at small strains
         g1 = rest[c, 0] + _dot(_plus(a1, A1), u1)
@@ -179,6 +182,7 @@ def _evaluate(  # type: ignore[no-untyped-def]
             images[c, 0, q] = a1[q] * n10 + a2[q] * n20
             images[c, 1, q] = a1[q] * n11 + a2[q] * n21
         density, state = laws.stress(law[c], p[c], e, s, orthotropic)
+        density += _dot(residual[c], e)
         moved = _dot(weight, _plus(_plus(x[i], x[j]), x[k])) / 3  # q . u'
         shifted = _dot(weight, _plus(_plus(w0, w1), w2)) / 3
         areas[c], densities[c] = 0.5 * D, density - (moved - shifted)
@@ -186,21 +190,22 @@ def _evaluate(  # type: ignore[no-untyped-def]
         energy += energies[c]
         for q in range(3):
             out[c, q], out[c, 3 + q] = e[q], s[q]
+            forces[c, q] = s[q] + residual[c, q]
         out[c, 6] = state
     return energy
 
 
 @numba.njit(cache=True)
 def _add_forces(  # type: ignore[no-untyped-def]
-    corners, shifts, axes, weights, own_areas, areas, slopes, images, densities, out, g
+    corners, shifts, axes, weights, own_areas, areas, slopes, images, densities, forces, g
 ):
     """Add the gradient at the last `_evaluate` to g, (n_blocks, 3)."""
     P, f = np.empty((2, 3)), np.empty(3)
     for c in range(len(corners)):
         n, F, A = slopes[c], images[c], areas[c]
         for m in range(3):
-            P[0, m] = A * (out[c, 3] * F[0, m] + out[c, 5] * F[1, m])
-            P[1, m] = A * (out[c, 5] * F[0, m] + out[c, 4] * F[1, m])
+            P[0, m] = A * (forces[c, 0] * F[0, m] + forces[c, 2] * F[1, m])
+            P[1, m] = A * (forces[c, 2] * F[0, m] + forces[c, 1] * F[1, m])
         for k in range(3):
             t0, t1 = A * densities[c] * n[k, 0], A * densities[c] * n[k, 1]
             for m in range(3):
@@ -243,8 +248,8 @@ def _put(out, size, i, j, U, V, h00, h01, h10, h11, level):  # type: ignore[no-u
 
 @numba.njit(cache=True)
 def _cell_stiffness(  # type: ignore[no-untyped-def]
-    shifts, axes, weights, law, p, areas, slopes, images, densities, results, floor, prestress,
-    exact, offsets, values, active, orthotropic,
+    shifts, axes, weights, law, p, areas, slopes, images, densities, results, forces, floor,
+    prestress, exact, offsets, values, active, orthotropic,
 ):  # fmt: skip
     """Second derivatives of each active cell if `exact`, else their semidefinite part, with the
     tensile parts of the section forces only, plus `prestress` in all directions, which holds the
@@ -261,7 +266,7 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
         n, F, A = slopes[c], images[c], areas[c]
         laws.tangent(law[c], p[c], results[c, :3], floor, C, orthotropic)
         c00, c01, c11 = _dot(F[0], F[0]), _dot(F[0], F[1]), _dot(F[1], F[1])
-        s0, s1, s2 = results[c, 3], results[c, 4], results[c, 5]
+        s0, s1, s2 = forces[c]
         if exact:
             half, turn = 0.5, 0.5 * (densities[c] - s0 * c00 - s1 * c11 - 2 * s2 * c01)
             t0, t1, t2 = s0, s1, s2
@@ -344,8 +349,9 @@ class ShiftedMembraneEnergy(ElementTerm):
         self._areas, self._densities, self._energies = np.zeros((3, n))
         self._slopes, self._images = np.zeros((n, 3, 2)), np.zeros((n, 2, 3))
         self.active = np.ones(n, dtype=bool)
-        self.results = np.zeros((n, 7))
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
+        self.forces, self.results = np.zeros((n, 3)), np.zeros((n, 7))
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell by its
+        law; `forces` have the residual ones, too."""
         self._orthotropic = laws.orthotropic_flag(table.laws)
         self.elements = ElementPattern(*table.element_blocks)
         self.patterns = (self.elements,)
@@ -354,7 +360,7 @@ class ShiftedMembraneEnergy(ElementTerm):
         """Start from the present stress-free places of the corners."""
         t = self.table
         table = ShiftedCells.of(membrane, t.cells, t.corners, t.shifts)
-        self.table = replace(table, weights=t.weights)
+        self.table = replace(table, weights=t.weights, residual=t.residual)
         self._own_areas, self._rest = self.table.areas, self.table.rest
 
     def sums(self, x: Array, out: Array) -> None:
@@ -362,8 +368,9 @@ class ShiftedMembraneEnergy(ElementTerm):
         t = self.table
         out[0] = _evaluate(
             self.unknowns.X, x, t.corners, t.shifts, t.sides, t.axes, self._rest, t.weights,
-            self._own_areas, t.laws, t.parameters, self._areas, self._slopes, self._images,
-            self._densities, self.results, self._energies, self._orthotropic,
+            t.residual, self._own_areas, t.laws, t.parameters, self._areas, self._slopes,
+            self._images, self._densities, self.results, self.forces, self._energies,
+            self._orthotropic,
         )  # fmt: skip
 
     def cell_results(self) -> Array:
@@ -374,7 +381,7 @@ class ShiftedMembraneEnergy(ElementTerm):
         t = self.table
         _add_forces(
             t.corners, t.shifts, t.axes, t.weights, self._own_areas, self._areas, self._slopes,
-            self._images, self._densities, self.results, g,
+            self._images, self._densities, self.forces, g,
         )  # fmt: skip
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
@@ -390,7 +397,7 @@ class ShiftedMembraneEnergy(ElementTerm):
         t = self.table
         _cell_stiffness(
             t.shifts, t.axes, t.weights, t.laws, t.parameters, self._areas, self._slopes,
-            self._images, self._densities, self.results, floor, prestress, exact,
+            self._images, self._densities, self.results, self.forces, floor, prestress, exact,
             self.elements.offsets, self.elements.values, self.active, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A)

@@ -127,6 +127,11 @@ class EnergyTerm(ABC):
     elementwise: ElementwiseTerms | None = None
     unknowns: Unknowns
 
+    @property
+    def present_forces(self) -> Array | None:
+        """The section forces where stress-free places have moved with lines that slide."""
+        return self.section_forces
+
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout; called for each new layout of the scene, as cables come or slacken, or
         as stress-free places move."""

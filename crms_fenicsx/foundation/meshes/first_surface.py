@@ -78,23 +78,26 @@ class FirstSurface:
         """
         if self.flat:
             return places, np.broadcast_to(self.facets[:1], places.shape)
-        weights, cells = np.empty((len(places), 3)), self._home[vertices]
-        smooth = self.smooth
+        cells, inside = self.cells_at(self._home[vertices], places)
+        corners = self.cells[cells]
+        offsets, normals = self.smooth.raised(corners, inside)
+        unknown = norm(normals) == 0.0
+        normals = np.where(unknown[:, None], self.facets[cells], normals)
+        return mix(inside, self.smooth.points[corners]) + offsets, normals
+
+    def cells_at(self, start: Integers, places: Array) -> tuple[Integers, Array]:
+        """The cells (k,) at places (k, 3), looked for from some (k,), and weights (k, 3) of their
+        corners: see `onto`."""
+        weights, cells, smooth = np.empty((len(places), 3)), start.copy(), self.smooth
         walk(
             np.ascontiguousarray(places), smooth.points, smooth.normals, self.cells, self.facets,
             self._beside, cells, weights,
         )  # fmt: skip
         inside = np.clip(weights, 0.0, 1.0)
         inside /= inside.sum(axis=1)[:, None]
-        beyond = np.flatnonzero(weights.min(axis=1, initial=1.0) < -1e-9)
-        for k in beyond:
-            corners = self.smooth.points[self.cells[cells[k]]]
-            inside[k] = closest(corners[None], places[k])[0][0]
-        corners = self.cells[cells]
-        offsets, normals = self.smooth.raised(corners, inside)
-        unknown = norm(normals) == 0.0
-        normals = np.where(unknown[:, None], self.facets[cells], normals)
-        return mix(inside, self.smooth.points[corners]) + offsets, normals
+        for k in np.flatnonzero(weights.min(axis=1, initial=1.0) < -1e-9):
+            inside[k] = closest(smooth.points[self.cells[cells[k]]][None], places[k])[0][0]
+        return cells, inside
 
     def rim_lines(
         self, wanted: Integers, stays: Booleans, stops: Booleans

@@ -57,6 +57,12 @@ MOVES = {
     0: -0.3 * TRIANGLE,
 }
 """Displacements of the triangle's corners by the state they bring."""
+RESIDUAL = np.array([0.7, 0.4, -0.2])
+every_load = pytest.mark.parametrize(
+    ("load", "residual"),
+    [(0 * LOAD, 0 * RESIDUAL), (LOAD, 0 * RESIDUAL), (LOAD, RESIDUAL)],
+    ids=["bare", "loaded", "with residual forces"],
+)
 every_state = pytest.mark.parametrize("state", MOVES, ids=["taut", "wrinkled", "slack"])
 PLACES = np.array([(0.4, 0.3, -0.2), (-0.3, 0.5, 0.1), (0.2, -0.4, 0.3)])
 """Shifts of its stress-free corners."""
@@ -84,6 +90,7 @@ def triangle_table(
     places: Array = TRIANGLE,
     load: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
     shifts: Integers | tuple[int, ...] = (3, 4, 5),
+    residual: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> ShiftedCells:
     """One cell with corners 0, 1, 2."""
     axes = axes_of(places, material.warp)
@@ -96,6 +103,7 @@ def triangle_table(
         laws=np.array([material.law], dtype=np.int32),
         parameters=material.parameters[None],
         weights=np.array([load], dtype=float),
+        residual=np.array([residual], dtype=float),
     )
 
 
@@ -103,13 +111,14 @@ def shifted_triangle(
     material: MembraneMaterial,
     load: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
     kind: type[TermOnPoints] = ExactOnPoints,
+    residual: Array | tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> ExactOnPoints:
     """One cell whose three corners shift: the term on its six points, corners first."""
-    table = triangle_table(material, load=load)
+    table = triangle_table(material, load=load, residual=residual)
     return kind(ShiftedMembraneEnergy(table, no_stiffening()), np.vstack([TRIANGLE, TRIANGLE]))
 
 
-def twin(material: MembraneMaterial, u: Array, w: Array, load: Array) -> float:
+def twin(material: MembraneMaterial, u: Array, w: Array, load: Array, residual: Array) -> float:
     """Energy of the triangle: its stress-free corners shift in its axes."""
     axes = axes_of(TRIANGLE, material.warp)
     flat = (TRIANGLE + w) @ axes.T
@@ -119,7 +128,7 @@ def twin(material: MembraneMaterial, u: Array, w: Array, load: Array) -> float:
     )
     e = strain(np.column_stack([flat, np.zeros(3)]), TRIANGLE + u, np.eye(3)[:2])
     mean = (u - w).mean(axis=0)
-    moved = sides / 2 * (float(density(material, e)) - load @ mean)
+    moved = sides / 2 * (float(density(material, e)) + residual @ e - load @ mean)
     return moved + own / 2 * load @ u.mean(axis=0)
 
 
@@ -134,36 +143,36 @@ def ways(x: Array) -> dict[str, Array]:
 
 @every_material
 @every_state
-@pytest.mark.parametrize("load", [0 * LOAD, LOAD], ids=["bare", "loaded"])
+@every_load
 def test_energy_and_forces_are_the_twins(
-    material: MembraneMaterial, state: int, load: Array
+    material: MembraneMaterial, state: int, load: Array, residual: Array
 ) -> None:
-    f = shifted_triangle(material, load)
+    f = shifted_triangle(material, load, residual=residual)
     x = np.vstack([MOVES[state], PLACES])
     energy, g = f.value(x)
     assert f.term.results[0, 6] == (2 if material.law == LINEAR else state)
-    assert energy == pytest.approx(twin(material, x[:3], x[3:], load), rel=1e-10)
+    assert energy == pytest.approx(twin(material, x[:3], x[3:], load, residual), rel=1e-10)
     assert f.term.element_energies(f.sums).sum() == energy
     h = 1e-5
     for k, i in np.ndindex(6, 3):
         step = np.zeros_like(x)
         step[k, i] = h
         ahead, behind = x + step, x - step
-        slope = twin(material, ahead[:3], ahead[3:], load)
-        slope -= twin(material, behind[:3], behind[3:], load)
+        slope = twin(material, ahead[:3], ahead[3:], load, residual)
+        slope -= twin(material, behind[:3], behind[3:], load, residual)
         assert g[k, i] == pytest.approx(slope / (2 * h), abs=1e-6 * np.abs(g).max() + 1e-8)
 
 
 @every_material
 @every_state
-@pytest.mark.parametrize("load", [0 * LOAD, LOAD], ids=["bare", "loaded"])
-def test_taylor(material: MembraneMaterial, state: int, load: Array) -> None:
+@every_load
+def test_taylor(material: MembraneMaterial, state: int, load: Array, residual: Array) -> None:
     """In x, X and both: gradient by the energy, second derivatives by the gradient."""
-    f = shifted_triangle(material, load)
+    f = shifted_triangle(material, load, residual=residual)
     x = np.vstack([MOVES[state], PLACES])
     for way, d in ways(x).items():
         assert gradient_order(f, x, d) > 1.97, way
-        if np.any(load) or f.term.results[0, 6] > 0:
+        if np.any(load) or np.any(residual) or f.term.results[0, 6] > 0:
             assert stiffness_error(f, x, d, h=1e-5) < 1e-7, way
         assert stiffness_order(f, x, d, 0.02 * 0.5 ** np.arange(5)) > 2.9, way
     K = f.matrix(x)
