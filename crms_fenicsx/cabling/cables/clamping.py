@@ -40,7 +40,7 @@ def meetings(a: LaidCable, b: LaidCable) -> list[tuple[Clamp, float, float]]:
         if norm(ends).min() <= SAME_PLACE * min(a.length, b.length):
             continue
         reach = float(norm(np.diff(a.state.positions, axis=0)).mean())
-        at = _share(a, *_link(a, i)), _share(b, *_link(b, j))
+        at = _share(a, i), _share(b, j)
         clamp = Clamp("", (a.name, b.name), at, (x + y) / 2, None, vertex)
         found.append((clamp, float(norm(y - x)), reach))
     return sorted(found, key=lambda one: one[0].at)
@@ -55,30 +55,19 @@ def _nodes_at_vertices(cable: LaidCable) -> dict[int, int]:
     }
 
 
-def _link(cable: LaidCable, k: int) -> tuple[int, float]:
-    """Segment between contacts on which a node is, and its fraction of that."""
+def _share(cable: LaidCable, k: int) -> float:
+    """Fraction of the unstressed length up to a node."""
     contacts, x = cable.contacts(), cable.state.positions
     i = int(np.searchsorted(contacts, k, side="right")) - 1
     passed, left = norm(x[[k, contacts[i + 1]]] - x[[contacts[i], k]])
-    return i, float(passed / (passed + left))
-
-
-def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
-    """Start points of a cable's segments between contacts, and segment vectors, (n, 3)."""
-    x = cable.state.positions[cable.contacts()]
-    return x[:-1], np.diff(x, axis=0)
-
-
-def _share(cable: LaidCable, i: int, t: float) -> float:
-    """Fraction of the unstressed length up to a place on segment i."""
-    sizes = norm(_straight_parts(cable)[1]) / (1 + cable.part_tensions / cable.cable.EA)
-    of = cable.parts_of(cable.contacts()[:-1])
+    sizes = norm(np.diff(x[contacts], axis=0)) / (1 + cable.part_tensions / cable.cable.EA)
+    of = cable.parts_of(contacts[:-1])
     own = of == of[i]
-    passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
+    before = float(sizes[:i][own[:i]].sum() + passed / (passed + left) * sizes[i])
     parts = cable.state.law.parts
     clamps = floats(parts.at) if parts is not None and parts.nodes else []
     start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
-    return start + passed * (end - start)
+    return start + before / float(sizes[own].sum()) * (end - start)
 
 
 def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
