@@ -43,9 +43,13 @@ net = nets.sections(scene, angles=(0.0, np.pi / 2), offsets=[0.0])
 scene.lay_net(net, Cable(EA=20e3), tension=5.0)
 solver.advance(pressure=1.0)
 """
-CROSSING = """
-for name, path in {"A1": [(0.0, 1.0), (4.0, 1.0)], "B2": [(2.5, 0.0), (2.5, 4.0)]}.items():
-    scene.lay_cable(Cable(EA=1e3), path, name=name)
+CLAMPED = """
+routes = {"A1": [(0.0, 1.0), (4.0, 1.0)], "B2": [(2.5, 0.0), (2.5, 4.0)]}
+scene = Scene(meshes.along(mesh, routes), fabric)
+scene.fix("boundary")
+scene.clamp(*(scene.lay_cable(Cable(EA=1e3), along=name) for name in routes))
+solver = Solver(scene)
+solver.advance(pressure=1.0)
 """
 PARTS = """
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
@@ -69,7 +73,6 @@ drawing, corners = ezdxf.new(), [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
 drawing.modelspace().add_lwpolyline(corners, close=True, dxfattribs={"layer": "ROOF"})
 drawing.saveas("site.dxf")
 """,
-    "Scene.clamp": CROSSING,
     "Scene.put_forces": "fluid_forces = 0.01",
     "Scene.put_joint_load": """
 top = scene.add_joint((0.0, 0.0, 6.0))
@@ -79,7 +82,8 @@ for foot in ((0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 8.0, 0.0)):
     "Rotation": 'scene.remove("ridge")',
     "Scene.set_strengths": PARTS + LOADS,
     "Solver": "import sys",
-    "Solver.clamp_forces": CROSSING + "scene.clamp(*scene.cables)\nsolver.advance()",
+    "Scene.unclamp": CLAMPED,
+    "Solver.clamp_forces": CLAMPED,
     "Solver.load": 'solver.save("results/dome/checkpoint")',
     "Solver.tangent": "from petsc4py import PETSc",
     "study.marked_cells": "solver = build(cap)",

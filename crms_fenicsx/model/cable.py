@@ -102,7 +102,7 @@ class Bonds:
 
 @dataclass(frozen=True)
 class Clamp:
-    """A clamp at a crossing of two cables.
+    """A clamp at a crossing of two cables along lines of the mesh.
 
     Attributes
     ----------
@@ -119,15 +119,15 @@ class Clamp:
         Difference of a cable's tensions on the clamp's two sides at which the cable slips (force);
         None if it never does.
     vertex
-        Vertex of the mesh that two cables along its lines share; None for other cables.
+        Number of the vertex of the mesh that both cables share.
     """
 
     name: str
     cables: tuple[str, str]
     at: tuple[float, float]
     place: Annotated[Array, 3] = field(repr=False)
-    slip: float | None = None
-    vertex: int | None = field(default=None, repr=False)
+    slip: float | None
+    vertex: int = field(repr=False)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Crossing:
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
     between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first
     separated: bool = False  # whether the upper cable has lifted off: no shared point
-    clamp: str | None = None  # name of the clamp that joins them
+    clamped: bool = False  # whether a clamp joins them
 
 
 NodeId = tuple[int, int]

@@ -146,10 +146,6 @@ class ContactLoop:
         held, self.system.holds_rows = self.system.holds_rows, False
         shape = self.scene.net.strip_shape()
         changes = self.active.update(shape)
-        if not changes and self.sliding is not None and self.scene.clamps:
-            from crms_fenicsx.cabling.paths.crossing_trials import lift_clamps
-
-            changes = lift_clamps(self.sliding.change)
         if self.sliding is not None and not changes and self._projections < BUDGET.changes:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)

@@ -62,15 +62,11 @@ class RowSliding:
     def begin(self) -> None:
         """Begin a load step."""
         self.resting = np.zeros(0, dtype=np.int64)
-        self._forget()
-
-    def _forget(self) -> None:
-        """Forget the last motions, of other contacts."""
-        self._ids: Integers = np.zeros(0, dtype=np.int64)
-        self._slow: Integers = np.zeros(0, dtype=np.int64)  # number of slow ones at each
-        self._ways: Array = np.zeros((0, 3))  # shifts in the last solve
-        self._steps: list[Array] = []  # those made after each solve, and what these have changed
-        self._changes: list[Array] = []
+        self._ids: Integers = np.zeros(0, dtype=np.int64)  # of the vertices of the last motion
+        self._slow: Integers = np.zeros(0, dtype=np.int64)  # numbers of their slow shifts
+        self._last: Array = np.zeros(0)  # their last shifts, relative to the cell size
+        self._ways: list[Array] = []  # shifts of the last solves, and those made then
+        self._steps: list[Array] = []
 
     def follow(
         self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
@@ -92,14 +88,10 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
-        further = None
-        if solved:
-            further = rows.vertices, self._further(rows, ways)
-        else:
-            self._forget()
+        self._let_rest(rows, norm(ways) / rows.sizes, solved)
         if way > NEAR:
             motion = self._renewed(rows.vertices)
-            X, x = motion.move(X, x, further)
+            X, x = motion.move(X, x, (rows.vertices, self._further(rows, ways, solved)))
             self.collapse = self._narrowed(motion, X, COLLAPSED)
         self._keep_rows(moved=False)
         place_stress_free(self.scene, X)
@@ -111,28 +103,37 @@ class RowSliding:
         logger.debug("rows slide by %.3g cells", way)
         return way
 
-    def _further(self, rows: RowShifts, ways: Array) -> Array:
-        """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
-        last motions tell: Anderson's extrapolation of a fixed point. Those that are slow stay."""
+    def _let_rest(self, rows: RowShifts, shifts: Array, solved: bool) -> None:
+        """Let vertices stay whose shifts (m,), relative to the cell size, are slow."""
         if not np.array_equal(rows.vertices, self._ids):
-            self._forget()
-            self._ids, self._slow = rows.vertices, np.zeros(len(ways), dtype=np.int64)
-        step, sizes = ways, norm(ways)
+            slow = np.zeros(len(shifts), dtype=np.int64)
+            _, new, old = np.intersect1d(rows.vertices, self._ids, return_indices=True)
+            slow[new] = self._slow[old]
+            self._ids, self._slow, self._ways, self._steps = rows.vertices, slow, [], []
+        elif solved:
+            self._slow += shifts > np.maximum(SLOW * self._last, SETTLED)
+        self._last = shifts
+        rest = np.setdiff1d(self._ids[self._slow >= MOTIONS], self.resting)
+        if len(rest):
+            self.resting = np.union1d(self.resting, rest)
+            logger.debug("%d vertices of rows stay", len(self.resting))
+
+    def _further(self, rows: RowShifts, ways: Array, solved: bool) -> Array:
+        """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
+        last motions tell: Anderson's extrapolation of a fixed point, not over new contacts."""
+        if not solved:
+            self._ways, self._steps = [], []
+            return np.zeros_like(ways)
+        step = ways.ravel()
+        self._ways.append(step)
         if self._steps:
-            self._slow += sizes > np.maximum(SLOW * norm(self._ways), SETTLED * rows.sizes)
-            self._changes.append((ways - self._ways).ravel())
-            changes, steps = np.stack(self._changes, axis=1), np.stack(self._steps, axis=1)
-            factors = np.linalg.lstsq(changes, ways.ravel(), rcond=None)[0]
-            step = ways - ((steps + changes) @ factors).reshape(-1, 3)
-            if (norm(step) > rows.sizes).any():
-                step = ways
-            rest = np.setdiff1d(rows.vertices[self._slow >= MOTIONS], self.resting)
-            if len(rest):
-                self.resting = np.union1d(self.resting, rest)
-                logger.debug("%d vertices of rows stay", len(self.resting))
-        self._ways = ways
-        self._steps.append(step.ravel())
-        return step - ways
+            changes = np.diff(self._ways, axis=0).T
+            factors = np.linalg.lstsq(changes, step, rcond=None)[0]
+            step = step - (np.transpose(self._steps) + changes) @ factors
+            if (norm(step.reshape(-1, 3)) > rows.sizes).any():
+                step = ways.ravel()
+        self._steps.append(step)
+        return step.reshape(-1, 3) - ways
 
     def _keep_rows(self, moved: bool) -> None:
         """Keep the present places of the rows of which none are known, or of all if the mesh has

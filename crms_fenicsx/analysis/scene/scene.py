@@ -529,7 +529,7 @@ class Scene:
         cable, tension, hold
             As for `lay_cable`, the same for all lines.
         clamped
-            Whether to clamp all crossings, as `clamp` does.
+            Whether to clamp all crossings, as `clamp` does, on a mesh that has the net's lines.
 
         Returns
         -------
@@ -539,8 +539,8 @@ class Scene:
         Raises
         ------
         PathError, InputError
-            As for `lay_cable`, or the mesh has other lines of these names, or some of them only;
-            then no cable is laid.
+            As for `lay_cable` and `clamp`, or the mesh has other lines of these names, or some of
+            them only; then no cable is laid.
 
         Examples
         --------
@@ -556,12 +556,15 @@ class Scene:
         >>> [cable.name for cable in roof.lay_net(net, Cable(EA=1e3), hold="pocket")]
         ['A1', 'A2']
         """
+        from crms_fenicsx.cabling.cables.cable_net import refuse_clamps_off_lines
         from crms_fenicsx.cabling.paths.laying import has_lines, lay_net
 
         self.membrane.check_finite("lay_net")
-        before = self.net.state
+        before, lined = self.net.state, has_lines(self.mesh, net)
+        if clamped and not lined:
+            refuse_clamps_off_lines([line.name for line in net.lines])
         try:
-            if has_lines(self.mesh, net):
+            if lined:
                 laid = lay_net(self.net, net, cable, tension, hold)
             else:
                 laid = tuple(
@@ -583,7 +586,7 @@ class Scene:
         near: Sequence[Sequence[float]] | Array | None = None,
         slip: Positive | None = None,
     ) -> tuple[Clamp, ...]:
-        """Clamp cables to each other where they cross. Collective.
+        """Clamp cables along lines of the mesh to each other where they cross. Collective.
 
         A clamp fixes the cables to each other, not to the membrane: it slides over it, lifts off
         and touches down. Clamps of three or more cables at one point are one. Each cable has one
@@ -612,8 +615,8 @@ class Scene:
         Raises
         ------
         InputError
-            On all ranks: cables that do not cross between their ends, lie apart where they do, or
-            have the step-wise law; some that lie along lines of the mesh and others that do not;
+            On all ranks: cables across the cells, laid without ``along=`` or a net's lines; that
+            do not cross between their ends, lie apart where they do, or have the step-wise law;
             two grips at one point.
 
         Warns
@@ -623,8 +626,12 @@ class Scene:
 
         Examples
         --------
-        >>> scene.clamp("A1", "B2")
-        >>> scene.clamp(*scene.cables)
+        >>> routes = {"A1": [(0.0, 1.0), (4.0, 1.0)], "B2": [(2.5, 0.0), (2.5, 4.0)]}
+        >>> roof = Scene(meshes.along(mesh, routes), fabric)
+        >>> cables = [roof.lay_cable(Cable(EA=1e3), along=name) for name in routes]
+        >>> (clamp,) = roof.clamp("A1", "B2")
+        >>> clamp.name, clamp.place
+        ('A1 x B2', array([2.5, 1. , 0. ]))
         """
         return self.net.clamp(cables, near, slip)
 
@@ -647,9 +654,7 @@ class Scene:
 
         Examples
         --------
-        >>> cross = scene.lay_cable(Cable(EA=1e3), [(2.0, 0.0), (2.0, 4.0)], name="cross")
-        >>> clamps = scene.clamp(ridge, cross)
-        >>> scene.unclamp(ridge, cross)
+        >>> scene.unclamp("A1", "B2")
         >>> len(scene.clamps)
         0
         """

@@ -28,7 +28,6 @@ from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.cabling.cables.points_on_edges import positions_of
 from crms_fenicsx.cabling.cables.strip import Strip, StripShape
 from crms_fenicsx.cabling.contact.lift_off import Polylines
-from crms_fenicsx.cabling.paths.held_vertices import Pulls, pulls_of_others
 from crms_fenicsx.foundation.meshes.triangles import lists, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.foundation.surface.points import Edge, EdgePoint
@@ -120,8 +119,6 @@ class CableVerifier:
         self._nodes: list[_Nodes] = []
         self.doubts: dict[LaidCable, list[Check]] = {}
         """Checks by which each cable of the last state is doubtful."""
-        self.others: dict[LaidCable, Pulls] = {}
-        """Forces of the cables clamped to each cable there."""
 
     def check(self, system: System, ends: Array, loads: Array) -> list[Check]:
         """Check all cables. Collective. Shapes: ends (n, 2, 3), loads (n_local, 3)."""
@@ -137,7 +134,7 @@ class CableVerifier:
         parts, pulls, free = _parts_and_forces(system)
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
-        self.doubts, self.others = {}, pulls_of_others(scene.cables)
+        self.doubts = {}
         held = [cable.keeps_line or not system.slide for cable in scene.cables]
         lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
@@ -156,7 +153,7 @@ class CableVerifier:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape, own)
                 if cable in depths:
                     values["depth below another cable"] = depths[cable]
-                values |= forces(cable, shape, free[c], self.others.get(cable))
+                values |= forces(cable, shape, free[c])
                 values |= rows.get(cable, {})
             elif cable.cable.law == "total":
                 short = np.linalg.norm(

@@ -14,7 +14,7 @@ from crms_fenicsx.cabling.contact.contact_force import (
     wrap_angles,
 )
 from crms_fenicsx.cabling.contact.lift_off import Polylines, is_foot
-from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_runs
+from crms_fenicsx.cabling.paths.held_vertices import held_runs
 from crms_fenicsx.cabling.paths.path_change import leaves_cells
 from crms_fenicsx.energy.minimization.outcome import NO_STRAIN
 from crms_fenicsx.foundation.meshes.triangles import norm
@@ -127,11 +127,8 @@ def below_others(scene: Scene, lines: Polylines, shape: StripShape) -> dict[Laid
     return depths
 
 
-def forces(
-    cable: LaidCable, shape: StripShape, free: float, others: Pulls | None = None
-) -> dict[str, float]:
-    """Force errors of a cable relative to its contact force; `others`: pulls of cables clamped to
-    it."""
+def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
+    """Force errors of a cable relative to its contact force."""
     ways = np.diff(cable.state.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # shorter spans have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
@@ -140,7 +137,7 @@ def forces(
     own = max(float(np.linalg.norm(turns)), least)
     values = {"unbalanced forces of cables": free / own}
     press = max(float(turns.sum()), least)
-    values |= _held(cable, shape, press, others)
+    values |= _held(cable, shape, press)
     if leaves_cells(cable):
         # An edge carries the forces if it is much stiffer than the cable's tension.
         normal, pull = forces_at(cable, _folds(cable), shape)
@@ -149,14 +146,12 @@ def forces(
     return values | _friction(cable, shape, least)
 
 
-def _held(
-    cable: LaidCable, shape: StripShape, press: float, others: Pulls | None
-) -> dict[str, float]:
+def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
     """Lateral forces that vertices exert on a cable, relative to its contact force."""
     # Smoothed lengths keep a cable off the vertices by `smoothing` cells, even where a straight one
     # runs through them: it turns by as much at both ends of a run.
     own = 2 * TOL.smoothing * cable.tension
-    runs = held_runs(cable, shape, others)
+    runs = held_runs(cable, shape)
     held = [(len(run.vertices), max(run.excess - own, 0.0) / press) for run in runs]
     return {
         "held by a line of the mesh": max((f for n, f in held if n >= IN_LINE), default=0.0),

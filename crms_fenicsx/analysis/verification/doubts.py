@@ -18,7 +18,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
-from crms_fenicsx.cabling.paths.held_vertices import Pulls, held_vertices, string_displacements
+from crms_fenicsx.cabling.paths.held_vertices import held_vertices, string_displacements
 from crms_fenicsx.foundation.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
@@ -47,32 +47,27 @@ Doubts = Mapping[LaidCable, Sequence[Check]]
 """Failed checks of each cable that make a state doubtful."""
 
 
-def doubt(
-    scene: Scene, failed: Sequence[Check], cables: Doubts, others: Mapping[LaidCable, Pulls]
-) -> StateWarning:
-    """Warning of a state that fails some checks, which are not binding. Collective. `others`: pulls
-    of the cables clamped to each cable."""
+def doubt(scene: Scene, failed: Sequence[Check], cables: Doubts) -> StateWarning:
+    """Warning of a state that fails some checks, which are not binding. Collective."""
     told = list[str]()
     if cables:
         shape = scene.net.strip_shape()
         for cable, own in cables.items():
-            told += _of_cable(cable, own, shape, others.get(cable))
+            told += _of_cable(cable, own, shape)
     more = [f"and {len(told) - SHOWN} more for cables"] if len(told) > SHOWN else []
     told = told[:SHOWN] + more
     told += [words for check in failed for words in _of_scene(check)]
     return StateWarning("doubtful", scene.comm.bcast("; ".join(told)))
 
 
-def _of_cable(
-    cable: LaidCable, failed: Sequence[Check], shape: StripShape, others: Pulls | None
-) -> Iterator[str]:
+def _of_cable(cable: LaidCable, failed: Sequence[Check], shape: StripShape) -> Iterator[str]:
     """What is uncertain about a cable."""
     by_name = {check.name: check.value for check in failed}
     T = cable.tension
     if HELD_SIDEWAYS & by_name.keys():
-        low, _ = tension_range(cable, shape, others)
+        low, _ = tension_range(cable, shape)
         at_ends = _longer_at_ends(cable, shape)
-        large = at_ends > LARGE * _longer(cable, shape, others)
+        large = at_ends > LARGE * _longer(cable, shape)
         ends = ", and its ends inside cells, if given in plan, lie too far down the slope"
         yield (
             f"the tension of {cable.name!r} is between {low:.3g} and {T:.3g}: the mesh holds it "
@@ -139,18 +134,16 @@ def _known(share: float) -> str:
     return f"accurate to {share:.1%} only" if share < 1.0 else "uncertain by 100% or more"
 
 
-def tension_range(
-    cable: LaidCable, shape: StripShape, others: Pulls | None = None
-) -> tuple[float, float]:
+def tension_range(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     """Least and largest tension of a cable that the mesh holds sideways (force)."""
     start = cable.state.law.step_start
     rate = cable.cable.EA / (cable.L0 if start is None else start.length)
-    return max(cable.tension - rate * _longer(cable, shape, others), 0.0), cable.tension
+    return max(cable.tension - rate * _longer(cable, shape), 0.0), cable.tension
 
 
-def _longer(cable: LaidCable, shape: StripShape, others: Pulls | None) -> float:
+def _longer(cable: LaidCable, shape: StripShape) -> float:
     """Excess of a cable's length on coarse cells (length)."""
-    sideways = _longer_by_edges(cable, shape) + _longer_by_vertices(cable, shape, others)
+    sideways = _longer_by_edges(cable, shape) + _longer_by_vertices(cable, shape)
     return sideways + _longer_at_ends(cable, shape)
 
 
@@ -178,9 +171,11 @@ def _longer_by_edges(cable: LaidCable, shape: StripShape) -> float:
     what friction carries."""
     contacts = np.array(cable.contacts())
     places = cable.state.positions[contacts]
-    held = {*cable.clamped, *cable.blocked}
+    blocked = cable.blocked
     free = [
-        i for i, k in enumerate(contacts) if cable.state.nodes[k].kind == "fold" and k not in held
+        i
+        for i, k in enumerate(contacts)
+        if cable.state.nodes[k].kind == "fold" and k not in blocked
     ]
     if not free:
         return 0.0
@@ -222,9 +217,9 @@ def _share_beyond_friction(cable: LaidCable, shape: StripShape, nodes: list[int]
     return min(max(1.0 - then / now, 0.0), 1.0) if now > 0.0 else 1.0
 
 
-def _longer_by_vertices(cable: LaidCable, shape: StripShape, others: Pulls | None) -> float:
+def _longer_by_vertices(cable: LaidCable, shape: StripShape) -> float:
     """Length that the pulls of vertices add to a cable: that of a string under them."""
-    held = held_vertices(cable, shape, others)
+    held = held_vertices(cable, shape)
     if not held:
         return 0.0
     contacts = cable.contacts()

@@ -108,9 +108,8 @@ class Verifier:
         if found.passed and found.doubtful:
             from crms_fenicsx.analysis.verification.doubts import doubt
 
-            known = self._cables
-            cables, others = ({}, {}) if known is None else (known.doubts, known.others)
-            found = replace(found, warnings=(doubt(self.scene, found.doubtful, cables, others),))
+            cables = {} if self._cables is None else self._cables.doubts
+            found = replace(found, warnings=(doubt(self.scene, found.doubtful, cables),))
         return found
 
     def _finite(self, system: System) -> Check:

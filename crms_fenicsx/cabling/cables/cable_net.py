@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.cabling.cables.clamping import divide, meetings, named, with_clamps
+from crms_fenicsx.cabling.cables.clamping import divide, meetings, named
 from crms_fenicsx.cabling.cables.crossings import arrange
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
@@ -122,10 +122,15 @@ class CableNet:
         if self.strip is None:
             self.crossings = ()
             return
-        known = with_clamps(self.crossings, self.clamps, self.cables)
-        self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
+        number = {cable.name: c for c, cable in enumerate(self.cables)}
+        clamped = {
+            (*sorted(number[name] for name in clamp.cables), clamp.vertex) for clamp in self.clamps
+        }
+        self.crossings, self._nodes = arrange(
+            self.nodes, self.cables, self.strip, self.crossings, clamped
+        )
         if self.clamps or any(cable.state.law.parts is not None for cable in self.cables):
-            self.clamps = divide(self.cables, self.crossings, self.clamps)
+            self.clamps = divide(self.cables, self.clamps)
 
     def add(self, cables: Sequence[LaidCable], strip: Strip) -> None:
         """Add cables laid over the cells of `strip`."""
@@ -167,32 +172,28 @@ class CableNet:
                     f'clamp: {cable.name!r} has law="step", with which its tension cannot differ '
                     "from clamp to clamp; lay it without."
                 )
-        _refuse_some_on_lines(own)
+        refuse_clamps_off_lines([one.name for one in own if one.state.laid.line is None])
         new: list[Clamp] = []
         apart: list[str] = []
-        known = {number: clamp.cables for number, clamp in enumerate(self.clamps)}
+        held = {(frozenset(clamp.cables), clamp.vertex) for clamp in self.clamps}
         for a, b in combinations(own, 2):
-            for one in meetings(a, b):
-                if any(
-                    {a.name, b.name} == set(names)
-                    and norm(self.clamps[n].place - one.place) < one.reach
-                    for n, names in known.items()
-                ):
+            for one, gap, reach in meetings(a, b):
+                if (frozenset(one.cables), one.vertex) in held:
                     continue
                 parted = any(
                     {self.cables[k.lower], self.cables[k.upper]} == {a, b}
                     and k.separated
-                    and norm(k.place - one.place) < 2 * one.reach
+                    and k.support == (one.vertex,)
                     for k in self.crossings
                 )
-                if parted or one.gap > TOL.touching * one.reach:
+                if parted or gap > TOL.touching * reach:
                     apart.append(
-                        f"{a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they cross, at "
+                        f"{a.name!r} and {b.name!r} lie {gap:.3g} apart where they cross, at "
                         f"{as_text(one.place)}"
                     )
                     continue
                 name = named([*self.clamps, *new], (a.name, b.name))
-                new.append(Clamp(name, (a.name, b.name), one.at, one.place, slip, one.vertex))
+                new.append(replace(one, name=name, slip=slip))
         if apart and len(own) == 2:
             raise InputError(
                 f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."
@@ -210,7 +211,7 @@ class CableNet:
             )
         _refuse_two_grips([*self.clamps, *new])
         self.clamps = (*self.clamps, *new)
-        self._divide_again()
+        self.arrange_crossings()
         return tuple(new)
 
     def unclamp(self, cables: Sequence[LaidCable | str], near: object) -> None:
@@ -222,12 +223,7 @@ class CableNet:
             names = ", ".join(clamp.name for clamp in self.clamps) or "none"
             raise InputError(f"unclamp: there is no such clamp; the scene has {names}.")
         self.clamps = tuple(clamp for clamp in self.clamps if clamp not in gone)
-        self._divide_again()
-
-    def _divide_again(self) -> None:
-        """Rearrange the crossings for changed clamps, unless all cables are slack off lines."""
-        if any(cable.taut or cable.state.laid.line is not None for cable in self.cables):
-            self.arrange_crossings()
+        self.arrange_crossings()
 
     def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
         """Check and return two or more different cables."""
@@ -247,14 +243,14 @@ class CableNet:
         return [clamp for clamp in self.clamps if names >= set(clamp.cables)]
 
 
-def _refuse_some_on_lines(cables: Sequence[LaidCable]) -> None:
-    """Refuse clamps between cables along lines of the mesh and others, which cross no vertices."""
-    on = [cable.state.laid.line is not None for cable in cables]
-    if any(on) and not all(on):
+def refuse_clamps_off_lines(across: Sequence[str]) -> None:
+    """Refuse to clamp cables that lie across the cells, given by name."""
+    if across:
+        lie = f" and {counted(len(across) - 1, 'other')} lie" if across[1:] else " lies"
         raise InputError(
-            f"clamp: {cables[on.index(True)].name!r} lies along a line of the mesh, "
-            f"{cables[on.index(False)].name!r} does not; lay all cables to be clamped along lines, "
-            "of meshes.along(mesh, ...)."
+            f"clamp: {across[0]!r}{lie} across the cells of the mesh; only cables along its lines "
+            "can be clamped. Make lines by meshes.along(mesh, net.paths), or of routes of your "
+            "own, and lay cables on them by lay_net(net, ...) or lay_cable(cable, along=...)."
         )
 
 
@@ -262,7 +258,7 @@ def _refuse_two_grips(clamps: Sequence[Clamp]) -> None:
     """Refuse clamps of different grips at one vertex, where they are one clamp."""
     at: dict[int, Clamp] = {}
     for clamp in clamps:
-        if clamp.vertex is not None and at.setdefault(clamp.vertex, clamp).slip != clamp.slip:
+        if at.setdefault(clamp.vertex, clamp).slip != clamp.slip:
             other = at[clamp.vertex]
             raise InputError(
                 f"clamp: {other.name!r} and {clamp.name!r} have slip = {other.slip} and "
@@ -275,7 +271,7 @@ def refuse_held_clamps(net: CableNet) -> None:
     """Refuse clamps of cables that should slide over the fabric but are held on their lines."""
     for clamp in net.clamps:
         cables = [net.cable(name) for name in clamp.cables]
-        if clamp.vertex is not None and any(HOLDS[cable.hold].sideways for cable in cables):
+        if any(HOLDS[cable.hold].sideways for cable in cables):
             raise InputError(
                 f"Solver: slide = False holds {cables[0].name!r} and {cables[1].name!r} on their "
                 f"lines of the mesh, where the clamp {clamp.name!r} would hold the fabric too and "

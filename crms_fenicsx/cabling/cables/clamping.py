@@ -1,4 +1,4 @@
-"""Clamps and bonds: where two cables meet, and the nodes at which they divide a tension.
+"""Clamps and bonds: vertices that two cables share, and the nodes at which they divide a tension.
 
 A cable slips through m clamps of limited grip as a chain of m + 1 parts
 (`energy.terms.capstan_chain`), with dry friction bounded by the grip at each clamp. The rest arc is
@@ -7,20 +7,18 @@ that at clamping or after the last slip.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
-from crms_fenicsx.foundation.meshes.triangles import arc_lengths, cross, dot, norm
+from crms_fenicsx.foundation.meshes.triangles import arc_lengths, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, floats
 from crms_fenicsx.foundation.runtime.errors import PathError
 from crms_fenicsx.model.cable import Bonds, Clamp, ClampedParts
-from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 TOLERANCE = 1e-3
 """Elastic slip at a clamp, relative to the elongation of the adjacent part under its grip."""
@@ -29,51 +27,10 @@ CLAMP_SLIP = 1e-6
 """Elastic slip at a clamp of unlimited grip, with axial friction, relative to the cable length."""
 
 
-@dataclass(frozen=True)
-class _CablesMeeting:
-    """A place where two cables cross."""
-
-    place: Array  # (3,) midpoint between both (length)
-    gap: float  # distance of the cables (length)
-    reach: float  # mean length of the segments that cross (length)
-    at: tuple[float, float]  # fraction of each unstressed length up to there
-    vertex: int | None = None  # that both share, along lines of the mesh
-
-
-def meetings(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
-    """Crossings of two cables, in the order of the first one."""
-    if a.state.laid.line is not None and b.state.laid.line is not None:
-        return _at_common_vertices(a, b)
-    (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
-    across = cross(u[:, None], v[None])
-    square = dot(across, across)
-    sizes = dot(u, u)[:, None] * dot(v, v)[None]
-    apart = y[None] - x[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = dot(cross(apart, v[None]), across) / square
-        t = dot(cross(apart, u[:, None]), across) / square
-        gap = np.abs(dot(apart, across)) / np.sqrt(square)
-        # Where they bend, cables that lie apart may do so beyond the ends of all parts there.
-        ends = [SAME_PLACE + gap / np.sqrt(dot(way, way)) for way in (u[:, None], v[None])]
-    inside = (-ends[0] <= s) & (s <= 1 + ends[0]) & (-ends[1] <= t) & (t <= 1 + ends[1])
-    found: list[_CablesMeeting] = []
-    for i, j in np.argwhere(inside & (square > TOL.oblique**2 * sizes)):
-        along = [float(np.clip(share[i, j], 0.0, 1.0)) for share in (s, t)]
-        first, second = x[i] + along[0] * u[i], y[j] + along[1] * v[j]
-        place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2
-        at = _share(a, int(i), along[0]), _share(b, int(j), along[1])
-        found.append(_CablesMeeting(place, float(norm(second - first)), reach, at))
-    kept: list[_CablesMeeting] = []
-    for one in sorted(found, key=lambda one: one.gap):
-        near = max(1e-6 * one.reach, 2 * one.gap)
-        if one.gap < one.reach and all(norm(k.place - one.place) >= near for k in kept):
-            kept.append(one)
-    return sorted(kept, key=lambda one: one.at)
-
-
-def _at_common_vertices(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
-    """Vertices that two cables along lines of the mesh share, in the order of the first one; not
-    the ends of either, beside which a part would have no length."""
+def meetings(a: LaidCable, b: LaidCable) -> list[tuple[Clamp, float, float]]:
+    """Clamps, without a name, of two cables at the vertices that they share, in the order of the
+    first one; how far apart they are there, and the mean size of its segments (length). Not at the
+    ends of either, beside which a part would have no length."""
     first, second = _nodes_at_vertices(a), _nodes_at_vertices(b)
     found = []
     for vertex in first.keys() & second.keys():
@@ -83,9 +40,10 @@ def _at_common_vertices(a: LaidCable, b: LaidCable) -> list[_CablesMeeting]:
         if norm(ends).min() <= SAME_PLACE * min(a.length, b.length):
             continue
         reach = float(norm(np.diff(a.state.positions, axis=0)).mean())
-        at = _share(a, *_link(a, i)), _share(b, *_link(b, j))
-        found.append(_CablesMeeting((x + y) / 2, float(norm(y - x)), reach, at, vertex))
-    return sorted(found, key=lambda one: one.at)
+        at = _share(a, i), _share(b, j)
+        clamp = Clamp("", (a.name, b.name), at, (x + y) / 2, None, vertex)
+        found.append((clamp, float(norm(y - x)), reach))
+    return sorted(found, key=lambda one: one[0].at)
 
 
 def _nodes_at_vertices(cable: LaidCable) -> dict[int, int]:
@@ -97,30 +55,19 @@ def _nodes_at_vertices(cable: LaidCable) -> dict[int, int]:
     }
 
 
-def _link(cable: LaidCable, k: int) -> tuple[int, float]:
-    """Segment between contacts on which a node is, and its fraction of that."""
+def _share(cable: LaidCable, k: int) -> float:
+    """Fraction of the unstressed length up to a node."""
     contacts, x = cable.contacts(), cable.state.positions
     i = int(np.searchsorted(contacts, k, side="right")) - 1
     passed, left = norm(x[[k, contacts[i + 1]]] - x[[contacts[i], k]])
-    return i, float(passed / (passed + left))
-
-
-def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
-    """Start points of a cable's segments between contacts, and segment vectors, (n, 3)."""
-    x = cable.state.positions[cable.contacts()]
-    return x[:-1], np.diff(x, axis=0)
-
-
-def _share(cable: LaidCable, i: int, t: float) -> float:
-    """Fraction of the unstressed length up to a place on segment i."""
-    sizes = norm(_straight_parts(cable)[1]) / (1 + cable.part_tensions / cable.cable.EA)
-    of = cable.parts_of(cable.contacts()[:-1])
+    sizes = norm(np.diff(x[contacts], axis=0)) / (1 + cable.part_tensions / cable.cable.EA)
+    of = cable.parts_of(contacts[:-1])
     own = of == of[i]
-    passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
+    before = float(sizes[:i][own[:i]].sum() + passed / (passed + left) * sizes[i])
     parts = cable.state.law.parts
     clamps = floats(parts.at) if parts is not None and parts.nodes else []
     start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
-    return start + passed * (end - start)
+    return start + before / float(sizes[own].sum()) * (end - start)
 
 
 def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
@@ -130,51 +77,10 @@ def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
     return next(name + number for number in numbers if name + number not in taken)
 
 
-def with_clamps(
-    crossings: Sequence[Crossing], clamps: Sequence[Clamp], cables: Sequence[LaidCable]
-) -> list[Crossing]:
-    """Known crossings, with each clamp at the nearest one of its cables, or at a new one."""
-    number = {cable.name: c for c, cable in enumerate(cables)}
-    held = {clamp.name for clamp in clamps}
-    found = [
-        one if one.clamp is None or one.clamp in held else replace(one, clamp=None)
-        for one in crossings
-    ]
-    marked = {one.clamp for one in found}
-    for clamp in clamps:
-        if clamp.name in marked:
-            continue
-        c, d = (number[name] for name in clamp.cables)
-        lower, upper = sorted((c, d), key=lambda k: (cables[k].layer, k))
-        free = [
-            (float(norm(one.place - clamp.place)), k)
-            for k, one in enumerate(found)
-            if one.clamp is None and (one.lower, one.upper) == (lower, upper)
-        ]
-        if free:
-            k = min(free)[1]
-            found[k] = replace(found[k], clamp=clamp.name, separated=False)
-        else:
-            new = Crossing(lower, upper, (), (0, 0), clamp.place, (), clamp=clamp.name)
-            found.append(new)
-    return found
-
-
-def divide(
-    cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
-) -> tuple[Clamp, ...]:
-    """Divide cables at the nodes of their clamps and return the clamps at their current places;
-    off lines of the mesh clamps of slack cables have no effect."""
-    nodes: dict[str, dict[str, int]] = defaultdict(dict)
-    for cable in cables:
-        for k, node in enumerate(cable.state.nodes):
-            name = None if node.crossing is None else crossings[node.crossing].clamp
-            if name is not None:
-                nodes[name][cable.name] = k
+def divide(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp, ...]:
+    """Divide cables at the nodes of their clamps and return the clamps at their current places."""
     by_name = {cable.name: cable for cable in cables}
-    for clamp in clamps:
-        if len(nodes[clamp.name]) < 2 or clamp.vertex is not None:
-            nodes[clamp.name] = _at_vertex(clamp, by_name)
+    nodes = {clamp.name: _at_vertex(clamp, by_name) for clamp in clamps}
     for cable in cables:
         shares = {
             nodes[clamp.name][cable.name]: (
@@ -207,23 +113,10 @@ def placed(cables: Sequence[LaidCable], clamps: Sequence[Clamp]) -> tuple[Clamp,
 
 
 def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
-    """Nodes of two cables at a clamp's vertex, or of taut ones at the common one nearest to it."""
-    a, b = (cables[name] for name in clamp.cables)
-    if clamp.vertex is not None:
-        at = {cable.name: _nodes_at_vertices(cable)[clamp.vertex] for cable in (a, b)}
-        return at if not any(cables[name].state.lifted[k] for name, k in at.items()) else {}
-    if not (a.taut and b.taut):
-        return {}
-    of_a, of_b = (
-        {c.state.nodes[k].point: k for k in c.contacts() if c.state.nodes[k].kind == "vertex"}
-        for c in (a, b)
-    )
-    away = [
-        (float(norm(a.state.positions[k] - clamp.place)), k, of_b[point])
-        for point, k in of_a.items()
-        if point in of_b
-    ]
-    return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
+    """Nodes of two cables at their clamp; none while one of them has lifted off it alone."""
+    own = [cables[name] for name in clamp.cables]
+    at = {cable.name: _nodes_at_vertices(cable)[clamp.vertex] for cable in own}
+    return {} if any(cables[name].state.lifted[k] for name, k in at.items()) else at
 
 
 def clamped_nodes(nodes: NodeTable, cables: Sequence[LaidCable]) -> Booleans:

@@ -9,7 +9,7 @@ vertex move with it; they share a free point where both have lifted off and touc
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import replace
 from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
@@ -206,10 +206,15 @@ def at_crossings(crossings: Sequence[Crossing], nodes: NodeTable) -> Integers:
 
 
 def arrange(
-    before: NodeTable, cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
+    before: NodeTable,
+    cables: Sequence[LaidCable],
+    strip: Strip,
+    known: Sequence[Crossing],
+    clamped: Set[tuple[int, ...]] = frozenset(),
 ) -> tuple[tuple[Crossing, ...], NodeTable]:
     """Find the crossings of taut cables and insert their points into the cables, whose current
-    nodes are `before`. Returns the crossings and the new nodes."""
+    nodes are `before`; `clamped`: numbers of pairs of cables, ascending, and the vertices at which
+    they are clamped. Returns the crossings and the new nodes."""
     positions, fractions = positions_of(cables), fractions_of(cables)
     shared, places = np.flatnonzero(before.crossing >= 0), [one.place for one in known]
     for row in ints(shared):
@@ -232,7 +237,7 @@ def arrange(
             flags(lifted[links[:, 1]] & (lifted[ends[:, 1]] | at_vertex)),
             flags(at_vertex & ~in_air), strict=True,
         ),
-        zip(known, places, _has_point(known, before.crossing[shared]), strict=True),
+        zip(known, places, _has_point(known, before.crossing[shared]), strict=True), clamped,
     )  # fmt: skip
     separated = np.array([one.separated for one in crossings], dtype=bool)
     numbers = _common_points(crossings, np.flatnonzero(at_vertex & in_air), len(found))
@@ -279,7 +284,7 @@ def _common_points(crossings: Sequence[Crossing], at_vertices: Integers, count: 
     cables that are clamped together above a vertex, which all share one."""
     numbers, first = np.arange(count), dict[Support, int]()
     for n in ints(at_vertices):
-        if crossings[n].clamp is not None:
+        if crossings[n].clamped:
             numbers[n] = first.setdefault(crossings[n].support, n)
     return np.repeat(numbers[:, None], 2, axis=1)
 
@@ -300,7 +305,9 @@ def _has_point(known: Sequence[Crossing], shared: Integers) -> list[bool]:
 
 
 def _continued(
-    found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array, bool]]
+    found: Iterable[tuple[Any, ...]],
+    known: Iterable[tuple[Crossing, Array, bool]],
+    clamped: Set[tuple[int, ...]],
 ) -> list[Crossing]:
     """Crossings, continuing the nearest known ones of the same cables at their given places, where
     these are of use, or new. `found`: both cables, support, links, place, between, whether
@@ -310,14 +317,15 @@ def _continued(
         left[one[0].lower, one[0].upper].append(one)
     crossings = []
     for (lower, upper), support, links, place, between, separated, certain in found:
-        before, clamp = left[lower, upper], None
+        before, joined = left[lower, upper], (*sorted((lower, upper)), *support) in clamped
         if before:
             away = [float(np.linalg.norm(at - place)) for _, at, _ in before]
             old, at, placed = before.pop(away.index(min(away)))
-            separated, clamp = separated if certain else old.separated, old.clamp
+            separated = separated if certain else old.separated
             # with other neighbouring edges the old place would pull these aside
             place = at if old.between == between and placed else place
-        crossings.append(Crossing(lower, upper, support, links, place, between, separated, clamp))
+        separated &= certain or not joined
+        crossings.append(Crossing(lower, upper, support, links, place, between, separated, joined))
     return crossings
 
 

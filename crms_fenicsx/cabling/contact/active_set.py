@@ -14,7 +14,6 @@ from typing import Protocol
 import numpy as np
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
-from crms_fenicsx.cabling.cables.clamping import clamped_nodes
 from crms_fenicsx.cabling.cables.crossings import at_crossings, stacks
 from crms_fenicsx.cabling.cables.points_on_edges import (
     VERTEX,
@@ -40,7 +39,7 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     nodes = lines.nodes
     at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
     upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
-    free = [not one.separated and one.clamp is None for one in crossings]
+    free = [not one.separated and not one.clamped for one in crossings]
     together = np.array(free, dtype=bool)
     number = nodes.crossing[at]
     at = at[together[number] & (nodes.cable[at] == upper[number])]
@@ -214,9 +213,7 @@ class ActiveSet:
         """Release taut cables where they pull the membrane; close contacts that penetrate."""
         net, nodes = self.net, lines.nodes
         held = np.array([cable.taut and cable.lifts_off for cable in net.cables], dtype=bool)
-        folded = np.array([cable.state.laid.line is None for cable in net.cables], dtype=bool)
-        clamped = clamped_nodes(nodes, net.cables) & folded[nodes.cable]
-        may = held[nodes.cable] & ~clamped
+        may = held[nodes.cable]
         alone = nodes.ids(lines.released(shape, may & ~lines.shared))
         pulling = [(id, [id]) for id in alone] + self._pulling_together(shape, lines, may)
         released: dict[int, list[int]] = defaultdict(list)

@@ -13,7 +13,7 @@ smoothed over a few cells, and each node gets the share of its stretch of cable.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -144,14 +144,9 @@ def paper_forces(cable: LaidCable) -> Array:
     return forces
 
 
-def forces_at(
-    cable: LaidCable,
-    nodes: Sequence[int],
-    shape: StripShape,
-    others: Mapping[int, Array] | None = None,
-) -> tuple[Array, Array]:
+def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
     """Normal and lateral forces (m,) of a cable on the membrane at `nodes` (m,), as in
-    `ContactForces`, with the forces (3,) by node of `others` that are clamped to it."""
+    `ContactForces`."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -159,18 +154,9 @@ def forces_at(
     found, before, after = wanted[rows], before[at[rows]], after[at[rows]]
     up, left = directions(cable, found, shape, before, after)
     pull = _pulls(cable, found, before, after)
-    for row in np.flatnonzero(np.isin(found, list(others or ()))):
-        pull[row] += (others or {})[int(found[row])]
     normal, lateral = np.zeros((2, len(nodes)))
     normal[rows], lateral[rows] = -dot(pull, up), dot(pull, left)
     return normal, lateral
-
-
-def pull_of(cable: LaidCable, k: int) -> Array:
-    """Force of a cable at one of its contacts, with its tensions before and after it, (3,)."""
-    nodes, before, after = _turns(cable)
-    (rows,) = np.nonzero(nodes == k)
-    return np.asarray(_pulls(cable, nodes[rows], before[rows], after[rows]).sum(axis=0))
 
 
 def _turns_on_membrane(cable: LaidCable) -> tuple[Integers, Array, Array]:

@@ -155,7 +155,6 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     at_clamps = np.isin(nodes, cable.clamped)
     if at_clamps.any():
         assert cable.state.law.parts is not None
-        slope[at_clamps] = 0.0
         rest[at_clamps] = cable.state.law.parts.at * (cable.L0 + cable.state.law.smoothing_length)
     fractions = np.where(np.isnan(cable.state.fractions[nodes]), 0.0, cable.state.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
@@ -306,6 +305,5 @@ def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
         (n, c, i)
         for n, (c, nodes) in enumerate(gripped_cables(numbering).items())
         for i, k in enumerate(nodes)
-        if k not in numbering.cables[c].clamped
         if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
     ]

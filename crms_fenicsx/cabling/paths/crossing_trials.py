@@ -4,12 +4,6 @@ Two cables that press each other into the membrane have several nearby minima of
 vertex holds a cable: a cable passes a vertex on one side or the other; two cables cross an edge
 beside their crossing at one point or at two; and a contact beside a span is closed, as the cable
 has folded the membrane there, or open. The load path picks one; the energies tell the equilibrium.
-
-Clamps at vertices lift off here, too. A cable lifts off at its own points; at a clamp on a vertex,
-or on an edge that one of its cables follows, no cable can lift off alone. So the paths are moved
-beside the vertex or edge: there the clamp is a point inside a cell, held down by the surrounding
-contacts only. A clamp beside a vertex that holds its cables' points may belong on the vertex:
-otherwise one side of the clamp lacks a smoothed length, and short stiff parts get wrong tensions.
 """
 
 from __future__ import annotations
@@ -21,15 +15,13 @@ from functools import partial
 import numpy as np
 
 from crms_fenicsx.cabling.contact.active_set import ContactKey
-from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
 from crms_fenicsx.cabling.contact.free_spans import Gap
 from crms_fenicsx.cabling.contact.lift_off import Polylines, captured, lift, may_lift, touch
-from crms_fenicsx.cabling.paths.held_vertices import VertexRun, clamped_together, held_vertices
-from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells, vertices_near
+from crms_fenicsx.cabling.paths.held_vertices import VertexRun
+from crms_fenicsx.cabling.paths.path_change import PathChange, leaves_cells
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths, WayKey
 from crms_fenicsx.cabling.paths.vertex_trials import pass_run
-from crms_fenicsx.foundation.surface.corridor import corridor, why_invalid
-from crms_fenicsx.foundation.surface.points import Edge, VertexPoint
+from crms_fenicsx.foundation.surface.points import Edge
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BUDGET, TOL
@@ -56,9 +48,9 @@ class CrossingTrials:
 
     def next(self) -> bool:
         """Move cables to an untried configuration; return whether there is one. Collective."""
-        ways = [*self._clamps(), *self._apart()] if self.net.clamps else []
+        ways: list[Way] = []
         if 0 < len(self._crossings) <= BUDGET.crossings:
-            ways += [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
+            ways = [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]
         self._contacts = set(self.tried.released), set(self.tried.settled)
         for way in ways:
             known = self.tried.ways.setdefault(self.net.cables[way.cable].name, set())
@@ -97,25 +89,6 @@ class CrossingTrials:
         cables = self.net.cables
         return [c for c in sorted(members) if cables[c].taut and leaves_cells(cables[c])]
 
-    def _clamps(self) -> Iterator[Way]:
-        """Clamps beside vertices, moved onto these."""
-        shape = self.net.strip_shape()
-        for held in clamped_together(self.net.cables):
-            own = [cable for cable, _ in held]
-            if not all(map(leaves_cells, own)):
-                continue
-            places = [set(cable.state.nodes[k].support) for cable, k in held]
-            near = (vertices_near(cable, TOL.pressed) for cable in own)
-            beside = set.intersection(*places, *near)
-            if beside:
-                holding = (
-                    {v.vertex for v in held_vertices(c, shape) if v.excess > 0.0} for c in own
-                )
-                for vertex in sorted(beside.intersection(*holding)):
-                    key = ("clamp", own[1].name, (vertex,), False)
-                    take = partial(_put_onto, self.change, own, vertex)
-                    yield Way(self.net.cables.index(own[0]), key, take)
-
     def _sides(self) -> Iterator[Way]:
         """Vertices passed on the other side, the nearest first."""
         found = []
@@ -146,19 +119,6 @@ class CrossingTrials:
             take = partial(self._put, nodes, edge, (middle - apart, middle + apart))
             yield Way(crossing.lower, ("exchange", nodes[1][0].name, edge, first > second), take)
 
-    def _apart(self) -> Iterator[Way]:
-        """Edges that both cables of a clamp cross nearly at one point, which the penalty lets kink,
-        made straight again, with both points where straight cables would cross them."""
-        shape = self.net.strip_shape()
-        for crossing, edge, nodes in self._shared_edges():
-            first, second = (float(cable.state.fractions[k]) for cable, k in nodes)
-            if crossing.clamp is None or abs(first - second) > TOL.beside_vertex:
-                continue
-            pulls = ((forces_at(cable, [k], shape)[1][0], cable.tension) for cable, k in nodes)
-            if all(abs(lateral) > TOL.kink * tension for lateral, tension in pulls):
-                take = partial(self._put, nodes, edge, [self._straight(edge, *n) for n in nodes])
-                yield Way(crossing.lower, ("apart", nodes[1][0].name, edge, first > second), take)
-
     def _shared_edges(self) -> Iterator[tuple[Crossing, Edge, list[tuple[LaidCable, int]]]]:
         """Edges next to crossings that both cables cross, with both nodes."""
         for crossing in self._crossings:
@@ -171,15 +131,6 @@ class CrossingTrials:
                 nodes = [(cable, k) for cable, k in zip(pair, at, strict=True) if k is not None]
                 if len(nodes) == 2:
                     yield crossing, edge, nodes
-
-    def _straight(self, edge: Edge, cable: LaidCable, k: int) -> float:
-        """Fraction of an unkinked edge at which the cable would be straight."""
-        first, last = (self.change.surface(edge).shape.at(vertex) for vertex in edge)
-        along = last - first
-        sides = cable.state.positions[[k - 1, k + 1]] - first
-        s = sides @ along / (along @ along)
-        away = np.linalg.norm(sides - s[:, None] * along, axis=1)
-        return float(np.clip(s @ away[::-1] / away.sum(), TOL.beside_vertex, 1 - TOL.beside_vertex))
 
     def _put(
         self, nodes: Sequence[tuple[LaidCable, int]], edge: Edge, places: Sequence[float]
@@ -242,44 +193,3 @@ def _node_on(cable: LaidCable, edge: Edge) -> int | None:
     """The only sliding contact of a cable on an edge; None if there is not exactly one."""
     at = [k for k, node in enumerate(cable.state.nodes) if node.slides and node.support == edge]
     return at[0] if len(at) == 1 and not cable.state.lifted[at[0]] else None
-
-
-def lift_clamps(change: PathChange) -> list[str]:
-    """Move cables whose clamps pull off the membrane aside; return the changes. Collective."""
-    cables = change.net.cables
-    if not change.net.clamps or not any(cable.lifts_off for cable in cables):
-        return []
-    changes, shape = [], change.net.strip_shape()
-    for held in clamped_together(cables):
-        nodes = [cable.state.nodes[k] for cable, k in held]
-        on = next((node.support for node in nodes if node.kind != "crossing"), None)
-        if on is None or not all(cable.lifts_off for cable, _ in held):
-            continue
-        pulls = np.sum([pull_of(cable, k) for cable, k in held], axis=0)
-        normals, _ = shape.normals_and_sizes([on])
-        if pulls @ normals[0] <= TOL.contact * sum(cable.tension for cable, _ in held):
-            continue
-        for cable, node in zip((cable for cable, _ in held), nodes, strict=True):
-            # on an edge, the cable along it leaves the edge's ends
-            run = VertexRun(on, True, 0.0)
-            if not node.slides and pass_run(change, cables.index(cable), run):
-                changes.append(f"{cable.name} leaves {on} for its clamp to lift off")
-    return changes
-
-
-def _put_onto(change: PathChange, cables: list[LaidCable], vertex: int) -> bool:
-    """Lead cables over a vertex beside them; return whether that is possible. Collective."""
-    surface, ways = change.surface([vertex]), []
-    for cable in cables:
-        on_path = cable.path_nodes()
-        points, lifted = cable.path.points, [bool(cable.state.lifted[k]) for k in on_path]
-        at = [i for i, point in enumerate(points) if vertex in point.support]
-        if not at or at[0] == 0 or at[-1] == len(points) - 1 or any(lifted[at[0] : at[-1] + 1]):
-            return False
-        new = [*points[: at[0]], VertexPoint(vertex), *points[at[-1] + 1 :]]
-        if why_invalid(corridor(new), surface.opposite_vertices):
-            return False
-        ways.append((cable, new, [*lifted[: at[0]], False, *lifted[at[-1] + 1 :]]))
-    for cable, new, off in ways:
-        change.replace(cable, new, off, surface)
-    return True

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-import numpy as np
-
 from crms_fenicsx.cabling.cables.strip import StripShape
 from crms_fenicsx.cabling.contact.lift_off import drape
 from crms_fenicsx.cabling.contact.span_projection import (
@@ -33,15 +31,13 @@ from crms_fenicsx.cabling.paths.path_change import (
     vertices_near,
 )
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
-from crms_fenicsx.foundation.meshes.triangles import closest
-from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.work_sharing import share_out
 from crms_fenicsx.foundation.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.foundation.surface.flip_geodesic import FlippedPath, shorten
-from crms_fenicsx.foundation.surface.points import CellPoint, SurfacePoint, VertexPoint
+from crms_fenicsx.foundation.surface.points import SurfacePoint, VertexPoint
 from crms_fenicsx.foundation.surface.vertex_flip import MissingCells
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import LEAST_WEIGHT, TOL
+from crms_fenicsx.model.tolerances import TOL
 
 Result = TypeVar("Result")
 
@@ -71,7 +67,6 @@ class GeodesicSliding:
             cable
             for cable in self.net.cables
             if cable.taut and not cable.state.memory.path_is_geodesic and leaves_cells(cable)
-            if cable.state.law.parts is None  # clamps may hold it in bends
         ]
         if not fresh:
             return False
@@ -239,8 +234,8 @@ class GeodesicSliding:
         self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
     ) -> _Pulled:
         """Pull one path taut."""
-        on_path, parts = cable.path_nodes(), _between_clamps(cable, surface.shape)
-        path = _old_points(cable, on_path, [run for _, run, _ in parts])
+        on_path, parts = cable.path_nodes(), lifted_runs(cable)
+        path = _old_points(cable, on_path, [run for _, run in parts])
         refused = set(self.tried.refused.get(cable.name, ()))
         held_at, n = None, self.change.n_vertices
         if is_crossed(cable) and not fresh:
@@ -250,13 +245,11 @@ class GeodesicSliding:
         pulled: dict[range, Callable[[], Sequence[SurfacePoint]]] = {}
         passed = 0
         followed: list[tuple[Corridor, bool]] = []
-        for is_off, run, clamps in parts:
+        for is_off, run in parts:
             if not is_off:
                 new = path[run.start : run.stop]
-                # Pulled taut between clamps, adjacent lifted points, or anchors.
+                # Pulled taut between adjacent lifted points, or anchors.
                 before, after = self.change.beyond(cable, surface, path, run)
-                before = before if clamps[0] is None else clamps[0]
-                after = after if clamps[1] is None else clamps[1]
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 given = corridor(string)
@@ -280,7 +273,7 @@ class GeodesicSliding:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         if passed or fresh:
-            for is_off, run, _ in parts:
+            for is_off, run in parts:
                 own = partial(cable.points, on_path[run.start : run.stop])
                 points += pulled.get(run, own)()
                 lifted += [is_off] * (len(points) - len(lifted))
@@ -308,39 +301,3 @@ def _old_points(
 def _without_ends(path: FlippedPath, first: int, last: int) -> Sequence[SurfacePoint]:
     """The points of a path without its first and last ones."""
     return path.points[first : len(path.points) - last]
-
-
-Ends = tuple[list[SurfacePoint] | None, list[SurfacePoint] | None]
-"""Clamps beyond both ends of a path's part; empty if an end is itself a clamp, None without."""
-
-
-def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
-    """Lifted and other parts of a path between clamps."""
-    on_path = cable.path_nodes()
-    # clamps by the index of the path's first point after them, except where the cable follows an
-    # edge between two of its vertices: these cannot be ends
-    at: dict[int, SurfacePoint] = {}
-    for k in cable.clamped:
-        point, after = cable.state.nodes[k].point, int(np.searchsorted(on_path, k))
-        if cable.state.nodes[k].kind != "crossing":
-            at[after + 1] = cable.point(k)
-        elif isinstance(point, CellPoint):
-            at[after] = _place_in_cell(point, cable.state.positions[k], shape)
-    found: list[tuple[bool, range, Ends]] = []
-    for is_off, run in lifted_runs(cable):
-        cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
-        for a, b in itertools.pairwise(cuts):
-            before: list[SurfacePoint] | None = [at[a]] if a in at else None
-            ahead: list[SurfacePoint] | None = [at[b]] if b in at else None
-            if ahead is not None and not isinstance(ahead[0], CellPoint):
-                ahead = []  # the part includes it as its last point
-            found.append((is_off, range(a, b), (before, ahead)))
-    return found
-
-
-def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
-    """The point of a cell nearest to a position (3,)."""
-    corners = np.array([shape.at(vertex) for vertex in point.cell])
-    weights = np.maximum(closest(corners[None], position)[0][0], LEAST_WEIGHT)
-    a, b, c = (weights / weights.sum()).tolist()
-    return CellPoint(point.cell, (a, b, c))

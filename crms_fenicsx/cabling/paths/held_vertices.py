@@ -12,15 +12,14 @@ the others keep the valley in place. So consecutive vertices form a run, which i
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from crms_fenicsx.cabling.cables.strip import StripShape
-from crms_fenicsx.cabling.contact.contact_force import forces_at, pull_of
-from crms_fenicsx.cabling.paths.path_change import leaves_cells
+from crms_fenicsx.cabling.contact.contact_force import forces_at
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime.arrays import Array, ints
 from crms_fenicsx.foundation.surface.points import edge_of
@@ -66,40 +65,11 @@ class VertexRun:
         return cls(tuple(one.vertex for one in part), pull > 0.0, excess)
 
 
-Pulls = Mapping[int, Array]
-"""Forces (3,) of the other cables clamped to a cable, by its nodes."""
-
-
-def clamped_together(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
-    """Taut cables with their nodes, for each clamp on a vertex or at a crossing."""
-    at: dict[object, list[tuple[LaidCable, int]]] = defaultdict(list)
-    for cable in cables:
-        for k in cable.clamped if cable.taut else ():
-            node = cable.state.nodes[k]
-            at[node.support if node.kind == "vertex" else node.crossing].append((cable, k))
-    return [held for held in at.values() if len(held) > 1]
-
-
-def pulls_of_others(cables: Sequence[LaidCable]) -> dict[LaidCable, Pulls]:
-    """Forces of the other cables on each clamped cable, at clamps where all slide freely sideways:
-    the mesh carries their total pull."""
-    found: dict[LaidCable, dict[int, Array]] = defaultdict(dict)
-    for held in clamped_together(cables):
-        if all(leaves_cells(cable) for cable, _ in held):
-            pulls = [pull_of(cable, k) for cable, k in held]
-            for (cable, k), own in zip(held, pulls, strict=True):
-                found[cable][k] = np.asarray(sum(pulls) - own)
-    return dict(found)
-
-
-def held_vertices(
-    cable: LaidCable, shape: StripShape, others: Pulls | None = None
-) -> list[HeldVertex]:
+def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     """Vertices that a taut cable visits or has reached, in path order; none for a cable in an edge,
     which belongs there. With friction all nodes on edges at a vertex are combined, as only their
-    sum is meaningful; some may have lifted off where the cable bends inward against the vertex. At
-    clamps the pulls of `others` are included."""
-    near = {} if cable.keeps_line else _near(cable, shape, others or {})
+    sum is meaningful; some may have lifted off where the cable bends inward against the vertex."""
+    near = {} if cable.keeps_line else _near(cable, shape)
     if not near:
         return []
     grip = cable.state.law.lateral
@@ -108,7 +78,7 @@ def held_vertices(
     nodes = sorted({k for some in at.values() for k in some if not cable.state.lifted[k]})
     # By node of the cable; zero where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.state.nodes)))
-    press[nodes], pull[nodes] = forces_at(cable, nodes, shape, others)
+    press[nodes], pull[nodes] = forces_at(cable, nodes, shape)
     if grip is not None:
         from crms_fenicsx.cabling.friction.lateral import friction_forces
 
@@ -131,12 +101,12 @@ def held_vertices(
     return sorted(found, key=lambda held: (held.nodes[0], held.nodes[-1], held.vertex))
 
 
-def held_runs(cable: LaidCable, shape: StripShape, others: Pulls | None = None) -> list[VertexRun]:
+def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
     """Runs of vertices that hold a cable, in path order, and the sides on which it leaves them.
     Without friction these follow the displacements of a string between the run's ends under the
     pulls: near the ends the cable's turn may pull the other way. With friction each vertex is left
     to the side of its pull. Neighbours left to different sides are in different runs."""
-    held = held_vertices(cable, shape, others)
+    held = held_vertices(cable, shape)
     if cable.state.law.lateral is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
     runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
@@ -168,35 +138,31 @@ def string_displacements(places: Array, forces: Array) -> Array:
 
 
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
-    """Rows of consecutive vertices; without clamped vertices, which hold other cables too."""
+    """Rows of consecutive vertices."""
     at = {k: i for i, k in enumerate(cable.path_nodes())}
-    held_there = [k for k in cable.clamped if cable.state.nodes[k].kind == "vertex"]
     rows: list[list[HeldVertex]] = []
     for one in held:
-        first, before = one.nodes[0], rows[-1][-1].nodes[-1] if rows else -1
-        parted = any(before <= k <= first for k in held_there)
         # consecutive, or with one point of the path between them
-        if rows and at[first] - at[before] <= 2 and not parted:
+        if rows and at[one.nodes[0]] - at[rows[-1][-1].nodes[-1]] <= 2:
             rows[-1].append(one)
         else:
             rows.append([one])
     return rows
 
 
-def _near(cable: LaidCable, shape: StripShape, others: Pulls) -> dict[int, list[int]]:
+def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
     """Vertices that a cable's nodes are on or close to, except along the membrane's boundary, off
-    which it can only slide, and at clamps, unless all of their cables can slide."""
+    which it can only slide."""
     near = TOL.pressed if cable.state.law.lateral is None else TOL.gripped
     nodes, lifted, fractions = cable.state.nodes, cable.state.lifted, cable.state.fractions
     boundary = along_boundary(nodes, shape)
-    clamped = set(cable.clamped) - set(others)
     found: dict[int, list[int]] = defaultdict(list)
     # near an edge's end or beyond it, or not on an edge
     beside = np.flatnonzero(~((near <= fractions) & (fractions <= 1 - near)))
     for k in ints(beside[(0 < beside) & (beside < len(nodes) - 1)]):
         if nodes[k].slides:
             found[nodes[k].support[int(fractions[k] > 0.5)]].append(k)
-        elif nodes[k].kind == "vertex" and not (lifted[k] or k in boundary or k in clamped):
+        elif nodes[k].kind == "vertex" and not (lifted[k] or k in boundary):
             found[nodes[k].support[0]].append(k)
     return dict(found)
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import put
+from cabled_square import advanced, clamped, put
 from mpi4py import MPI
 from spoilt_states import alarms, cabled, checked, masts, names, pressing
 
-from crms_fenicsx import Friction, LaidCable, Solver
+from crms_fenicsx import Cable, Friction, LaidCable, Solver, meshes
 from crms_fenicsx.analysis.verification.verifier import Verifier
 from crms_fenicsx.foundation.runtime.arrays import Array
 
@@ -188,10 +188,11 @@ def test_crossing_cables_apart_are_found(comm: MPI.Intracomm, name: str) -> None
 
 
 def test_clamps_that_hold_nothing_are_found(comm: MPI.Intracomm) -> None:
-    solver = cabled(comm, "weak cable", crossed=True)
-    cables = solver.scene.cables[:2]
-    solver.scene.clamp(*cables)
-    solver.advance()
+    lines = {"a": [(0.0, 47.0), (100.0, 56.0)], "b": [(47.0, 0.0), (56.0, 100.0)]}
+    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 15.0, lines=lines))
+    cables = [scene.lay_cable(Cable(3e4), along=name, L0=100.0) for name in lines]
+    scene.clamp(*cables)
+    solver = advanced(Solver(scene), pressure=0.01)
     assert alarms(solver) == set()
     found = checked(solver, lambda: cables[0].update(parts=None))
     assert "clamps that hold nothing" in names(found)

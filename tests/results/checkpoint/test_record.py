@@ -72,13 +72,19 @@ def sheet(material: Any = None, **options: Any) -> Scene:
     return Scene(mesh, material or OrthotropicMembrane(**FABRIC, wrinkling=False), **options)
 
 
-def crossed(hold: str = "outside") -> Scene:
-    """A sheet with two cables across another."""
-    scene = sheet()
-    scene.fix("boundary")
-    ways = {"a": ROUTE, "b": [(3.1, 0.0), (3.2, 10.0)], "c": [(6.1, 0.0), (6.2, 10.0)]}
-    for name, way in ways.items():
-        scene.lay_cable(Cable(50.0), way, name=name, tension=1.0)
+def lined(*names: str) -> Scene:
+    """A sheet with one line across others."""
+    ways = [ROUTE, [(3.1, 0.0), (3.2, 10.0)], [(6.1, 0.0), (6.2, 10.0)]]
+    lines = dict(zip(names, ways, strict=False))
+    mesh = meshes.rectangle(MPI.COMM_SELF, 10.0, 10.0, 1.0, lines=lines)
+    return clamped(mesh, OrthotropicMembrane(**FABRIC))
+
+
+def crossed() -> Scene:
+    """A sheet with two cables across another, along its lines."""
+    scene = lined("a", "b", "c")
+    for name in "abc":
+        scene.lay_cable(Cable(50.0), along=name, tension=1.0)
     return scene
 
 
@@ -108,8 +114,8 @@ def with_bar(start: Any = (12.0, 0.0, 0.0), end: Any = None, **given: Any) -> Sc
     return scene
 
 
-def netted(net: Any = ROUTE, cable: Any = 9.0, **given: Any) -> Scene:
-    scene = held()
+def netted(net: Any = ROUTE, cable: Any = 9.0, on: Scene | None = None, **given: Any) -> Scene:
+    scene = held() if on is None else on
     families = [[np.array(net)], [np.array([(3.1, 0.0), (3.2, 10.0)])]]
     scene.lay_net(nets.from_paths(scene, families), Cable(cable), **{"tension": 1.0, **given})
     return scene
@@ -239,8 +245,8 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     ),
     "lay_net": (netted, {
         "net": [(0.0, 3.3), (10.0, 4.3)], "cable": 10.0, "tension": 2.0, "hold": "sleeve",
-        "clamped": True,
     }),
+    "lay_net, on lines": (lambda **new: netted(on=lined("A1", "B1"), **new), {"clamped": True}),
     "fix": (
         lambda **new: after(sheet(), "fix", **{"where": "boundary"} | new),
         {"where": "left", "directions": "z"},
