@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -36,11 +37,61 @@ is slow, and number of slow ones in a load step after which the vertex stays. Be
 cables it would wander for ever: the errors of the mesh are stiffer than the cable there."""
 
 
+@dataclass
+class Motions:
+    """Shifts of rows in the solves of a load step, and what follows from them.
+
+    Attributes: `resting` (m,): ids of vertices that stay for the rest of the load step.
+    """
+
+    resting: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _ids: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """Ids of the vertices of the last solve, the numbers of their slow shifts, and their last
+    shifts, relative to the cell size."""
+    _slow: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _last: Array = field(default_factory=lambda: np.zeros(0))
+    _ways: list[Array] = field(default_factory=list)
+    """Shifts of the last solves on the same contacts, and those made then."""
+    _steps: list[Array] = field(default_factory=list)
+
+    def let_rest(self, rows: RowShifts, shifts: Array, solved: bool) -> None:
+        """Let vertices stay whose shifts (m,), relative to the cell size, are slow."""
+        if not np.array_equal(rows.vertices, self._ids):
+            slow = np.zeros(len(shifts), dtype=np.int64)
+            _, new, old = np.intersect1d(rows.vertices, self._ids, return_indices=True)
+            slow[new] = self._slow[old]
+            self._ids, self._slow, self._ways, self._steps = rows.vertices, slow, [], []
+        elif solved:
+            self._slow += shifts > np.maximum(SLOW * self._last, SETTLED)
+        self._last = shifts
+        rest = np.setdiff1d(self._ids[self._slow >= MOTIONS], self.resting)
+        if len(rest):
+            self.resting = np.union1d(self.resting, rest)
+            logger.debug("%d vertices of rows stay", len(self.resting))
+
+    def further(self, rows: RowShifts, ways: Array, solved: bool) -> Array:
+        """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
+        last motions tell: Anderson's extrapolation of a fixed point, not over new contacts."""
+        if not solved:
+            self._ways, self._steps = [], []
+            return np.zeros_like(ways)
+        step = ways.ravel()
+        self._ways.append(step)
+        if self._steps:
+            changes = np.diff(self._ways, axis=0).T
+            factors = np.linalg.lstsq(changes, step, rcond=None)[0]
+            step = step - (np.transpose(self._steps) + changes) @ factors
+            if (norm(step.reshape(-1, 3)) > rows.sizes).any():
+                step = ways.ravel()
+        self._steps.append(step)
+        return step.reshape(-1, 3) - ways
+
+
 class RowSliding:
     """Moves the stress-free mesh of a scene with its rows after a solve.
 
-    Attributes: `collapse`: why the last motion cannot be used; "" if it can; `resting` (m,): ids of
-    vertices that stay for the rest of the load step.
+    Attributes: `collapse`: why the last motion cannot be used; "" if it can; `motions`: those of
+    the load step.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -50,8 +101,7 @@ class RowSliding:
         self._fixed: Booleans = np.zeros(0, dtype=bool)
         self._sliding: Integers = np.zeros(0, dtype=np.int64)
         self._aside = 0  # times that vertices have moved under spans in this solve
-        self.resting: Integers = np.zeros(0, dtype=np.int64)
-        self.begin()
+        self.motions = Motions()
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -61,12 +111,7 @@ class RowSliding:
 
     def begin(self) -> None:
         """Begin a load step."""
-        self.resting = np.zeros(0, dtype=np.int64)
-        self._ids: Integers = np.zeros(0, dtype=np.int64)  # of the vertices of the last motion
-        self._slow: Integers = np.zeros(0, dtype=np.int64)  # numbers of their slow shifts
-        self._last: Array = np.zeros(0)  # their last shifts, relative to the cell size
-        self._ways: list[Array] = []  # shifts of the last solves, and those made then
-        self._steps: list[Array] = []
+        self.motions = Motions()
 
     def follow(
         self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
@@ -88,10 +133,10 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
-        self._let_rest(rows, norm(ways) / rows.sizes, solved)
+        self.motions.let_rest(rows, norm(ways) / rows.sizes, solved)
         if way > NEAR:
             motion = self._renewed(rows.vertices)
-            X, x = motion.move(X, x, (rows.vertices, self._further(rows, ways, solved)))
+            X, x = motion.move(X, x, (rows.vertices, self.motions.further(rows, ways, solved)))
             self.collapse = self._narrowed(motion, X, COLLAPSED)
         self._keep_rows(moved=False)
         place_stress_free(self.scene, X)
@@ -102,38 +147,6 @@ class RowSliding:
         u[:] = np.where(stays, u, x - X)
         logger.debug("rows slide by %.3g cells", way)
         return way
-
-    def _let_rest(self, rows: RowShifts, shifts: Array, solved: bool) -> None:
-        """Let vertices stay whose shifts (m,), relative to the cell size, are slow."""
-        if not np.array_equal(rows.vertices, self._ids):
-            slow = np.zeros(len(shifts), dtype=np.int64)
-            _, new, old = np.intersect1d(rows.vertices, self._ids, return_indices=True)
-            slow[new] = self._slow[old]
-            self._ids, self._slow, self._ways, self._steps = rows.vertices, slow, [], []
-        elif solved:
-            self._slow += shifts > np.maximum(SLOW * self._last, SETTLED)
-        self._last = shifts
-        rest = np.setdiff1d(self._ids[self._slow >= MOTIONS], self.resting)
-        if len(rest):
-            self.resting = np.union1d(self.resting, rest)
-            logger.debug("%d vertices of rows stay", len(self.resting))
-
-    def _further(self, rows: RowShifts, ways: Array, solved: bool) -> Array:
-        """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
-        last motions tell: Anderson's extrapolation of a fixed point, not over new contacts."""
-        if not solved:
-            self._ways, self._steps = [], []
-            return np.zeros_like(ways)
-        step = ways.ravel()
-        self._ways.append(step)
-        if self._steps:
-            changes = np.diff(self._ways, axis=0).T
-            factors = np.linalg.lstsq(changes, step, rcond=None)[0]
-            step = step - (np.transpose(self._steps) + changes) @ factors
-            if (norm(step.reshape(-1, 3)) > rows.sizes).any():
-                step = ways.ravel()
-        self._steps.append(step)
-        return step.reshape(-1, 3) - ways
 
     def _keep_rows(self, moved: bool) -> None:
         """Keep the present places of the rows of which none are known, or of all if the mesh has

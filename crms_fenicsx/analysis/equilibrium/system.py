@@ -230,7 +230,7 @@ class System:
     @property
     def _resting(self) -> Integers:
         """Ids of vertices of rows that stay for the rest of the load step, (m,)."""
-        return np.zeros(0, dtype=np.int64) if self._rows is None else self._rows.resting
+        return np.zeros(0, dtype=np.int64) if self._rows is None else self._rows.motions.resting
 
     @property
     def collapse(self) -> str:
@@ -360,8 +360,6 @@ class System:
     def commit(self) -> None:
         """End a load step. Collective."""
         self.potential.commit()
-        if self._rows is not None:
-            self._rows.resting = self._rows.resting[:0]
         self.scene.versions.change_state()
         for part in self.parts:
             part.commit()

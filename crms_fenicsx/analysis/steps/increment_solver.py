@@ -34,6 +34,9 @@ from crms_fenicsx.model.versions import StateWarning
 if TYPE_CHECKING:
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 
+PARTS = 0.2, 1.5
+"""Bounds of the part of the wind's change that is made at once."""
+
 
 def _starting_prestress(
     system: System, target: Target, share: float, stressed: bool = True
@@ -272,14 +275,31 @@ class IncrementSolver:
         scene, comm = self.scene, self.scene.comm
         rows = self.system.shifts is not None  # each solve moves them only once
         solves = BUDGET.follower_solves + (BUDGET.changes if rows else 0)
+        last: list[Array] = []
+        part = 1.0
         for _ in range(solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
-            pairs = zip(turned, scene.loads, strict=True)
-            change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
+            pairs = list(zip(turned, scene.loads, strict=True))
+            changes = [new.factor * (new.forces - old.forces) for new, old in pairs]
+            change = np.sum(changes, axis=0)
             size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
             if size <= self._options.rtol * outcome.scale and self.system.rows_rest:
                 return outcome
-            scene.loads.update(loads=turned)
+            if last:  # Aitken's factor: forces that alternate are halved, others go further
+                more = change - last[0]
+                products = np.array([np.vdot(last[0], more), np.vdot(more, more)])
+                comm.Allreduce(MPI.IN_PLACE, products)
+                part *= -products[0] / max(products[1], 1e-300)
+                part = float(np.clip(part, *PARTS))
+            last = [change]
+            scene.loads.update(
+                loads=tuple(
+                    replace(new, forces=old.forces + part * (new.forces - old.forces))
+                    if new is not old
+                    else new
+                    for new, old in pairs
+                )
+            )
             self._commit()
             outcome = outcome + search.find((0.0,))
             if not outcome.converged:
