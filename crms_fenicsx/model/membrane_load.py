@@ -53,6 +53,7 @@ class MembraneLoad:
     # on vertices and lines
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
     at_vertices: bool = False  # whether it is of forces on vertices, not on areas or lines
+    weighs: bool = False  # whether it acts per stress-free area also while places shift
     # displacements of the stress-free places, as in `MembraneState`, when it was put, and the load
     # as put if they have moved since
     placed: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
@@ -145,7 +146,8 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    return replace(shape.load(name, loads), material=loads / membrane.cell_areas[:, None])
+    by_area = loads / membrane.cell_areas[:, None]
+    return replace(shape.load(name, loads), material=by_area, weighs=per == "material")
 
 
 def wind_load(

@@ -88,7 +88,7 @@ class ShiftContribution(Contribution):
         table = self.energy.table
         table.weights[:] = 0.0
         for load in self.scene.loads:
-            if load.material is not None:
+            if load.weighs and load.material is not None:
                 table.weights[:] += load.factor * load.material[table.cells]
 
     def shifts(self, potential: Potential) -> Array:

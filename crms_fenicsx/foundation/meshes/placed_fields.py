@@ -6,7 +6,7 @@ The data are the values of the cells where these were. A cell whose mean corner 
 
 f_0 its own value, at X_0, and r the linear interpolation of vertex values, those of the linear
 field that fits the cells around best. This is exact where the field is linear, and f_0 where the
-cell has not moved.
+cell has not moved. Where it jumps, r is smooth over a cell; the integral is kept.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ class PlacedFields:
         self._own = topology.index_map(2).size_local
         self._numbers = np.asarray(topology.original_cell_index[: self._own], dtype=np.int64)
         every = self._gathered(kinds[: self._own, None].astype(float))[:, 0].astype(np.int64)
+        self._kinds = every
         # (m, 3) stars of the corners: the cells of each kind around a vertex
         corners = surface.cells + len(points) * every[:, None]
         numbers, of = np.unique(corners, return_inverse=True)
@@ -72,7 +73,22 @@ class PlacedFields:
         new = given.copy()
         new[moves] += (shares[:, :, None] * vertex[self._stars[cells]]).sum(axis=1)
         new[moves] -= vertex[self._stars[self._numbers[moves]]].mean(axis=1)
-        return new.reshape(data.shape)
+        return self._keeping_sums(given, new, X).reshape(data.shape)
+
+    def _keeping_sums(self, given: Array, new: Array, X: Array) -> Array:
+        """New values (n, k) with the integrals that the given ones had over the cells of each kind:
+        what is missing goes to the cells whose values have changed, as their change."""
+        before = self._areas[self._numbers, None]
+        now = norm(double_areas(X[self._corners[: self._own]]))[:, None]
+        changes = np.abs(new - given)
+        parts = np.stack([before * given - now * new, now * changes])
+        sums = np.zeros((2, self._kinds.max(initial=0) + 1, given.shape[1]))
+        for kind in range(sums.shape[1]):
+            sums[:, kind] = parts[:, self._kinds[self._numbers] == kind].sum(axis=1)
+        missing, weight = self._comm.allreduce(sums)
+        shares = missing / np.maximum(weight, 1e-300)
+        shares[weight <= EPSILON * np.abs(missing)] = 0.0
+        return np.asarray(new + changes * shares[self._kinds[self._numbers]])
 
     def _means(self, values: Array) -> Array:
         """Means (v, ...) by area over the cells of each star of values of their corners (m, 3,
