@@ -129,7 +129,7 @@ if scene.comm.rank == 0:
     for ax, k, state in zip(figure.subplots(1, 2), (0, 1), ("calm", "wind"), strict=True):
         for (way, values), mark in zip(tensions.items(), "sx", strict=True):
             ax.plot(list(lines), values[k], mark, mfc="none", label=way)
-        ax.set(title=state, ylabel="tension [kN]", ylim=(0.0, None))
+        ax.set(title=state, ylabel="tension [kN]", ylim=(0.0, 1.1 * values[k].max()))
         ax.tick_params(axis="x", labelsize=8)
         ax.legend()
     figure.savefig(f"{RESULTS}/ways.png", dpi=110)
