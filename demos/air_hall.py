@@ -51,7 +51,7 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # Two families of 6 spiral strands of 16 mm run from side to side, each along the shortest path
 # between its anchors, where a frictionless cable stays; a cable straight in plan would be too long.
 # The cables slide over the fabric and over each other. They are 1 % shorter than their paths, and
-# so carry load.
+# so carry load. They cross the mesh, as snow slackens some, and lines of slack cables do not rest.
 for family, side in (("A", 1.0), ("B", -1.0)):
     for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
         ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))

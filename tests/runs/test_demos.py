@@ -17,12 +17,12 @@ from crms_fenicsx.results.output import History
 
 ROOT = Path(__file__).parents[2]
 PROMISED = {
-    "air_dome": (["calm", "storm", "both"], {".": 2}, ["1000"]),
-    "cable_net": (["calm", "wind", "both", "paths"], {".": 4}, ["3.0"]),
+    "air_dome": (["calm", "storm", "both"], {".": 2}, ["3000"]),
+    "cable_net": (["calm", "wind", "both", "ways"], {"folded": 4, "along": 4}, ["2.6"]),
     "air_hall": (["operation", "storm", "both"], {".": 9}, ["6.0"]),
     "code_loads": (["fabric", "cable", "both"], {".": 23}, ["1.4"]),
-    "clamped_net": (["sliding", "clamped", "both"], {"sliding": 2, "clamped": 2}, ["6.0"]),
-    "net_tuning": (["tuned"], {".": 5}, ["3.0"]),
+    "clamped_net": (["sliding", "clamped", "both"], {"sliding": 2, "clamped": 2}, ["2.4"]),
+    "net_tuning": (["tuned"], {".": 5}, ["2.4"]),
     "patterns": (["roll", "built"], {".": 2}, ["6.0"]),
     "capstan": (["taken_in", "let_out", "profile", "both"], {".": 10}, ["1.6"]),
     "friction_experiment": (
@@ -56,8 +56,10 @@ def check_air_dome(left: dict[str, Any]) -> None:
     total, tensions = left["boundary"].total[2], left["tensions"]
     rtol = 2 * (left["size"] / left["RADIUS"]) ** 2 / 3
     np.testing.assert_allclose(total, -left["lift"], rtol=rtol)
-    # measured: means of 277 and 273 kN in calm air with 1500 and 3000 unknowns
-    np.testing.assert_allclose(tensions["calm"].mean(), 277.0, rtol=0.1)
+    # measured with 10 000 and 20 000: 268.1 and 266.5 kN; `benchmarks/lines.py` leads to 264.6
+    np.testing.assert_allclose(tensions["calm"].mean(), 268.1, rtol=0.03)
+    mirrored = tensions["calm"].reshape(2, -1)
+    np.testing.assert_allclose(mirrored, mirrored[:, ::-1], rtol=0.02)
     assert np.all(tensions["storm"] > 1.5 * tensions["calm"])
 
 
@@ -82,14 +84,19 @@ def check_air_hall(left: dict[str, Any]) -> None:
 
 
 def check_cable_net(left: dict[str, Any]) -> None:
-    """Measured at sizes 1.6, 2.0 and 3.0: mean tensions of 10.98, 11.14 and 11.21 kN in calm air,
-    largest ones of 37.58, 37.72 and 38.93 in the wind; another gmsh may mesh differently.
+    """Both ways have the same limits. Measured on cells of 1.3 and 0.65 m along lines: mean
+    tensions of 11.17 and 10.71 kN in calm air, largest ones of 37.70 and 36.91 in the wind; on
+    folded cells of 1.6 and 0.8 m 10.98 and 10.62, 37.62 and 37.01. Another gmsh may mesh
+    differently.
     """
-    rtol = 0.03 if left["size"] == 1.6 else 0.25
-    found = left["calm"].mean(), left["windy"].max()
-    np.testing.assert_allclose(found, (10.98, 37.58), rtol=rtol)
+    rtol = 0.03 if left["size"] == 1.3 else 0.25
+    for way, expected in {"folded": (10.98, 37.62), "along lines": (11.17, 37.70)}.items():
+        calm, windy = left["tensions"][way]
+        np.testing.assert_allclose((calm.mean(), windy.max()), expected, rtol=rtol)
+    (*_, folded), (*_, along) = left["rows"]
+    assert along < folded  # factorisations
     assert left["lifted"] >= 3
-    assert 0.2 < left["slid"] < 1.0
+    assert 0.1 < left["slid"] < 1.0
 
 
 def check_capstan(left: dict[str, Any]) -> None:
@@ -106,12 +113,13 @@ def check_capstan(left: dict[str, Any]) -> None:
 
 
 def check_clamped_net(left: dict[str, Any]) -> None:
-    """Measured at size 2.4: 87.7 and 86.2 kN, .44 and .42 m, 2.6 kN."""
+    """Measured at sizes 1.6 and 1.2: 84.0 and 83.5, 83.3 and 82.2 kN, .47 and .48, .45 m, 1.6 and
+    1.4 kN. Folded cells of 1.2 m have 84.1 kN where the net slides."""
     scene, free, held = left["scene"], left["found"]["sliding"], left["found"]["clamped"]
-    assert len(scene.clamps) == len(scene.net.crossings)
-    rtol = 0.03 if left["size"] < 2.5 else 0.2
-    np.testing.assert_allclose(free["largest tension"], 87.7, rtol=rtol)
-    np.testing.assert_allclose(held["largest tension"], 86.2, rtol=rtol)
+    assert len(scene.clamps) == len(scene.net.crossings) == len(left["net"].crossings)
+    rtol = 0.03 if left["size"] < 1.7 else 0.1
+    np.testing.assert_allclose(free["largest tension"], 84.0, rtol=rtol)
+    np.testing.assert_allclose(held["largest tension"], 83.3, rtol=rtol)
     assert held["deflection"] < free["deflection"]
     assert 0.5 < held["clamp"] < 0.1 * held["largest tension"]
 
