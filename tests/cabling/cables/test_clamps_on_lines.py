@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grids import alternating, grid, numbered
+from lined.strings import clamped
 from mpi4py import MPI
 from scipy.optimize import fsolve, minimize
-from sweeps.strings import clamped
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.foundation.meshes import MembraneMesh
