@@ -202,7 +202,7 @@ HALLS = [
          OrthotropicMembrane(E1=1100.0, E2=900.0, G12=40.0, nu21=0.2, thickness=1.0),
          (1.0, 0.0, 0.0)),
 ]  # fmt: skip
-SIZES = {"36 x 36": (1.7, 1.2, 0.8), "36 x 54": (2.0, 1.4, 1.0)}
+SIZES = {"36 x 36": (1.7, 1.2, 0.8), "36 x 54": (1.4, 1.0, 0.75)}
 
 
 def diagonal_wind(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from lined import timed
 from lined.mirrored import CABLES, MESHES
 
 PRESSURES = (0.3, 0.5)
+FOLDS = 118.0  # unknowns of fold points of 28 cables, over the root of the mesh's unknowns
 
 
 def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
@@ -120,7 +121,8 @@ def folded(unknowns: float) -> None:
     lined = cap(unknowns)
     net = net_on(lined)
     runs = {"along lines": inflated(meshes.along(lined, net.paths), net)}
-    plain = cap(0.9 * runs["along lines"].unknowns)
+    root = np.sqrt(FOLDS**2 / 4 + runs["along lines"].unknowns) - FOLDS / 2
+    plain = cap(float(root**2))
     runs["folded"] = inflated(plain, net_on(plain))
     print("\ndome           unknowns  laying   s at .3     .5     mean T          mirrored")
     for name, own in runs.items():
