@@ -15,7 +15,7 @@ from crms_fenicsx.energy.minimization.local_potential import LocalPotential, Pat
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.foundation.dofs.layout import GhostFlags
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 
 RISE = 1e-12
 """Rise of the energy, relative to the sum of its terms' sizes, attributed to rounding."""

@@ -75,7 +75,7 @@ class EnergyTerm(ABC):
         its forces are the energy's gradient; `Solver.tangent` names the terms for which this is
         False.
     links : (n, 2)
-        Pairs of cable points that it couples most; linked points are relaxed together.
+        Pairs of blocks that it couples most; linked ones are relaxed together.
     section_forces : (n, 3, 3)
         Second Piola-Kirchhoff section forces of this rank's cells in addition to the materials',
         tensors in space (force per length), which results include; None without any.

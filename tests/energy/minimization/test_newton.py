@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabled_square import advanced, clamped, sheet, square
+from cabled_square import advanced, clamped, square
 from mpi4py import MPI
 from petsc4py import PETSc
 from term_scene import cable_square, displaced
