@@ -34,7 +34,7 @@ STEADY = 1e-11
 
 
 @dataclass(frozen=True)
-class Patch:
+class PatchData:
     """Elements of a patch, and the state of the n blocks that these address."""
 
     numbers: Integers  # (n,) global numbers of the blocks
@@ -53,7 +53,7 @@ class Patch:
     tables: Sequence[tuple[int, ElementTable]]  # term numbers of the potential, elements of each
 
     @classmethod
-    def of(cls, potential: Potential, moves: Booleans) -> Patch:
+    def of(cls, potential: Potential, moves: Booleans) -> PatchData:
         """This rank's part of the patch of the flagged blocks, (n_local,)."""
         unknowns, n = potential.unknowns, potential.unknowns.n_local
         used, on_points = moves.copy(), moves[unknowns.interpolation].any(axis=1)
@@ -84,7 +84,7 @@ class Patch:
         return cls(*(value[blocks] for value in values), own)  # type: ignore[call-arg, arg-type]
 
     @classmethod
-    def joined(cls, parts: Sequence[Patch]) -> Patch:
+    def joined(cls, parts: Sequence[PatchData]) -> PatchData:
         """Merge the parts told by several ranks."""
         if len(parts) == 1:
             return parts[0]
@@ -114,7 +114,7 @@ class _PatchBlocks(LocalBlocks):
 
     comm = MPI.COMM_SELF
 
-    def __init__(self, patch: Patch) -> None:
+    def __init__(self, patch: PatchData) -> None:
         super().__init__(patch.X)
         self.held[:] = patch.held
         tied_points = np.flatnonzero(patch.rides_on[:, 0] >= 0).astype(np.int32)
@@ -177,7 +177,7 @@ class LocalPotential:
     steps made.
     """
 
-    def __init__(self, whole: Potential, patch: Patch, strategy: Strategy) -> None:
+    def __init__(self, whole: Potential, patch: PatchData, strategy: Strategy) -> None:
         self.strategy, self.layout = strategy, _PatchBlocks(patch)
         self.terms: list[EnergyTerm] = []
         for k, term in enumerate(whole.terms):

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.energy.minimization.local_potential import LocalPotential, Patch
+from crms_fenicsx.energy.minimization.local_potential import LocalPotential, PatchData
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.foundation.dofs.layout import GhostFlags
@@ -63,7 +63,7 @@ class Relaxation:
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)
-        patch = Patch.joined(potential.comm.allgather(Patch.of(potential, chosen)))
+        patch = PatchData.joined(potential.comm.allgather(PatchData.of(potential, chosen)))
         local = LocalPotential(potential, patch, self.strategy)
         reached = local.minimize(tolerance)
         self.steps += local.steps

@@ -80,7 +80,7 @@ class Strategy:
     shortest_local: float = 1e-6
     """The shortest Newton step of a patch, relative to the full one."""
     short: float = 0.3
-    """Length, relative to Newton's, below which a step of a patch by second derivatives is short."""
+    """Length, relative to Newton's, below which a step by second derivatives is short."""
     twice: int = 2
     """Number of short steps after which H0 replaces these for as many steps."""
 

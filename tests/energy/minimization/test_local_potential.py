@@ -8,7 +8,7 @@ from taylor import OnMesh, dense, noise
 from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 
 from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT
-from crms_fenicsx.energy.minimization.local_potential import LocalPotential, Patch
+from crms_fenicsx.energy.minimization.local_potential import LocalPotential, PatchData
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 pytestmark = pytest.mark.ranks
@@ -30,7 +30,7 @@ def local_potential(potential, blocks):
     """The potential of some blocks, and those of the whole in the order of its own."""
     moves = np.zeros(potential.unknowns.n_local, dtype=bool)
     moves[blocks] = True
-    patch = Patch.of(potential, moves)
+    patch = PatchData.of(potential, moves)
     local = LocalPotential(potential, patch, STRATEGY)
     return local, patch.numbers[local.blocks]
 
