@@ -1,7 +1,7 @@
 """The potential of a patch of blocks with all others held, minimised by Newton's method.
 
-Its terms are the elements that depend on these blocks; all other forces on them are constant. All
-ranks gather the elements and minimise alike, so the result does not depend on the partition of the
+Its terms are the elements that depend on these blocks; all other forces on them are constant. The
+first rank gathers the elements and minimises, so the result does not depend on the partition of the
 mesh. A patch is small: its stiffness is a dense matrix, to which the cables' dyads are added.
 """
 

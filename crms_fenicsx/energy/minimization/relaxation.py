@@ -15,7 +15,7 @@ from crms_fenicsx.energy.minimization.local_potential import LocalPotential, Pat
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.strategy import STRATEGY, Strategy
 from crms_fenicsx.foundation.dofs.layout import GhostFlags
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 RISE = 1e-12
 """Rise of the energy, relative to the sum of its terms' sizes, attributed to rounding."""
@@ -63,13 +63,18 @@ class Relaxation:
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)
-        patch = PatchData.joined(potential.comm.allgather(PatchData.of(potential, chosen)))
-        local = LocalPotential(potential, patch, self.strategy)
-        reached = local.minimize(tolerance)
-        self.steps += local.steps
-        numbers = patch.numbers[local.blocks] - potential.unknowns.start
+        parts = potential.comm.gather(PatchData.of(potential, chosen))
+        found: tuple[Integers, Array, int, bool] | None = None
+        if parts is not None:
+            patch = PatchData.joined(parts)
+            local = LocalPotential(potential, patch, self.strategy)
+            reached, moved = local.minimize(tolerance), local.blocks
+            found = patch.numbers[moved], local.x[moved], local.steps, reached
+        numbers, x, steps, reached = potential.comm.bcast(found)
+        self.steps += steps
+        numbers = numbers - potential.unknowns.start
         own = (numbers >= 0) & (numbers < potential.unknowns.n_owned)
-        potential.x[numbers[own]] = local.x[local.blocks[own]]
+        potential.x[numbers[own]] = x[own]
         potential.place()
         if potential.evaluate() <= energy + RISE * size:
             return reached
