@@ -246,7 +246,8 @@ class Minimizer:
         lengths = self.strategy.stage_lengths
         self._length = lengths[min(renewals, len(lengths) - 1)]
         self._most_h0_iterations = 2 * self.strategy.rebuild if least > FLOOR else math.inf
-        exact = self._by_cables and prestress == 0.0 and failures == 0
+        exact = self._by_cables and self._newton_method.trusts_exact
+        exact &= prestress == 0.0 and failures == 0
         exact = exact and self._residual0 < self.strategy.exact * self._scale
         if not self.h0.rebuild(exact) and not self.h0.rebuild():
             return False

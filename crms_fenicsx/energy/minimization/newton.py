@@ -22,8 +22,9 @@ rise up to which it does: both are rounding."""
 class NewtonMethod:
     """Newton steps on a potential, with H0 as its Hessian.
 
-    Attributes: `active`: whether it has taken over; `wrinkle_stiffness`: stiffness added to
-    wrinkled cells, relative to that of taut ones.
+    Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
+    second derivatives in this solve; `wrinkle_stiffness`: stiffness added to wrinkled cells,
+    relative to that of taut ones.
     """
 
     def __init__(self, potential: Potential, h0: InitialHessian, strategy: Strategy) -> None:
@@ -33,7 +34,7 @@ class NewtonMethod:
     def begin(self) -> None:
         """Begin a solve, inactive."""
         self.active, self.wrinkle_stiffness = False, self.strategy.wrinkle_stiffness
-        self._count, self._mark = 0, 0.0
+        self._count, self._mark, self._failed, self.trusts_exact = 0, 0.0, 0, True
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Take over if a stage has `reduced` the residual too little. Units: both (force)."""
@@ -47,6 +48,8 @@ class NewtonMethod:
         self._count += 1
         if self._count == self.strategy.newton_stages:
             self.active = residual <= self.strategy.stubborn * self._mark
+            if not self.active:  # H0 does no better: use the second derivatives until a step fails
+                self.trusts_exact, self._failed = True, 1
             self._count, self._mark = 0, residual
 
     def step(
@@ -78,4 +81,6 @@ class NewtonMethod:
             factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
             factor = factor if part == 1.0 else 1.0
         self.wrinkle_stiffness = min(factor * self.wrinkle_stiffness, 1.0)
+        self._failed = 0 if fallen else self._failed + 1
+        self.trusts_exact &= self._failed < 2
         return fallen
