@@ -244,7 +244,9 @@ class LocalPotential:
         start, g0, energy0 = self.x[self.blocks], self.g, self.energy
         d = self._direction(True) if exact else None
         d = self._direction(False) if d is None else d
-        slope, length = 0.0 if d is None else float(np.sum(d * g0)), 1.0
+        if d is None:
+            return 0.0
+        slope, length = float(np.sum(d * g0)), 1.0
         while slope < 0.0 and length >= self.strategy.shortest_local:
             self.x[self.blocks] = start + length * d
             self.evaluate()
