@@ -189,13 +189,14 @@ class LocalPotential:
         self._damping = [Damping(table) for table in springs]
         self.blocks = np.flatnonzero(patch.moves)
         self.x, self._forces, self.steps = patch.x, np.zeros_like(patch.x), 0
-        sliders = patch.projectors[self.blocks].any(axis=(1, 2))
+        sliders = np.asarray(patch.projectors[self.blocks].any(axis=(1, 2)))
         held = patch.held[self.blocks]
         self._bound = np.flatnonzero(held.any(axis=1) | sliders)
         P = np.eye(3) * ~held[self._bound, None]
         P[sliders[self._bound]] = patch.projectors[self.blocks[sliders]]
         self._projectors = P
-        self.g = self._others = np.zeros((len(self.blocks), 3))
+        self.g: Array = np.zeros((len(self.blocks), 3))
+        self._others: Array = self.g
         self.energy, self._size, self._start = 0.0, 0.0, self.x[self.blocks]
         given = self._project(patch.g[self.blocks])
         self.evaluate()
